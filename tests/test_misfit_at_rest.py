@@ -117,7 +117,7 @@ def test_a_design_out_of_range_is_stepped_back_from():
     ("call", "words"),
     [
         (lambda: StaticMisfit([TIP], [0.1, 0.2]), "one per observable"),
-        (lambda: StaticMisfit([TIP], "ab"), "sequence of numbers"),
+        (lambda: StaticMisfit([TIP], "ab"), "must be numbers"),
         (lambda: StaticMisfit([TIP], [0.1], [1.0, 2.0]), "spread"),
         (lambda: FrequencyMisfit([np.nan]), "some of them finite"),
         (lambda: FrequencyMisfit([1.0], under_load=1), "under_load"),

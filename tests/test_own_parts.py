@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from call_path import ROOT, passed, run
 
 from ancfdae import (
     HHT,
@@ -79,3 +80,15 @@ def test_an_integrator_that_leaves_out_derivatives_is_told():
         simulate(made["swing"], 0.25, HHT(rtol=1e-8)).position(made["rod"].at(0.5, 0))[-1, 1],
         rel=1e-6,
     )
+
+
+def test_a_gradient_passes_the_files_to_read_and_few_others():
+    run()  # What is made once a process is left out.
+    calls = passed()
+    files = {str(Path(code.co_filename).relative_to(ROOT)) for code in calls}
+    listed = re.findall(r"^\| `(\w[\w/]*\.py)` \|", PAGE.read_text(), re.MULTILINE)
+    assert len(listed) == 20
+    assert not set(listed) - files
+    # 90 and 586 before: what a scene does not have is not visited.
+    assert len(files) <= 80
+    assert len(calls) <= 575

@@ -93,7 +93,7 @@ class AssembledStart:
         declared = self._declared(None)
         strains = scene.project_start
         # Equations of rigid bodies come after those of the joints.
-        rows = sum(joint.rows for joint in self.joints.joints[: len(scene.joints)])
+        rows = sum(joint.rows for joint in self.joints.structure.joints[: len(scene.joints)])
         return Assembly(motions, self.pattern, rows, free, declared, size, self._moves, strains)
 
     def _declared(self, i: int | None) -> Declared:

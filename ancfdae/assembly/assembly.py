@@ -381,7 +381,7 @@ class Assembly:
     def _jacobian(self, q: Array, T: Array) -> scipy.sparse.csr_array:
         """J, dimensionless, shape (n_rows, n_free)."""
         constraints = self._declared.constraints
-        B = constraints.pattern.csr(constraints.constraint_q(0.0, q).real)[: self._rows]
+        B = constraints.structure.pattern.csr(constraints.constraint_q(0.0, q).real)[: self._rows]
         rows = scipy.sparse.diags_array(self._weights[: self._rows])
         return (rows @ B @ (self._motions.matrix(T) @ self._freedom)).tocsr()
 
@@ -408,7 +408,7 @@ class Assembly:
         constraints = self._declared.constraints
         B = constraints.constraint_q(0.0, Z.ravel()).real
         T = self._motions.tangent(Z, self._motions.none)
-        by_shifts, by_any = self._motions.reach(constraints.pattern, B, T).T
+        by_shifts, by_any = self._motions.reach(constraints.structure.pattern, B, T).T
         # Of a slope that is long in its own units nothing but round-off moves with the body.
         is_length = by_shifts > 1e-9 * by_any
         return np.where(is_length, 1.0 / self._size, 1.0)
@@ -423,7 +423,7 @@ class Assembly:
     @property
     def names(self) -> tuple[str, ...]:
         """Joint of every equation."""
-        joints = self._declared.constraints.joints
+        joints = self._declared.constraints.structure.joints
         return tuple(joint.name for joint in joints for _ in range(joint.rows))
 
     def require_closed(self) -> None:

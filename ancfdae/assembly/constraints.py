@@ -15,7 +15,6 @@ import numpy as np
 
 from ancfdae.assembly.joint_factors import JointFactors, JointPartials
 from ancfdae.assembly.joint_structure import JointStructure
-from ancfdae.assembly.layout import JointLayout
 from ancfdae.errors import InconsistentStart
 from ancfdae.kernels import (
     ConstraintPlan,
@@ -50,21 +49,6 @@ class JointConstraints:
         return JointConstraints(structure, curved, pattern.size, n_b)
 
     # -- structure -----------------------------------------------------------------------------
-
-    @property
-    def joints(self) -> tuple[JointLayout, ...]:
-        """Where the equations of each joint are."""
-        return self.structure.joints
-
-    @property
-    def n_lam(self) -> int:
-        """Number of equations."""
-        return self.structure.n_lam
-
-    @property
-    def pattern(self) -> Pattern:
-        """Pattern of Phi_q."""
-        return self.structure.pattern
 
     @cached_property
     def plan(self) -> ConstraintPlan:
@@ -268,7 +252,7 @@ class JointConstraints:
         """Differentiate them at many instants, (k, n, n_b); derivatives given are rows."""
         orders, (lam, lam_b) = len(motion), multipliers or (None, None)
         if motion_b is None and not self.active:
-            n = self.n_lam if lam is None else motion[0].shape[1]
+            n = self.structure.n_lam if lam is None else motion[0].shape[1]
             return np.zeros((len(t), n, self.n_b))
         factors = self.factors.spread(t, orders)
         factors_b = self.factors.partials(t, orders, self.n_b)

@@ -101,7 +101,7 @@ class JointStructure:
     @property
     def n_lam(self) -> int:
         """Number of equations."""
-        return sum(joint.rows for joint in self.joints)
+        return self.pattern.shape[0]
 
     @cached_property
     def parts(self) -> list[Array]:

@@ -146,8 +146,8 @@ class AncfSystem(PlannedSystem):
         return Pattern((self.n_q, self.n_q), rows, columns)
 
     def _describe(self) -> None:
-        self.n_lam = self._constraints.n_lam
-        self.constraint_pattern = self._constraints.pattern
+        structure = self._constraints.structure
+        self.n_lam, self.constraint_pattern = structure.n_lam, structure.pattern
         joints, moving = self._constraints, self._loads.moving
         damped, turning = self._elastic.damped, self._turning is not None
         self.weights = self._inertia.weights
@@ -162,7 +162,7 @@ class AncfSystem(PlannedSystem):
             project_start=self._scene.project_start,
             force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
         )
-        rows = joints.joints
+        rows = structure.joints
         self.naming = replace(self.naming, layout=replace(self.naming.layout, joints=rows))
         self.constraint_names = tuple(joint.name for joint in rows for _ in range(joint.rows))
 
@@ -182,7 +182,7 @@ class AncfSystem(PlannedSystem):
             weights,
             1 / weights,
             self._constraints.plan,
-            self._constraints.pattern.rows_of(np.zeros(self._constraints.pattern.size)),
+            self.constraint_pattern.rows_of(np.zeros(self.constraint_pattern.size)),
             self._constraints.factors.table,
             self._loads.factors,
             self._loads.plans(),

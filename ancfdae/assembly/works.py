@@ -1,14 +1,111 @@
-"""Power of driven joints and of loads, prepared when it is first asked for."""
+"""Power of driven joints and of loads, with its partials; prepared when it is first asked for.
 
-from typing import final
+A joint exerts -Phi_q^T lam, and Phi_q v = -Phi_t: its power is lam . Phi_t. A law x(t) enters it by
+its rate, Phi_t = Phi_x x', so that lam . Phi_x, the power at x' = 1, is what does work on x. The
+power of a load is F . V, the forces on its vectors times their rates.
+"""
 
-from ancfdae.assembly.joint_work import JointWork, at_unit_rate
+from dataclasses import dataclass, fields, replace
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.assembly.constraints import JointConstraints
+from ancfdae.assembly.joint_input import JointInput
+from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
-from ancfdae.assembly.load_work import LoadWork
+from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.part_inputs import PartInputs
+from ancfdae.assembly.vectors import Vectors
 from ancfdae.errors import InvalidInput, named
 from ancfdae.model.joints import DrivenJoint
+from ancfdae.model.laws import Law
+from ancfdae.model.laws.law import require_law
 from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.patterns import Pattern
+
+
+@final
+class JointWork:
+    """Power of one driven joint, as it is or `at_unit_rate`, with its multipliers' first row."""
+
+    def __init__(self, item: JointInput, vectors: Vectors, first_row: int) -> None:
+        # The last equations hold the shape of sections, whatever the time.
+        c = item.joint.coefficients(item.p, item.reference)
+        moving = len(c.offset) - len(c.shapes)
+        alone = replace(item, dropped=tuple(range(moving, len(c.offset))))
+        structure = JointStructure.of([alone], vectors)
+        pattern = Pattern((vectors.n_q, vectors.n_q), *structure.couplings)
+        self._constraints = JointConstraints.on(pattern, structure, vectors.n_b)
+        self.rows = slice(first_row, first_row + moving)
+
+    def value(self, t: Array, q: Array, lam: Array) -> Array:
+        """Return lam . Phi_t or lam . Phi_x, shape (k,); lam has those of all joints."""
+        return self._constraints.works(q, lam[:, self.rows], t)
+
+    def partials(self, t: Array, q: Array, lam: Array) -> tuple[Array, Array, Array]:
+        """Return partial derivatives by q, the multipliers of `rows` and b; shape (k, n) each."""
+        return self._constraints.works_partials(q, lam[:, self.rows], t)
+
+
+@final
+@dataclass(frozen=True)
+class _UnitRate(Law):
+    """A law with its own values and a rate of one, at every instant."""
+
+    law: Law
+
+    design_fields = (("law", require_law),)
+
+    def derivative(self, p: Array, t: Any, order: int) -> Array:
+        """Return x, 1, 0, 0."""
+        x = self.law.derivative(p, t, 0)
+        return x if order == 0 else np.full_like(x, float(order == 1))
+
+
+def at_unit_rate(joint: DrivenJoint) -> DrivenJoint:
+    """Return the joint with its law at a rate of one."""
+    values = {each.name: getattr(joint, each.name) for each in fields(joint)}
+    laws = {name: _UnitRate(law) for name, law in values.items() if isinstance(law, Law)}
+    return replace(joint, **laws)  # type: ignore[arg-type]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class LoadWork:
+    """Power of one load with its partials, complex steps of a few vectors."""
+
+    item: LoadInput
+    n_b: int
+
+    def value(self, t: Array, q: Array, v: Array) -> Array:
+        """Return the power, shape (k,)."""
+        return self._power(self.item, t, q, v)
+
+    def partials(self, t: Array, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Return partial derivatives with respect to q, v and b; shape (k, n) each."""
+        item, b = self.item, np.zeros((len(t), self.n_b))
+        U, V = item.vectors.of(q), item.vectors.of(v)
+        shape = U.shape[1:]
+        # All directions at once, in a leading axis.
+        step = 1j * STEP * np.eye(U[0].size).reshape(-1, 1, *shape)
+        on_U, on_V = (
+            np.moveaxis(_product(item, *moved, t).imag / STEP, 0, -1).reshape(len(t), *shape)
+            for moved in ((U + step, V + 0 * step), (U + 0 * step, V + step))
+        )
+        for i in item.active:
+            b[:, i] = self._power(item.moved(i), t, q, v).imag / STEP
+        return item.vectors.lift(on_U), item.vectors.lift(on_V), b
+
+    def _power(self, item: LoadInput, t: Array, q: Array, v: Array) -> Array:
+        return _product(item, item.vectors.of(q), item.vectors.of(v), t)
+
+
+def _product(item: LoadInput, U: Array, V: Array, t: Array) -> Array:
+    """F . V over the leading axes."""
+    factor = np.broadcast_to(item.factor(t, 0), U.shape[:-2])
+    return np.asarray(factor * np.sum(item.force(U, V) * V, axis=(-2, -1)))
 
 
 @final

@@ -268,8 +268,8 @@ def _require_alone(**others: object) -> None:
 def _required(integrator: Integrator | None) -> Integrator:
     """Return the integrator; refuse none."""
     if integrator is None:
-        rule, repair = "is needed", "For example HHT(step=0.01), or tolerance=1e-4 in its place."
-        raise InvalidInput("integrator", rule, "none", repair)
+        rule, repair = "is needed, an Integrator", "For example HHT(step=0.01), or a tolerance."
+        raise InvalidInput("integrator", rule, "None", repair)
     return integrator
 
 

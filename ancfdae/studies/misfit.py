@@ -68,29 +68,9 @@ class Misfit:
             raise InvalidInput(
                 "Misfit.times", "must be one or more times from 0 on", times, "Give such times."
             )
-        shape = (len(observables), len(times))
-        try:
-            data = np.asarray(self.data, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            rule, repair = "must be an array of numbers", "Give one row per observable."
-            raise InvalidInput("Misfit.data", rule, repr(self.data), repair) from None
-        if data.shape != shape or np.all(np.isnan(data)) or np.any(np.isinf(data)):
-            raise InvalidInput(
-                "Misfit.data",
-                f"must have the shape {shape}, observables by times, and some finite values",
-                f"shape {data.shape}",
-                "Give one row per observable, NaN where nothing was measured.",
-            )
-        weights = require_array("Misfit.weights", self.weights)
-        try:
-            weights = np.broadcast_to(weights, shape)
-        except ValueError:
-            rule, repair = f"must spread to the shape {shape}", "Give one each, or one for all."
-            raise InvalidInput("Misfit.weights", rule, weights.shape, repair) from None
         object.__setattr__(self, "observables", observables)
         object.__setattr__(self, "times", tuple(map(float, times)))
-        object.__setattr__(self, "data", data)
-        object.__setattr__(self, "weights", weights)
+        _measured(self, (len(observables), len(times)))
 
     def fit(
         self,
@@ -209,13 +189,9 @@ class StaticMisfit:
 
     def __post_init__(self) -> None:
         """Validate."""
-        require_each(
-            "StaticMisfit.observables", self.observables, (Observable,), "Use position(...), say."
-        )
-        data = require_measured("StaticMisfit", self.data, len(self.observables))
-        object.__setattr__(self, "data", data)
-        weights = require_weights("StaticMisfit", self.weights, len(data))
-        object.__setattr__(self, "weights", weights)
+        repair = "Use position(...), say."
+        require_each("StaticMisfit.observables", self.observables, (Observable,), repair)
+        _measured(self, (len(self.observables),))
 
     def fit(
         self,
@@ -257,10 +233,7 @@ class FrequencyMisfit:
     def __post_init__(self) -> None:
         """Validate."""
         require_flag("FrequencyMisfit.under_load", self.under_load)
-        data = require_measured("FrequencyMisfit", self.data, None)
-        object.__setattr__(self, "data", data)
-        weights = require_weights("FrequencyMisfit", self.weights, len(data))
-        object.__setattr__(self, "weights", weights)
+        _measured(self, (-1,))
 
     def fit(
         self,
@@ -325,27 +298,26 @@ def _vibrations(computed: Modes) -> Array:
     return np.flatnonzero([kind is MotionKind.VIBRATION for kind in computed.kinds])
 
 
-def require_measured(where: str, data: object, count: int | None) -> Array:
-    """Return measured values; refuse what are none."""
-    rule = "must be a sequence of numbers, some of them finite"
-    repair = "Give one each, NaN where nothing was measured."
+def _measured(misfit: Misfit | StaticMisfit | FrequencyMisfit, shape: tuple[int, ...]) -> None:
+    """Set data and weights as arrays of a shape; refuse what are none. -1 stands for any number."""
+    where, data = type(misfit).__name__, np.zeros(0)
+    of_shape = "a sequence" if -1 in shape else f"of the shape {shape}"
+    rule = f"must be numbers, {of_shape}, some of them finite"
+    repair = "Give one per observable, or one row, NaN where nothing was measured."
     try:
-        values = np.asarray(data, dtype=float)
+        data = np.asarray(misfit.data, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise InvalidInput(f"{where}.data", rule, repr(data), repair) from None
-    if values.ndim != 1 or np.all(np.isnan(values)) or np.any(np.isinf(values)):
-        raise InvalidInput(f"{where}.data", rule, repr(data), repair)
-    if count is not None and len(values) != count:
-        rule = f"must be {count}, one per observable"
-        raise InvalidInput(f"{where}.data", rule, len(values), repair)
-    return values
-
-
-def require_weights(where: str, weights: object, count: int) -> Array:
-    """Return one weight for each measured value; refuse what does not spread to that."""
-    given = require_array(f"{where}.weights", weights)
+        raise InvalidInput(f"{where}.data", rule, repr(misfit.data), repair) from None
+    fits = data.ndim == len(shape) and all(
+        n in (m, -1) for n, m in zip(shape, data.shape, strict=True)
+    )
+    if not fits or np.all(np.isnan(data)) or np.any(np.isinf(data)):
+        raise InvalidInput(f"{where}.data", rule, f"shape {data.shape}: {data.tolist()}", repair)
+    weights = require_array(f"{where}.weights", misfit.weights)
     try:
-        return np.broadcast_to(given, (count,))
+        weights = np.broadcast_to(weights, data.shape)
     except ValueError:
-        rule, repair = f"must spread to {count} values", "Give one each, or one for all."
-        raise InvalidInput(f"{where}.weights", rule, given.shape, repair) from None
+        rule, repair = f"must spread to the shape {data.shape}", "Give one each, or one for all."
+        raise InvalidInput(f"{where}.weights", rule, weights.shape, repair) from None
+    object.__setattr__(misfit, "data", data)
+    object.__setattr__(misfit, "weights", weights)

@@ -23,13 +23,13 @@ from typing import Any, TextIO, final
 import numpy as np
 import scipy
 
-from ancfdae.errors import Verdict, require_kind
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite
+from ancfdae.errors import Verdict
+from ancfdae.integrators.high_order import March, NotFinite
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import verdict
-from ancfdae.integrators.sundials.index_reduced import ColumnStorage, IndexReduction
+from ancfdae.integrators.sundials.index_reduced import ColumnStorage, SundialsIntegrator
 from ancfdae.integrators.sundials.step_points import StepPoints
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
@@ -72,8 +72,6 @@ class _Unmessaged:
         return getattr(self.stream, name)
 
 
-# Below round-off of a double, with what an integrator of order five needs on top.
-_LEAST_RTOL = 1e-13
 # Relative change of the design for the coupling blocks of the iteration matrix.
 _CHANGE = 1e-6
 # Unknowns up to which the matrix is dense: a factorisation of SuperLU_MT starts a thread, which
@@ -86,19 +84,13 @@ _ITERATIONS = 6
 
 @final
 @dataclass(frozen=True)
-class IDA(HighOrder):
+class IDA(SundialsIntegrator):
     """Variable-order BDF of SUNDIALS with error control.
 
     The error of a run is 10 to 200 times `rtol`: 1e-8 is good for a cross-check, 1e-10 for a
-    reference. A small system takes 10,000 steps in a second. Parameters: `form`, and those of
-    `HighOrder`.
+    reference. A small system takes 10,000 steps in a second. Parameters: see `HighOrder`, and
+    `form`, of `IndexReduction`.
     """
-
-    form: IndexReduction = IndexReduction.STABILISED_INDEX_2
-
-    def __post_init__(self) -> None:
-        self.require_settings(_LEAST_RTOL)
-        require_kind("IDA.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
         """Set up IDA."""

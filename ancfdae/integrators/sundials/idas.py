@@ -12,36 +12,28 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import Verdict, require_kind
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite
+from ancfdae.errors import Verdict
+from ancfdae.integrators.high_order import March, NotFinite
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import Bindings, IdasEquations, verdict
 from ancfdae.integrators.sundials.idas_adjoint import BackwardRun
-from ancfdae.integrators.sundials.index_reduced import IndexReduction
+from ancfdae.integrators.sundials.index_reduced import SundialsIntegrator
 from ancfdae.integrators.sundials.step_points import StepPoints
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
 
-_LEAST_RTOL = 1e-13
-
 
 @final
 @dataclass(frozen=True)
-class IDAS(HighOrder, AdjointIntegrator):
+class IDAS(SundialsIntegrator, AdjointIntegrator):
     """Variable-order BDF of SUNDIALS with its own sensitivity analysis.
 
     Needs the package sundials4py (Python 3.12 or newer) when it runs, or raises MissingPackage.
     Parameters: `form`, and those of `HighOrder`.
     """
-
-    form: IndexReduction = IndexReduction.STABILISED_INDEX_2
-
-    def __post_init__(self) -> None:
-        self.require_settings(_LEAST_RTOL)
-        require_kind("IDAS.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
         """Set up IDAS."""

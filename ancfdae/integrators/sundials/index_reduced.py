@@ -23,6 +23,7 @@ Unknowns and equations are scaled (`Scales`), so that tolerances are pure number
 """
 
 import abc
+from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, final
 
@@ -30,11 +31,15 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.held import force_total, held_q, held_total
+from ancfdae.errors import require_kind
+from ancfdae.integrators.high_order import HighOrder
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
+# Below round-off of a double, with what an integrator of order five needs on top.
+_LEAST_RTOL = 1e-13
 # Absolute tolerance of multipliers, in their own scale: so loose that they stay out of the error
 # test (any of 1 to 1e6 will do). They must where they are of index 2. In the index-1 form the test
 # would stop at every jump of a force, and cost up to twice the steps for no better digits.
@@ -287,6 +292,18 @@ class IndexReduction(Enum):
         if self is IndexReduction.INDEX_1:
             return Index1(system, scales)
         return StabilisedIndex2(system, scales)
+
+
+@dataclass(frozen=True)
+class SundialsIntegrator(HighOrder):
+    """An integrator of SUNDIALS, on equations of this form."""
+
+    form: IndexReduction = IndexReduction.STABILISED_INDEX_2
+
+    def __post_init__(self) -> None:
+        self.require_settings(_LEAST_RTOL)
+        where = f"{type(self).__name__}.form"
+        require_kind(where, self.form, (IndexReduction,), "Use a member of IndexReduction.")
 
 
 @final

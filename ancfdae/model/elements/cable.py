@@ -35,7 +35,7 @@ from ancfdae.model.elements.hermite import (
     slope_weights,
     tangent_weights,
 )
-from ancfdae.model.elements.packing import upper_triangle
+from ancfdae.model.elements.strain_fields import upper_triangle
 from ancfdae.model.elements.volume import change
 from ancfdae.model.sections import Section
 from ancfdae.model.sections.section import central_moments

@@ -28,8 +28,8 @@ from ancfdae.model.elements.element import (
 )
 from ancfdae.model.elements.energy import EnhancedContinuum
 from ancfdae.model.elements.hermite import shape_weights
-from ancfdae.model.elements.packing import upper_triangle
 from ancfdae.model.elements.section_forces import ContinuumSectionLaw
+from ancfdae.model.elements.strain_fields import upper_triangle
 from ancfdae.model.elements.stresses import ContinuumStressLaw
 from ancfdae.model.elements.volume import (
     AXIS_POINTS,

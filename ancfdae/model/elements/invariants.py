@@ -26,7 +26,7 @@ from ancfdae.model.elements.element import (
     InvariantPartial,
     Invariants,
 )
-from ancfdae.model.elements.packing import packed_gram, upper_triangle
+from ancfdae.model.elements.strain_fields import packed_gram, upper_triangle
 from ancfdae.model.elements.volume import change
 from ancfdae.numerics.arrays import Array
 

@@ -26,7 +26,7 @@ import numpy as np
 from ancfdae.kernels import strain, stressed
 from ancfdae.model.elements.element import Batch, ElementParameter, SectionLaw, SectionPlace
 from ancfdae.model.elements.hermite import tangent_weights
-from ancfdae.model.elements.packing import packed_gram
+from ancfdae.model.elements.strain_fields import packed_gram
 from ancfdae.model.elements.stresses import scaled
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.frames import in_space

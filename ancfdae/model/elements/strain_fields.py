@@ -47,9 +47,21 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.kernels import gram
 from ancfdae.model.elements.hermite import curvature_weights, end_weight_xi, slope_weights_xi
-from ancfdae.model.elements.packing import upper_triangle
 from ancfdae.numerics.arrays import Array
+
+
+@lru_cache(maxsize=8)
+def upper_triangle(n_y: int) -> tuple[Array, Array]:
+    """Row and column of each packed entry."""
+    rows, columns = np.triu_indices(n_y)
+    return rows, columns
+
+
+def packed_gram(Y: Array) -> Array:
+    """Packed Y Y^T; Y of shape (..., n_y, d), result (..., n_g)."""
+    return gram(Y, Y) / 2
 
 
 @final

@@ -12,8 +12,7 @@ import numpy as np
 from ancfdae.kernels import strain, stressed
 from ancfdae.model.elements.element import Batch, ElementParameter, StressLaw
 from ancfdae.model.elements.fibre_strains import Fibres
-from ancfdae.model.elements.packing import packed_gram
-from ancfdae.model.elements.strain_fields import components
+from ancfdae.model.elements.strain_fields import components, packed_gram
 from ancfdae.model.elements.volume import AXIS_POINTS, Region, fibres, gauss_rule
 from ancfdae.numerics.arrays import Array
 

@@ -2,24 +2,35 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeAlias, final
 
 import numpy as np
 
 from ancfdae.errors import require_direction, require_vector
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import (
     Carrier,
     SectionFrame,
+    across,
     axis_shapes,
     carrier_of,
     hold_axis,
+    hold_place,
     is_fixed_in,
     place_shapes,
     sections,
+    square,
     unit,
 )
-from ancfdae.model.joints.joint import SECTION, Equations, Joint, RightAngle, empty_coefficients
+from ancfdae.model.joints.joint import (
+    SECTION,
+    Equations,
+    Joint,
+    RightAngle,
+    empty_coefficients,
+    place_coincidence,
+)
 from ancfdae.numerics.arrays import Array
 
 #: The axis, what carries it at `other`, and the place on the ground.
@@ -87,4 +98,67 @@ class AxisJoint(Joint):
             carrier.meet(c, rows, section.carried(unit(np.cross(section.normal, axis))), axis)
         else:
             place_shapes(c, both)
+        return c
+
+
+@final
+@dataclass(frozen=True)
+class Revolute(AxisJoint):
+    """Hinge of a spatial beam to ground or to another beam; fields as in `AxisJoint`.
+
+    The points coincide, r(point) - r(other) = 0 or r(point) - ground = 0, and the section keeps
+    across the axis. In the plane use `Pin`.
+    """
+
+    kind = "revolute"
+    sign = Sign("revolute joint", "o")
+    holds_position = True
+
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Coincidence and two perpendicularities."""
+        c = self.aligned(5, p, reference)
+        place_coincidence(c, len(self.points), reference, self.around(p, reference)[2])
+        return c
+
+
+@final
+@dataclass(frozen=True)
+class Cylindrical(AxisJoint):
+    """Let a section turn about an axis and slide along it, and no more; fields as in `AxisJoint`.
+
+    The axis passes through `ground` or `other`. With e_1, e_2 across it in the reference
+    configuration: e_j . (r(point) - r(other)) = 0, and the section keeps across the axis. The
+    section of `other` carries e_j along and keeps at right angles to its centre line. The force on
+    the point is the sum of -lam_j e_j over the first two, with e_j as `PointOnLine` has n_j.
+    """
+
+    kind = "cylindrical"
+    sign = Sign("cylindrical joint", "h")
+
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Two equations across the axis and two perpendicularities."""
+        axis, carrier, ground = self.around(p, reference)
+        c = self.aligned(4, p, reference, square(carrier))
+        for row, e in enumerate(across(axis)):
+            hold_place(c, row, carrier, e, self.level(e, ground, reference))
+        return c
+
+
+@final
+@dataclass(frozen=True)
+class PlanarJoint(AxisJoint):
+    """Let a section slide in a plane and turn about its normal, the axis; fields as in `AxisJoint`.
+
+    The plane passes through `ground` or `other`: axis . (r(point) - r(other)) = 0, and the section
+    keeps across the axis. The first multiplier is minus the force on the point along the axis.
+    """
+
+    kind = "planar"
+    sign = Sign("planar joint", "D")
+
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """One equation along the normal of the plane and two perpendicularities."""
+        axis, carrier, ground = self.around(p, reference)
+        c = self.aligned(3, p, reference, square(carrier, unless_it_holds=axis))
+        hold_place(c, 0, carrier, axis, self.level(axis, ground, reference))
         return c

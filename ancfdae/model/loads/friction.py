@@ -1,11 +1,19 @@
-"""Friction curve that can be differentiated."""
+"""Friction against turning and sliding, on a curve that can be differentiated."""
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.errors import InvalidInput, require_direction, require_positive
+from ancfdae.model.bodies import Point, Quantity
 from ancfdae.model.design import numbers
+from ancfdae.model.loads.load import LAW, Load, SectionLoad
+from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of, turn, unit_axes
+from ancfdae.model.parts import Elements, Vectors
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import concatenate, direction, dot
 
 #: Design fields of the levels, in the order that `friction` takes them, and those that damp.
 LEVELS = (
@@ -37,3 +45,121 @@ def require_stribeck(where: str, breakaway: object, stribeck_speed: object) -> N
         got = "one of them"
         rule, repair = "breakaway and stribeck_speed belong together", "Give both, or none."
         raise InvalidInput(where, rule, got, repair)
+
+
+@final
+@dataclass(frozen=True)
+class JointFriction(SectionLoad):
+    """Dry and viscous friction about an axis between two sections, or a section and the ground.
+
+    With w = theta' the relative angular velocity the torque on the section is
+    -((c + (b - c) exp(-(w/w_s)^2)) tanh(w/w_0) + d w). The level is constant: it does not follow
+    the force in the joint. It never holds quite still: below w_0 a torque makes it creep. Steps
+    must resolve the time in which w passes w_0. Design targets: ``coulomb``, ``smooth_speed``,
+    ``viscous``, ``breakaway``, ``stribeck_speed`` and ``axis_x`` ...
+
+    Parameters
+    ----------
+    point : Point
+    coulomb : float
+        c; N m.
+    smooth_speed : float
+        w_0, positive; rad/s.
+    viscous : float
+        d; N m s/rad.
+    breakaway, stribeck_speed : float, optional
+        b, in N m, and w_s, positive, in rad/s.
+    axis : sequence of float, optional
+        In space, in the reference configuration; it turns with the other section. z by default.
+    other : Point, optional
+        The other part of the joint; the ground by default.
+    """
+
+    point: Point
+    coulomb: float
+    smooth_speed: float
+    viscous: float = 0.0
+    breakaway: float | None = None
+    stribeck_speed: float | None = None
+    axis: Sequence[float] | None = None
+    other: Point | None = None
+
+    kind = "friction"
+    elastic = True
+    design_fields = (*LEVELS, ("axis", require_direction), LAW)
+    damping_fields = DAMPING
+    refers = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """-R(theta') theta_U."""
+        *levels, axis, _ = self.split(p)
+        theta_U = turn(U, U_o, unit_axes(axis))[1]
+        speed = rate_of(theta_U, V[..., None, :, :])
+        return -(friction(speed, tuple(levels)) * theta_U)[..., 0, :, :]
+
+
+@final
+@dataclass(frozen=True)
+class SlideFriction(Load):
+    """Dry and viscous friction of a point along a line, on the ground or on another section.
+
+    With w the speed along the line the force is the curve of `JointFriction`, in newton. Design
+    targets: ``direction_x`` ..., ``coulomb``, ``smooth_speed``, ``viscous``, ``breakaway`` and
+    ``stribeck_speed``.
+
+    Parameters
+    ----------
+    point : Point
+    direction : sequence of float
+        Of the line in the reference configuration; it turns with the other section.
+    coulomb : float
+        c; N.
+    smooth_speed : float
+        w_0, positive; m/s.
+    viscous : float
+        d; N s/m.
+    breakaway, stribeck_speed : float, optional
+        b, in N, and w_s, positive, in m/s.
+    other : Point, optional
+        A point of the line, on a beam; the line is on the ground by default.
+    """
+
+    point: Point
+    direction: Sequence[float]
+    coulomb: float
+    smooth_speed: float
+    viscous: float = 0.0
+    breakaway: float | None = None
+    stribeck_speed: float | None = None
+    other: Point | None = None
+
+    kind = "slide-friction"
+    elastic = True
+    design_fields = (("direction", require_direction), *LEVELS, LAW)
+    damping_fields = DAMPING
+    refers = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
+
+    def vectors(self, elements: Elements) -> Vectors:
+        """Positions of the points and slopes of the section that has the line."""
+        places = tuple((point, Quantity.POSITION) for point in self.points)
+        return (*places, *section_of(self.points[1:], elements))
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """-R(x') x_U with x = a . (r - r_other)."""
+        along, *levels, _ = self.split(p)
+        rows, carrier = along[None], CarriedAxes(U[..., 2:, :], U_o[2:])
+        size, a = direction(carrier.of(rows))
+        gradient = a + 0.0 * U[..., :1, :]
+        if self.other is not None:
+            e = U[..., :1, :] - U[..., 1:2, :]
+            on_line = carrier.pull_back(rows, (e - dot(e, a) * a) / size)
+            gradient = concatenate([gradient, -gradient, on_line])
+        return -friction(rate_of(gradient, V), tuple(levels)) * gradient

@@ -1,0 +1,149 @@
+"""Sections that are held: to ground, against each other, on a base that moves."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+from ancfdae.errors import require_vector
+from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
+from ancfdae.model.elements import Quantity
+from ancfdae.model.joints.frames import (
+    fix_turn,
+    flat_angle,
+    hold_turn,
+    place_shapes,
+    sections,
+    unit,
+)
+from ancfdae.model.joints.joint import (
+    SECTION,
+    Equations,
+    Joint,
+    Travelling,
+    empty_coefficients,
+    place_coincidence,
+)
+from ancfdae.model.parts import Elements, Vectors
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class Clamp(Joint):
+    """Hold a section of a beam to ground where and as it is in the reference configuration.
+
+    The section neither moves nor turns nor shears in its plane. It may still contract, and the
+    centre line may leave it obliquely: a beam that is stretched contracts there, and one that is
+    sheared shears, as right behind a wall. With n the normal of the section, y and z orthonormal
+    in it and b_y, b_z the combinations of slopes that equal them in the reference: r = r_o,
+    b_y . n = b_z . n = 0 and b_y . z = b_z . y = 0; in the plane r_y . n = 0. Were only the mean
+    turn about n held, the two slopes could turn against each other, and a strip would twist at
+    its end through the slope that hardly carries torsion, the softer the finer the mesh. An
+    element without a section holds its tangent instead.
+
+    Parameters
+    ----------
+    point : Point
+    ground : sequence of float, optional
+        Position on the ground, with design targets ``ground_x`` ...; by default where the point is
+        in the reference configuration.
+    """
+
+    point: Point
+    ground: Sequence[float] | None = None
+
+    kind = "clamp"
+    sign = Sign("clamp", "s", filled=True)
+    design_fields = (("ground", require_vector),)
+    holds_position = True
+    no_second_point = "It holds to ground; use Weld to hold two sections together."
+
+    def vectors(self, elements: Elements) -> Vectors:
+        """Return the position and the slopes that span the section."""
+        quantities = elements.at(self.point).quantities
+        slopes = quantities[2:] or quantities[1:]
+        return tuple((self.point, q) for q in (Quantity.POSITION, *slopes))
+
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Coincidence, and one equation for every turn."""
+        d, slopes = reference.shape[1], reference[1:]
+        shapes = flat_angle(self.point) if len(slopes) == 2 else ()
+        c = empty_coefficients(d + (3 if shapes else d - 1), p, reference, shapes)
+        place_coincidence(c, 1, reference, *self.split(p))
+        fix_turn(c, d, slopes, 1)
+        return c
+
+
+@final
+@dataclass(frozen=True)
+class Weld(Joint):
+    """Hold a section to another one, at the angle that they have in the reference configuration.
+
+    The points coincide, and the sections turn as one and keep flat right angles: 3 equations in the
+    plane; in space 6, and one for each section that is not rigid and that no other joint holds. As
+    behind a `Clamp` a section may contract, and its centre line may leave it obliquely. To ground
+    use `Clamp`. Behind those of the force the multipliers are minus the moments on the section of
+    the point, to the order of its strain: in the plane one, in space three, about the axes that
+    were z, x and y of space in the reference.
+
+    Parameters
+    ----------
+    point, other : Point
+        At the same place in the reference configuration.
+    """
+
+    point: Point
+    other: Point
+
+    kind = "weld"
+    sign = Sign("weld", "X", filled=True)
+    takes_part = SECTION
+    holds_position = True
+
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Coincidence, and one equation for every turn."""
+        d, (section, other) = reference.shape[1], sections(self.points, reference)
+        rows = 3 if d == 2 else 6
+        c = empty_coefficients(rows, p, reference, section.flat() + other.flat())
+        place_coincidence(c, 2, reference, None)
+        hold_turn(c, slice(d, rows), section, other)
+        place_shapes(c, (section, other))
+        return c
+
+
+@final
+@dataclass(frozen=True)
+class MovingBase(Travelling):
+    """Hold a section as a `Clamp` does, on a base that moves along a direction by a law of time.
+
+    r(point) = r_o(point) + direction x(t). A base that turns is a `Revolute`, in the plane a `Pin`,
+    with a `Drive`; one that moves in a plane and turns a `PlanarJoint` with two of `Guide` and a
+    `Drive`. Design targets: ``direction_x`` ... and the parameters of the law.
+
+    Parameters
+    ----------
+    point : Point
+    direction : sequence of float
+        Not zero.
+    travel : Law
+    """
+
+    kind = "base"
+    sign = Sign("moving base", "p", filled=True)
+    holds_position = True
+
+    def vectors(self, elements: Elements) -> Vectors:
+        """Return those of a clamp."""
+        return Clamp(self.point).vectors(elements)
+
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Return those of a clamp."""
+        return Clamp(self.point).coefficients(p[:0], reference)
+
+    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+        """Return the direction."""
+        still = self.coefficients(p, reference)
+        c = empty_coefficients(len(still.offset), p, reference)
+        c.offset[: reference.shape[1]] = unit(self.split(p)[0])
+        return (c,)

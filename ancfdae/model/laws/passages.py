@@ -1,0 +1,150 @@
+"""Smooth passages: between values, up to a rate, from one law to another."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from ancfdae.errors import require_positive
+from ancfdae.model.design import numbers
+from ancfdae.model.laws.law import Law, require_law
+from ancfdae.numerics.arrays import Array
+
+# The polynomial of least degree from 0 to 1 whose first three derivatives vanish at both ends.
+_STEP = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
+_ORDERS = {order: _STEP.deriv(order) for order in range(4)} | {-1: _STEP.integ()}
+
+
+def smooth_step(t: Any, begin: complex, duration: complex, order: int) -> Array:
+    """Return 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7, s = (t - begin)/duration held between 0 and 1.
+
+    Its time derivative of this order, 0 to 3, or -1 for its integral from `begin`.
+    """
+    s = (t - begin) / duration
+    held = np.where(s.real < 0, 0.0, np.where(s.real > 1, 1.0, s))
+    x: Array = _ORDERS[order](held)
+    if order == -1:
+        x = x + np.where(s.real > 1, s - 1.0, 0.0)
+    return x / duration**order
+
+
+@final
+@dataclass(frozen=True)
+class Ramp(Law):
+    """From one value to another between two times, constant before and after.
+
+    With s = (t - begin)/duration, held between 0 and 1:
+    x = initial + (final - initial) (35 s^4 - 84 s^5 + 70 s^6 - 20 s^7). Three derivatives are
+    continuous.
+
+    Parameters
+    ----------
+    initial, final : float
+    duration : float
+        Positive; s.
+    begin : float, optional
+        s.
+    """
+
+    initial: float
+    final: float
+    duration: float
+    begin: float = 0.0
+
+    design_fields = (
+        *numbers("initial", "final"),
+        ("duration", require_positive),
+        *numbers("begin"),
+    )
+
+    def derivative(self, p: Array, t: Any, order: int) -> Array:
+        """Polynomial of degree seven on the way."""
+        initial, final, duration, begin = p
+        x: Array = (final - initial) * smooth_step(t, begin, duration, order)
+        return initial + x if order == 0 else x
+
+
+@final
+@dataclass(frozen=True)
+class RunUp(Law):
+    """At rest before, with a constant rate after: the angle of a motor that runs up and is held.
+
+    The rate is that of a `Ramp` from zero to `rate`, so that at the end of the passage
+    x = initial + rate duration/2.
+
+    Parameters
+    ----------
+    rate : float
+    duration : float
+        Of the run-up, positive; s.
+    initial : float, optional
+    begin : float, optional
+        s.
+    """
+
+    rate: float
+    duration: float
+    initial: float = 0.0
+    begin: float = 0.0
+
+    design_fields = (
+        *numbers("rate"),
+        ("duration", require_positive),
+        *numbers("initial", "begin"),
+    )
+
+    def derivative(self, p: Array, t: Any, order: int) -> Array:
+        """Integral of the ramp."""
+        rate, duration, initial, begin = p
+        x: Array = rate * smooth_step(t, begin, duration, order - 1)
+        return initial + x if order == 0 else x
+
+
+@final
+@dataclass(frozen=True)
+class Change(Law):
+    """One law before, another after: x = (1 - S) before + S after.
+
+    S passes from 0 to 1 as a `Ramp` does, so that three derivatives are continuous. A law in more
+    pieces is a change of a change. Design targets: ``before_...`` and ``after_...`` with the names
+    of both laws' own, ``duration`` and ``begin``.
+
+    Parameters
+    ----------
+    before, after : Law
+    duration : float
+        Of the passage, positive; s.
+    begin : float
+        s.
+    """
+
+    before: Law
+    after: Law
+    duration: float
+    begin: float
+
+    design_fields = (
+        ("before", require_law),
+        ("after", require_law),
+        ("duration", require_positive),
+        *numbers("begin"),
+    )
+
+    def numbers_of(self, name: str) -> dict[str, float]:
+        """Return the numbers of a field; those of a law have the field's name before theirs."""
+        values = super().numbers_of(name)
+        if not isinstance(getattr(self, name), Law):
+            return values
+        return {f"{name}_{key}": value for key, value in values.items()}
+
+    def derivative(self, p: Array, t: Any, order: int) -> Array:
+        """Leibniz' rule."""
+        before, after, duration, begin = self.split(p)
+        x = self.before.derivative(before, t, order)
+        for k in range(order + 1):
+            rate = order - k
+            apart = self.after.derivative(after, t, rate) - self.before.derivative(before, t, rate)
+            x = x + math.comb(order, k) * smooth_step(t, begin, duration, k) * apart
+        return x

@@ -1,0 +1,146 @@
+"""What turns sections: moments, torques of motors, torsion springs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+from ancfdae.errors import require_axial, require_direction, require_flag
+from ancfdae.model.bodies import Point
+from ancfdae.model.design import numbers
+from ancfdae.model.loads.load import LAW, SectionLoad
+from ancfdae.model.loads.sections import QUARTER_TURN, rate_of, turn, unit_axes
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import concatenate, cross, direction, dot
+
+
+@final
+@dataclass(frozen=True)
+class Moment(SectionLoad):
+    """A moment on a section of a beam.
+
+    It does the work M . dphi on a turn dphi of the section. The section turns as its plane does,
+    and in this plane with the mean of its slopes: with n across r_y and r_z and r^y, r^z dual to
+    them in the plane, the force on r_k is (M - (M . n) n / 2) x r^k. In the plane of a planar
+    scene the section turns with r_y (a cable, which has none, with its tangent), and
+    the force is M x r_y / |r_y|^2 (docs/theory/03-joints-and-loads.md). Cables in space have no
+    section to take it. Design targets: ``moment`` in the plane; ``moment_x``, ``moment_y``,
+    ``moment_z`` in space.
+
+    Parameters
+    ----------
+    point : Point
+    moment : float or sequence of float
+        A number in the plane, from x to y; three components in space; N m.
+    follower : bool, optional
+        Whether the components are along n and the height and width slopes, and turn with them,
+        instead of being fixed in space. In the plane there is no difference.
+    """
+
+    point: Point
+    moment: float | Sequence[float]
+    follower: bool = False
+
+    kind = "moment"
+    design_fields = (("moment", require_axial), LAW)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_flag("moment, follower", self.follower)
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """(M - (M . n) n / 2) x r^k."""
+        M = self.split(p)[0]
+        if U_o.shape[1] == 2:
+            return M * (U @ QUARTER_TURN) / dot(U, U)
+        r_y, r_z = U[..., :1, :], U[..., 1:, :]
+        s, n = direction(cross(r_y, r_z))
+        if self.follower:
+            axes = concatenate([n, direction(U)[1]])
+            M = (M[:, None] * axes).sum(axis=-2, keepdims=True)
+        duals = concatenate([cross(r_z, n), cross(n, r_y)]) / s
+        return cross(M - 0.5 * dot(M, n) * n, duals)
+
+
+@final
+@dataclass(frozen=True)
+class Torque(SectionLoad):
+    """A motor: a torque on a section about an axis, and the opposite on another section or ground.
+
+    It does the work T dtheta on the angle between them (docs/theory/03-joints-and-loads.md).
+    Where they turn about the axis alone, as a revolute joint makes them, the moment is T times the
+    axis. Design targets: ``torque``, ``axis_x`` ..., and the parameters of the law.
+
+    Parameters
+    ----------
+    point : Point
+    torque : float
+        T; N m.
+    axis : sequence of float, optional
+        In space, in the reference configuration; it turns with the other section. z by default.
+    other : Point, optional
+        Body that carries the motor; the ground by default.
+    """
+
+    point: Point
+    torque: float
+    axis: Sequence[float] | None = None
+    other: Point | None = None
+
+    kind = "torque"
+    design_fields = (*numbers("torque"), ("axis", require_direction), LAW)
+    refers = True
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """T theta_U."""
+        torque, axis, _ = self.split(p)
+        return (torque * turn(U, U_o, unit_axes(axis))[1])[..., 0, :, :]
+
+
+@final
+@dataclass(frozen=True)
+class TorsionSpring(SectionLoad):
+    """Linear spring and damper about an axis between two sections, or a section and the ground.
+
+    The torque on the section is -(k (theta - theta_0) + c theta'), with theta the angle from the
+    reference, between -pi and pi (docs/theory/03-joints-and-loads.md). A turn beyond pi
+    comes out at -pi: there the torque of the spring jumps, and a run does not pass. Design targets:
+    ``stiffness``, ``damping``, ``free_angle`` and ``axis_x`` ...
+
+    Parameters
+    ----------
+    point : Point
+    stiffness : float
+        k; N m/rad.
+    damping : float
+        c; N m s/rad.
+    free_angle : float
+        theta_0; rad.
+    axis : sequence of float, optional
+        In space, in the reference configuration; it turns with the other section. z by default.
+    other : Point, optional
+        What the spring is fixed to; the ground by default.
+    """
+
+    point: Point
+    stiffness: float
+    damping: float = 0.0
+    free_angle: float = 0.0
+    axis: Sequence[float] | None = None
+    other: Point | None = None
+
+    kind = "torsion-spring"
+    elastic = True
+    design_fields = (
+        *numbers("stiffness", "damping", "free_angle"),
+        ("axis", require_direction),
+        LAW,
+    )
+    damping_fields = ("damping",)
+    refers = True
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """-(k (theta - theta_0) + c theta') theta_U."""
+        k, damping, free_angle, axis, _ = self.split(p)
+        theta, theta_U = turn(U, U_o, unit_axes(axis))
+        torque = k * (theta - free_angle) + damping * rate_of(theta_U, V[..., None, :, :])
+        return -(torque * theta_U)[..., 0, :, :]
