@@ -14,7 +14,7 @@ from ancfdae.equations.held import (
     jerk_side,
     velocity_side,
 )
-from ancfdae.equations.system import Direction, reaction, reaction_along
+from ancfdae.equations.system import Direction, constraint_q_along, reaction
 
 __all__ = [
     "acceleration_side",
@@ -138,7 +138,8 @@ def force_rate_total(system, t, q, v, a, q_b, v_b, a_b):
 
 def constraint_force_rate(system, t, q, v, lam):
     """(dPhi_q^T/dt) lam."""
-    return reaction_along(system, t, q, lam, Direction(1.0, v, 0 * v))
+    rate = constraint_q_along(system, t, q, Direction(1.0, v, 0 * v))
+    return system.constraint_pattern.dot_transposed(rate, lam)
 
 
 def constraint_force_rate_total(system, t, q, v, lam, q_b, v_b, lam_b):

@@ -45,7 +45,7 @@ from ancfdae import (
     assemble,
     simulate,
 )
-from ancfdae.assembly.rigidity import Rigidity
+from ancfdae.assembly.part_inputs import Rigidity
 from ancfdae.errors import InvalidInput
 from ancfdae.model import joints
 from ancfdae.model.joints import DrivenJoint, Joint

@@ -47,7 +47,7 @@ from ancfdae import (
     von_mises,
 )
 from ancfdae.plotting.mechanism import mechanism
-from ancfdae.statics.mobility import motions_in_words
+from ancfdae.statics.outcome import motions_in_words
 
 STEP = 1e-30
 

@@ -47,7 +47,7 @@ from ancfdae import (
     strain_energy,
 )
 from ancfdae.statics.balance import Balance
-from ancfdae.statics.mobility import free_mechanism
+from ancfdae.statics.outcome import free_mechanism
 
 from mechanisms import CartesianPendulum, HeldDoublePendulum, WrittenPendulum, chain
 from members import constraint_force

@@ -41,7 +41,7 @@ from ancfdae import (
     taylor_test,
 )
 from ancfdae.model.bodies import Quantity
-from ancfdae.statics import rest
+from ancfdae.statics import equilibrium as rest
 
 GRAVITY = (0.0, -9.81)
 ROD = Beam("rod", (0.0, 0.0), (1.0, 0.0), 3, Rectangle(0.05, 0.05), Material(1000.0, 1e7, 0.3))

@@ -2,5 +2,5 @@
 
 from ancfdae.assembly.beam_elements import StatePartials
 from ancfdae.assembly.saved import load_solution
-from ancfdae.assembly.stress_points import StressPoints
+from ancfdae.assembly.section_results import StressPoints
 from ancfdae.assembly.system import AncfSystem, assemble

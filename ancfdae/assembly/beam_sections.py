@@ -9,8 +9,7 @@ from ancfdae.assembly.beam_elements import BeamElements
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
-from ancfdae.assembly.section_force import SectionForces
-from ancfdae.assembly.stress_points import StressPoints
+from ancfdae.assembly.section_results import SectionForces, StressPoints
 from ancfdae.errors import InvalidInput
 from ancfdae.model.bodies import Point, require_in_section
 from ancfdae.model.elements import Batch

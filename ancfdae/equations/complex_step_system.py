@@ -390,12 +390,8 @@ def _constraint_moved(system: MechanicalSystem, m: Motion, changes: Array) -> Ar
     def of_coordinates(q: Array, t: complex) -> Array:
         return Phi(cast(float, t), q)
 
-    return _rows(system).of(of_coordinates, m.q + changes, m.t)
+    return cast(ComplexStepSystem, system).rows.of(of_coordinates, m.q + changes, m.t)
 
 
 def _constraint_rate(system: MechanicalSystem, m: Motion, s: complex, changes: Array) -> Array:
     return _constraint_moved(system, m.at(s), changes)
-
-
-def _rows(system: MechanicalSystem) -> RowCalls:
-    return cast(ComplexStepSystem, system).rows

@@ -12,9 +12,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.contour import FAILURES
 
-# What functions raise that do not work on arrays.
-_FAILURES = (TypeError, ValueError, IndexError, AttributeError, ArithmeticError)
 # Relative difference that is round-off.
 _ROUND_OFF = 1e-9
 
@@ -49,7 +48,7 @@ class RowCalls:
         alone = np.asarray(function(x[row], *shared))
         try:
             values = np.asarray(function(rows.T, *shared))
-        except _FAILURES:
+        except FAILURES:
             return None
         if values.shape != (*alone.shape, len(rows)):
             return None

@@ -12,9 +12,14 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from ancfdae.equations import solution_file, tables
+from ancfdae.equations import solution_file
 from ancfdae.equations.naming import Naming
-from ancfdae.equations.solution_parts import EstimatedErrors, Sensitivities, Statistics
+from ancfdae.equations.solution_parts import (
+    EstimatedErrors,
+    Sensitivities,
+    Statistics,
+    states_table,
+)
 from ancfdae.errors import (
     InvalidInput,
     Outcome,
@@ -292,7 +297,7 @@ class Solution:
             names = [f"q[{k}]" for k in range(self.q.shape[1])]
         else:
             names = self.naming.coordinate_names()
-        return tables.states_table(self.t, self.q, q_b, names, variables, columns)
+        return states_table(self.t, self.q, q_b, names, variables, columns)
 
     def __repr__(self) -> str:
         sensitivities, errors = self.sensitivities, self.estimated_errors

@@ -36,7 +36,7 @@ import abc
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, NamedTuple, TypeAlias, final
+from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -137,45 +137,33 @@ class MechanicalSystem(ComplexSteps):
     design_names : tuple of str
     b : array, shape (n_b,)
         Values of the design variables; complex in a complex-step run.
-    traits : Traits
-        By default none.
-    pattern : Pattern
-        Pattern (n_q x n_q) of M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q together; full by default.
-    constraint_pattern : Pattern
-        Pattern (n_lam x n_q) of Phi_q; full by default.
-    weights : array, shape (n_q,)
-        Positive real weights that turn coordinates of different units into comparable ones; by
-        default the diagonal of M at the start. Convergence tests and scalings use them.
-    constraint_names : tuple of str
-        For every constraint the joint it belongs to, length n_lam; numbers by default.
-    naming : Naming or None
-        Names of points and joints for the solution; None for a system without any.
     """
 
     n_lam: int
     traits: Traits = Traits()
+    #: Names of points and joints for the solution; None for a system without any.
     naming: Naming | None = None
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Pattern of the mass and all tangents."""
+        """Pattern (n_q x n_q) of M, (M a)_q, Q_q, Q_v, (Phi_q^T lam)_q together; here full."""
         return Pattern.full((self.n_q, self.n_q))
 
     @cached_property
     def constraint_pattern(self) -> Pattern:
-        """Pattern of Phi_q."""
+        """Pattern (n_lam x n_q) of Phi_q; full by default."""
         return Pattern.full((self.n_lam, self.n_q))
 
     @cached_property
     def weights(self) -> Array:
-        """Diagonal of M at the start."""
+        """Positive weights, (n_q,), of coordinates in norms and scalings; here M's diagonal."""
         diagonal = np.arange(self.n_q)
         M = self.mass(self.start()[0])
         return np.asarray(M[self.pattern.index(diagonal, diagonal)].real, dtype=float)
 
     @cached_property
     def constraint_names(self) -> tuple[str, ...]:
-        """Numbers."""
+        """For every constraint the joint it belongs to, length n_lam; numbers by default."""
         return tuple(f"constraint {i}" for i in range(1, self.n_lam + 1))
 
     # -- the values that a system is -------------------------------------------------------------
@@ -292,7 +280,7 @@ class MechanicalSystem(ComplexSteps):
         """
         f_b, Phi_b = [], []
         for s, states in _instants(t, q, v, a, lam):
-            f_b.append(self._residual_b(s, *states))
+            f_b.append(self._total(lambda system, s=s, x=states: residual(system, s, *x)))
             Phi_b.append(self.constraint_total(s, states[:1]))
         return DesignPartials(np.array(f_b), np.array(Phi_b))
 
@@ -355,9 +343,6 @@ class MechanicalSystem(ComplexSteps):
     def _residual_q(self, t: float, q: Array, v: Array | None, a: Array, lam: Array) -> Array:
         return self._by_coordinate(lambda x: residual(self, t, x, v, a, lam), q, self.pattern)
 
-    def _residual_b(self, t: float, *states: Any) -> Array:
-        return self._total(lambda system: residual(system, t, *states))
-
     def _residual_v(self, t: float, q: Array, v: Array) -> Array:
         return self._by_coordinate(lambda x: -self.force(t, q, x), v, self.pattern)
 
@@ -389,19 +374,13 @@ def residual_along(
 ) -> Array:
     """Return the derivative of f along a direction of (t, q, v) with a and lam held, (n_q,)."""
     q, v, a, lam = states
-    value = reaction_along(system, t, q, lam, direction) - system.force_along(t, q, v, direction)
+    moved = system.constraint_pattern.dot_transposed(
+        constraint_q_along(system, t, q, direction), lam
+    )
+    value = moved - system.force_along(t, q, v, direction)
     if system.traits.constant_mass:
         return value
     return value + system.pattern.dot(system.mass_along(q, direction.q), a)
-
-
-def reaction_along(
-    system: MechanicalSystem, t: float, q: Array, lam: Array, direction: Direction
-) -> Array:
-    """Return the derivative of Phi_q^T lam along a direction with lam held, shape (n_q,)."""
-    return system.constraint_pattern.dot_transposed(
-        constraint_q_along(system, t, q, direction), lam
-    )
 
 
 def constraint_q_along(system: MechanicalSystem, t: float, q: Array, direction: Direction) -> Array:

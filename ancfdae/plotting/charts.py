@@ -8,7 +8,7 @@ marker in every panel and one entry in the legend, which stands below the panels
 the data. Methods keep theirs in all figures (`looks`). Later series are drawn thinner and over
 earlier ones, so that two curves which coincide show both of their colours; series that are points
 alone stand over all lines, later ones smaller. Symbols in labels, such as ``rho_1`` and ``2^-7``,
-are set as mathematics (`mathematics`).
+are set as mathematics.
 """
 
 import math
@@ -31,8 +31,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from ancfdae.errors import InvalidInput, require_kind
-from ancfdae.plotting.looks import Look, looks
-from ancfdae.plotting.mathematics import set_as_mathematics
+from ancfdae.plotting.looks import Look, looks, set_as_mathematics
 
 __all__ = ["Figure", "Panel", "Scale", "Series", "draw", "save"]
 

@@ -6,7 +6,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.stress_points import StressPoints
+from ancfdae.assembly.section_results import StressPoints
 from ancfdae.equations import Solution
 from ancfdae.errors import InvalidInput, require_text
 from ancfdae.model.elements import ElementParameter, elastic

@@ -13,7 +13,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.complex_steps import at_values
 from ancfdae.equations.solution import Solution
-from ancfdae.equations.tables import pandas
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors import (
     AncfdaeError,
     InvalidInput,

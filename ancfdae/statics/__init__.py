@@ -2,8 +2,12 @@
 
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.derivatives import Tangent
-from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, NoEquilibrium, find_equilibrium
-from ancfdae.statics.mobility import FreeMechanism, motions_in_words
-from ancfdae.statics.outcome import LoadOutcome
-from ancfdae.statics.rest import RestingStart
+from ancfdae.statics.equilibrium import (
+    MAX_STEPS,
+    Equilibrium,
+    NoEquilibrium,
+    RestingStart,
+    find_equilibrium,
+)
+from ancfdae.statics.outcome import FreeMechanism, LoadOutcome, motions_in_words
 from ancfdae.statics.softness import stiffness_of_coordinates

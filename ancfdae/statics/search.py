@@ -8,11 +8,9 @@ from typing import final
 from ancfdae.errors import Verdict
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance, Balanced, Unsolved
-from ancfdae.statics.load_path import LoadPath, PathPoint
-from ancfdae.statics.mobility import free_mechanism
-from ancfdae.statics.outcome import LoadOutcome
-from ancfdae.statics.settle import Settling
+from ancfdae.statics.outcome import LoadOutcome, free_mechanism
 from ancfdae.statics.softness import Softness, softest
+from ancfdae.statics.ways import LoadPath, PathPoint, Settling
 
 # Endings of a path that say nothing about the load.
 _FAILED = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.SINGULAR)

@@ -16,7 +16,7 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.equations.files import saving
-from ancfdae.equations.tables import pandas
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors import InvalidInput
 from ancfdae.errors.text import columns, listed, page
 from ancfdae.sensitivity import Gradient

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, final
 import numpy as np
 import scipy
 
-from ancfdae.equations import MechanicalSystem, reaction, tables
+from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
 from ancfdae.errors.text import columns
 from ancfdae.integrators import Integrator, StepControl
@@ -171,7 +172,7 @@ class Tradeoff:
         rows = [
             {name: getattr(row, name) for name in names} for row in (*self.rows, self.reference)
         ]
-        return tables.pandas().DataFrame(rows)
+        return pandas().DataFrame(rows)
 
     def __repr__(self) -> str:
         """Return the reference and the first settings as a table."""

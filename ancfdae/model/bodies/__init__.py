@@ -10,6 +10,11 @@ from ancfdae.model.bodies.point import (
     require_in_section,
     require_point,
 )
-from ancfdae.model.bodies.rigid_body import RigidBody
-from ancfdae.model.bodies.shapes import BodyShape, RigidBox, RigidCylinder, RigidSphere
+from ancfdae.model.bodies.rigid_body import (
+    BodyShape,
+    RigidBody,
+    RigidBox,
+    RigidCylinder,
+    RigidSphere,
+)
 from ancfdae.model.elements import Quantity

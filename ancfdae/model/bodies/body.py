@@ -31,7 +31,7 @@ from ancfdae.model.elements import (
 from ancfdae.model.material import Material
 from ancfdae.model.sections import Section
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.frames import orthonormal
+from ancfdae.numerics.rotations import orthonormal
 
 # Parameters of every beam as a user writes them; the sizes of its section follow.
 _PARAMETERS = {

@@ -1,7 +1,8 @@
-"""A rigid body: a reference point and the directions of its axes."""
+"""A rigid body: a reference point, the directions of its axes, and shapes of one density."""
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import final
@@ -12,16 +13,85 @@ from ancfdae.errors import (
     InvalidInput,
     require_array,
     require_finite,
+    require_kind,
     require_name,
     require_positive,
     require_vector,
 )
 from ancfdae.model.bodies.placed import Placed
 from ancfdae.model.bodies.point import Point
-from ancfdae.model.bodies.shapes import BodyShape, require_shape
 from ancfdae.model.design import Designable
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.frames import orthonormal
+from ancfdae.numerics.rotations import orthonormal
+
+
+class BodyShape(Designable, abc.ABC):
+    """A solid that is symmetric to the planes of its axes, so that these are principal ones.
+
+    In a planar scene it is the same solid, seen along z.
+    """
+
+    @abc.abstractmethod
+    def moments(self, p: Array) -> tuple[Array, Array]:
+        """Return the volume, and the means of x^2, y^2 and z^2 over it, shape (3,).
+
+        `p` has the values of `parameters`; complex ones must go through.
+        """
+
+    def __post_init__(self) -> None:
+        self.check_fields(type(self).__name__)
+
+
+def require_shape(where: str, value: object) -> None:
+    """Refuse what is no shape."""
+    require_kind(where, value, (BodyShape,), "For example RigidBox(0.2, 0.1, 0.05).")
+
+
+@final
+@dataclass(frozen=True)
+class RigidBox(BodyShape):
+    """A cuboid: `length` along x, `height` along y, `width` along z; m, all design targets."""
+
+    length: float
+    height: float
+    width: float
+
+    design_fields = tuple((name, require_positive) for name in ("length", "height", "width"))
+
+    def moments(self, p: Array) -> tuple[Array, Array]:
+        """Means a^2 / 12."""
+        return p[0] * p[1] * p[2], p * p / 12
+
+
+@final
+@dataclass(frozen=True)
+class RigidCylinder(BodyShape):
+    """A cylinder about z, a disc in the plane: `radius` and `length` along z; m, design targets."""
+
+    radius: float
+    length: float
+
+    design_fields = tuple((name, require_positive) for name in ("radius", "length"))
+
+    def moments(self, p: Array) -> tuple[Array, Array]:
+        """Means r^2 / 4 across the axis, l^2 / 12 along it."""
+        across = p[0] ** 2 / 4
+        return np.pi * p[0] ** 2 * p[1], np.stack([across, across, p[1] ** 2 / 12])
+
+
+@final
+@dataclass(frozen=True)
+class RigidSphere(BodyShape):
+    """A ball: `radius`; m, a design target."""
+
+    radius: float
+
+    design_fields = (("radius", require_positive),)
+
+    def moments(self, p: Array) -> tuple[Array, Array]:
+        """Means r^2 / 5."""
+        return 4 / 3 * np.pi * p[0] ** 3, np.repeat(p**2 / 5, 3)
+
 
 # Directions that are perpendicular and of unit length up to this are meant to be.
 _SQUARE = 1e-6

@@ -26,8 +26,8 @@ from ancfdae.model.elements.hermite import curvature_weights, end_weight_xi, tan
 from ancfdae.model.elements.stresses import SMALL_STRAIN, scaled
 from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.frames import in_space
 from ancfdae.numerics.quadrature import box_rule
+from ancfdae.numerics.rotations import in_space
 
 _THIRD = np.array([-12.0, 6.0, 6.0])
 

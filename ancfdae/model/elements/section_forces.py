@@ -29,8 +29,8 @@ from ancfdae.model.elements.hermite import tangent_weights
 from ancfdae.model.elements.strain_fields import packed_gram
 from ancfdae.model.elements.stresses import scaled
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.frames import in_space
 from ancfdae.numerics.quadrature import box_rule
+from ancfdae.numerics.rotations import in_space
 
 
 @final

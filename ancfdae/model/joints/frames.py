@@ -10,7 +10,7 @@ from ancfdae.model.bodies import Point
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.joint import Equations, RightAngle
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.frames import in_space
+from ancfdae.numerics.rotations import in_space
 
 # A direction this much out of a section, as the sine of the angle, is not in it, where another
 # section carries it: right angles that this one keeps then are equations more. It is no tolerance:

@@ -13,7 +13,7 @@ from ancfdae.assembly import StatePartials
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.differentiable import require_derivative
+from ancfdae.numerics.contour import require_derivative
 from ancfdae.sensitivity.observables.expression import (
     Expression,
     Operation,
