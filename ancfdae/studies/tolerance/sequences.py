@@ -302,7 +302,8 @@ class Eighth(Runs):
         traits = self._system.traits
         if not (traits.constant_mass and traits.constant_constraints):
             of_one = max(of_one, 100.0 + 7.0 * self._n)
-        return OF_A_RUN + evaluations * of_one
+        # Measured with up to three variables; every one is a row of the states.
+        return OF_A_RUN + evaluations * of_one * max(1.0, (1 + self._system.n_b) / 4)
 
     @property
     def left(self) -> float:
