@@ -55,16 +55,11 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
 
 @final
 class AncfSystem(PlannedSystem):
-    """A scene at values b of its design variables, real or complex; made by `assemble`.
+    """A scene at given values b of its design variables, real or complex; made by `assemble`.
 
-    Everything that depends on b is computed in its dtype.
-
-    Attributes
-    ----------
-    naming : SceneNaming
-        Positions of beams and joints in q and lam, and the element lengths.
-    inputs : PartInputs
-        What joints and loads are made of, and vectors of points in the reference.
+    Everything that depends on b is computed in its dtype. `naming` has the places of beams and
+    joints in q and lam, and the lengths of elements; `inputs` are what joints and loads are made
+    of, and vectors of points in the reference.
     """
 
     naming: SceneNaming

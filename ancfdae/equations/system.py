@@ -156,10 +156,7 @@ class MechanicalSystem(ComplexSteps):
 
     @cached_property
     def weights(self) -> Array:
-        """Positive weights that make coordinates of different units comparable, shape (n_q,).
-
-        By default the diagonal of M at the start. Convergence tests and scalings use them.
-        """
+        """Positive weights, (n_q,), of coordinates in norms and scalings; here M's diagonal."""
         diagonal = np.arange(self.n_q)
         M = self.mass(self.start()[0])
         return np.asarray(M[self.pattern.index(diagonal, diagonal)].real, dtype=float)

@@ -69,10 +69,8 @@ class JointFriction(SectionLoad):
         d; N m s/rad.
     breakaway, stribeck_speed : float, optional
         b, in N m, and w_s, positive, in rad/s.
-    axis : sequence of float, optional
-        In space, in the reference configuration; it turns with the other section. z by default.
-    other : Point, optional
-        The other part of the joint; the ground by default.
+    axis, other
+        As in `Torque`; the other section is that of the other part of the joint.
     """
 
     point: Point
@@ -116,14 +114,8 @@ class SlideFriction(Load):
     point : Point
     direction : sequence of float
         Of the line in the reference configuration; it turns with the other section.
-    coulomb : float
-        c; N.
-    smooth_speed : float
-        w_0, positive; m/s.
-    viscous : float
-        d; N s/m.
-    breakaway, stribeck_speed : float, optional
-        b, in N, and w_s, positive, in m/s.
+    coulomb, smooth_speed, viscous, breakaway, stribeck_speed
+        As in `JointFriction`, in N, m/s, N s/m, N and m/s.
     other : Point, optional
         A point of the line, on a beam; the line is on the ground by default.
     """

@@ -115,10 +115,8 @@ class TorsionSpring(SectionLoad):
         c; N m s/rad.
     free_angle : float
         theta_0; rad.
-    axis : sequence of float, optional
-        In space, in the reference configuration; it turns with the other section. z by default.
-    other : Point, optional
-        What the spring is fixed to; the ground by default.
+    axis, other
+        As in `Torque`; the spring is fixed to the other section, or to the ground.
     """
 
     point: Point
