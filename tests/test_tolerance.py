@@ -32,7 +32,7 @@ from ancfdae.integrators.problem import Problem
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.periods import fastest
 from ancfdae.studies.tolerance import search
-from ancfdae.studies.tolerance.bars import refined, tightened
+from ancfdae.studies.tolerance.bars import refined, tightened, unresolved
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 
 ANGLE = Terminal(custom(lambda t, q, v, lam, b: q[:, 0], "angle"))
@@ -176,6 +176,10 @@ def test_no_component_is_sure_by_chance():
     bar = tightened(np.array([1.0, 1.0]), np.array([1.0, 1.1]))
     # 1.5 times the difference, or half the root mean square of both for the first component.
     np.testing.assert_allclose(bar, [0.15 / np.sqrt(2) / 2, 0.15])
+    # Without waves resolved no component is below the root mean square; nor is the last difference
+    # below a quarter of the one before.
+    np.testing.assert_allclose(unresolved(np.array([[0.0, 1.0]])), 4.1 * np.array([0.5**0.5, 1]))
+    np.testing.assert_allclose(unresolved(np.array([[8.0], [1.0]])), [6.0])
 
 
 def test_fast_motion_is_foreseen():

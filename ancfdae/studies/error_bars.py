@@ -89,7 +89,7 @@ class ErrorBars:
     resolved : bool or None
         Whether the steps resolve the waves of the derivatives: whether their estimated errors
         (`Solution.estimated_errors`) fall at the order of the integrator from the last run but
-        one. Where they do not, bars are three to five times what runs differ by. None without such
+        one. Where they do not, bars are three to four times what runs differ by. None without such
         an estimate, which only `Direct` with `HHT` provides.
     """
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 
-# Error over the last difference, or over half the one before if that is more, where waves are not
-# resolved; and where there is one difference only.
-_UNRESOLVED, _ALONE = 3.0, 4.5
+# Error over the last difference, or over a quarter of the one before if that is more, where waves
+# are not resolved; and where there is one difference only.
+_UNRESOLVED, _ALONE = 3.0, 4.1
 # Error over d/(r^p - 1) of a number extrapolated by it; where differences fall with the order, d is
 # also what extrapolating changes from run to run.
 _EXTRAPOLATED = 1.5
@@ -30,8 +30,8 @@ HIGH_GRANTED, _HIGH_SEEN = 7.75, 2.5
 _NEAR = 0.6
 # Error over the difference of runs whose tolerance is tightened.
 _TIGHTENED = 1.5
-# Of a vector's bar, the least share that each component has.
-_SHARE = 0.5
+# Least size of a component, over the root mean square of all; where phases are random, so is each.
+_SHARE, _EVEN = 0.5, 1.0
 
 
 class Estimate(NamedTuple):
@@ -63,12 +63,13 @@ def refined(runs: Sequence[Array], steps: Sequence[int], order: int, resolved: b
 def unresolved(differences: Array) -> Array:
     """Return bars of a vector from the rows of differences of its runs, of which no order is known.
 
-    The last difference may be small by chance, so the one before counts too.
+    A difference may be small by chance: that of a component beside those of the others, all of them
+    beside what the order makes of the one before, where steps were halved.
     """
-    last = spread(differences[-1])
+    last = spread(differences[-1], _EVEN)
     if len(differences) == 1:
         return _ALONE * last
-    return _UNRESOLVED * np.maximum(last, spread(differences[-2]) / 2)
+    return _UNRESOLVED * np.maximum(last, spread(differences[-2], _EVEN) / 4)
 
 
 def tightened(before: Array, after: Array) -> Array:
@@ -88,7 +89,7 @@ def _falls(sizes: Array, steps: Array, order: int) -> bool:
     return bool(least <= sizes[0] / sizes[1] <= most)
 
 
-def spread(d: Array) -> Array:
+def spread(d: Array, least: float = _SHARE) -> Array:
     """Return sizes of components, none of which is small by chance."""
-    share = _SHARE * float(np.linalg.norm(d)) / math.sqrt(d.size)
+    share = least * float(np.linalg.norm(d)) / math.sqrt(d.size)
     return np.maximum(np.abs(d), share)
