@@ -23,7 +23,7 @@ from ancfdae import (
     assemble,
     equilibrium,
 )
-from ancfdae.assembly import stress_points
+from ancfdae.assembly import section_results as stress_points
 from ancfdae.model.sections.spread import rectangle_torsional_shear
 from ancfdae.sensitivity.observables import States, maximum_stress, observe, von_mises
 

@@ -69,6 +69,9 @@ def simulate(
 ) -> Solution | Observed:
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
 
+    Warns of errors estimated larger than the motion (`StabilityWarning`), of more than 100,000
+    steps of high order (`ManySteps`) and of a tolerance out of reach (`ToleranceMissed`).
+
     Parameters
     ----------
     t_end : float
@@ -76,37 +79,20 @@ def simulate(
     integrator : Integrator
         `HHT`, `Radau`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
     tolerance : float, optional
-        In place of an integrator, with `observables`: runs of several kinds choose integrator and
-        setting until the errors of the observables are estimated below it. The error of each, its
-        norm over the instants, is relative to the norm of its values there. Units do not matter.
-    observables : sequence of Observable, optional
-        What the tolerance is for: ``[position(rod.at_end, 1)]``.
-    at : sequence of float, optional
-        Instants of the observables, ascending in [0, t_end]; by default 65, equally far apart; s.
+        In place of an integrator, with `observables`: integrator and setting are chosen so that the
+        errors of these are estimated below it; the result is `Observed`. The error of each, its
+        norm over the instants, is relative to the norm of its values there.
+    observables, at : sequences, optional
+        What the tolerance is for, ``[position(rod.at_end, 1)]``; and its instants, ascending in
+        [0, t_end], by default 65, equally far apart; s.
     after : Solution, optional
         A run of this model by the same integrator that ended before, at its end time, early or at
-        Ctrl-C: it goes on there, and the result is the whole run, to round-off that of one in one
-        go; under error control, whose steps depend on `t_end`, within the tolerance.
+        Ctrl-C: it goes on there, to round-off; under error control within the tolerance.
     keep : int or sequence of float, optional
-        Of a long run keep the start, every so many steps and the end; or these instants, ascending
-        in [0, t_end], interpolated as by `Solution.at`; s. Memory then does not grow with the
-        steps, which must be known before the run (`HHT` with a fixed step, say). `observations`
-        keeps observables only.
+        Of a long run at known steps keep the start, every so many steps and the end; or these
+        instants, ascending in [0, t_end], interpolated as by `Solution.at`; s.
     progress : bool
         Whether to show a progress bar.
-
-    Returns
-    -------
-    Solution, or Observed to a tolerance
-
-    Warns
-    -----
-    StabilityWarning
-        If the run estimates that its errors are larger than the motion (`EstimatedErrors`).
-    ManySteps
-        If `IDA`, `IDAS` or `Explicit` will take more than 100,000 steps.
-    ToleranceMissed
-        If the tolerance is out of reach; what comes nearest is returned.
     """
     system = as_system(model)
     if tolerance is not None:
@@ -117,18 +103,21 @@ def simulate(
         raise InvalidInput("observables, at", rule, "an integrator", repair)
     run = Run(system, t_end, _required(integrator), progress, after)
     if keep is not None:
-        if after is not None:
-            rule, repair = "cannot be thinned while it goes on", "Give one of after and keep."
-            raise InvalidInput("keep", rule, "both", repair)
-        parts = RunOfParts(system, t_end, run.integrator, keep, progress)
-        return uninterrupted(parts.solution())
-    solution = uninterrupted(run.solution())
-    _warn_of_long_steps(solution)
-    return solution
+        return _thinned(run, keep)
+    return _warned(uninterrupted(run.solution()))
 
 
-def _warn_of_long_steps(solution: Solution) -> None:
-    """Tell the caller of the caller where the errors are larger than the motion."""
+def _thinned(run: Run, keep: Keep) -> Solution:
+    """Integrate and keep some instants only."""
+    if run.after is not None:
+        rule, repair = "cannot be thinned while it goes on", "Give one of after and keep."
+        raise InvalidInput("keep", rule, "both", repair)
+    parts = RunOfParts(run.system, run.t_end, run.integrator, keep, run.progress)
+    return uninterrupted(parts.solution())
+
+
+def _warned(solution: Solution) -> Solution:
+    """Return the run; tell the caller of the caller where errors are larger than the motion."""
     errors = solution.estimated_errors
     if solution.outcome.success and errors is not None and not errors.motion <= 1:
         warnings.warn(
@@ -138,6 +127,7 @@ def _warn_of_long_steps(solution: Solution) -> None:
             StabilityWarning,
             stacklevel=3,
         )
+    return solution
 
 
 def differentiate(
