@@ -34,23 +34,26 @@ _DESIGN: Final = ("beam.youngs_modulus", "beam.height", "load.force_y")
 
 def cantilever(report: Report, quick: bool) -> list[Requirement]:
     """Fill the section and return what was required of it."""
-    counts = (2, 4) if quick else (2, 4, 8, 16, 32)
+    counts = (2, 4) if quick else (2, 4, 8, 16, 32, 64)
     report.heading("Cantilever of Gerstmayr and Irschik")
     report.text(_TEXT)
-    tips, series = {}, []
+    tips, apart_of, series = {}, {}, []
     for nu in (0.0, 0.3):
-        rod, limit = _rod_tip(nu), _tip(2 * counts[-1], nu)
-        report.text(
-            f"nu = {nu:g}; the reference is the limit of the elements ({2 * counts[-1]} of "
-            f"them), which is {np.max(relative(limit, rod)):.1e} away from the exact rod with this "
-            "shear and extension: at strains of 7 % the two are different materials."
-        )
+        report.text(f"nu = {nu:g}, against the exact rod with this shear and extension:")
+        rod = _rod_tip(nu)
         tips[nu] = [_tip(n, nu) for n in counts]
-        errors = convergence(report, f"cantilever.nu{nu:g}", _NAMES, counts, tips[nu], limit)
-        series.append(Series(f"nu = {nu:g}", counts, np.max(errors, axis=1), marker=True))
+        errors = convergence(report, f"cantilever.nu{nu:g}", _NAMES, counts, tips[nu], rod)
+        apart_of[nu] = np.max(errors, axis=1)
+        series.append(Series(f"nu = {nu:g}", counts, apart_of[nu], marker=True))
     locked = [relative(_tip(n, 0.3, locked=True), _rod_tip(0.3)) for n in counts]
     series.append(Series("nu = 0.3, full law", counts, np.max(locked, axis=1), marker=True))
     error = float(np.max(relative(tips[0.3][-1], _PUBLISHED)))
+    long = [i for i, n in enumerate(counts) if _L / n > _H / 2][-1]
+    plain, poisson = apart_of[0.0][long], apart_of[0.3][long]
+    report.text(
+        f"{counts[long]} elements are {plain:.1e} and {poisson:.1e} away: with nu = 0.3 continuum "
+        f"and rod are two materials at strains of 7 %.{'' if quick else _SHORT}"
+    )
     worst = report.figure("cantilever.locked", float(np.max(locked[-1])))
     report.text(
         f"With the full law of St. Venant-Kirchhoff, {counts[-1]} elements are {worst:.1%} off at "
@@ -59,7 +62,7 @@ def cantilever(report: Report, quick: bool) -> list[Requirement]:
     apart = _derivatives(report, counts[-1])
     title = "Largest error of the tip"
     panel = Panel(title, "elements [-]", "relative error [-]", series, "log", "log")
-    caption = "The full law against the exact rod, the others against their own limit."
+    caption = "Against the exact rod."
     report.plot("cantilever", [panel], caption=caption)
     report.claim(
         "Cantilever of Gerstmayr and Irschik: displacement of the tip",
@@ -69,6 +72,7 @@ def cantilever(report: Report, quick: bool) -> list[Requirement]:
     )
     return [
         Requirement("cantilever, nu = 0.3: tip against the published one", 6e-3, error),
+        Requirement("cantilever, nu = 0: tip against the exact rod", 1e-3, plain),
         Requirement("cantilever, nu = 0.3: d(tip)/d(E, h, P)", 2e-3, apart),
     ]
 
@@ -124,6 +128,11 @@ def _derivatives(report: Report, n: int) -> float:
     return worst
 
 
+_SHORT: Final = (
+    " Those of 64 elements are about as long as the section's radius of gyration. They let bending "
+    "shorten the axis by (3/2) (I/A) curvature², as the plain position field does (theory, "
+    "strain energy, point 5 of assumed strains): a part of the squared strain of bending."
+)
 _TEXT = """
 *Published*: J. Gerstmayr and H. Irschik, *J. Sound Vib.* 318 (2008) 461-487. A cantilever of L =
 2 m, 0.1 m x 0.1 m, E = 2.07e11 N/m², under a tip force of 3 E I/L². *Reference*: shooting on the
