@@ -51,9 +51,9 @@ def test_a_star_fills_nothing_but_blocks_of_elements():
     weights = np.sqrt(system.weights)
     size = weights[system.pattern.rows] * weights[system.pattern.columns]
     K = system.mass(None) + 0.003 * np.random.default_rng(1).uniform(-1, 1, len(size)) * size
-    factors = solver_of(system).factor(K, B)
-    assert isinstance(factors._lu, scipy.sparse.linalg.SuperLU)
+    lu = solver_of(system).factor(K, B).solver.args[0]
+    assert isinstance(lu, scipy.sparse.linalg.SuperLU)
     entries = system.pattern.size + 2 * system.constraint_pattern.size
     # From the ends of arms to the middle, elimination of a node fills only what its element
     # couples; joints add their few rows. In the order of SuperLU's choice it is 2.5 times.
-    assert factors._lu.L.nnz + factors._lu.U.nnz < 1.2 * entries
+    assert lu.L.nnz + lu.U.nnz < 1.2 * entries

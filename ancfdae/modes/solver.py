@@ -242,14 +242,17 @@ def _each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array
 
 
 def _quotients(small: Linearised, s: Array, X: Array) -> Array:
-    """Return the root of x^H (s^2 M + s D + K) x = 0 next to s: Rayleigh's quotient.
+    """Return the root of x^H (s^2 M + s D + K) x + 2 Re mu^H Phi_q x = 0 next to s.
 
-    With K symmetric and D gyroscopic it is imaginary to round-off of the products, whatever x has
-    left, and what does not grow is not taken for what does.
+    Rayleigh's quotient, stationary in x and mu: what solves beside an eigenvalue leave in the
+    constraints counts in second order. With K symmetric and D gyroscopic it is imaginary to
+    round-off of the products, and what does not grow is not taken for what does.
     """
     assert small.D is not None
     m = _squares(small, X)
     d, k = (np.einsum("ij,ij->j", np.conj(X), small.times(A, X)) for A in (small.D, small.K))
+    violation = small.system.constraint_pattern.dot(small.Phi_q, X)
+    k = k + 2 * np.real(np.einsum("ij,ij->j", np.conj(small.multipliers(s, X)), violation))
     root = np.sqrt((d / (2 * m)) ** 2 - k / m)
     ends = -d / (2 * m) + root, -d / (2 * m) - root
     return np.asarray(np.where(np.abs(ends[0] - s) <= np.abs(ends[1] - s), *ends))

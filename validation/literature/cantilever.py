@@ -59,7 +59,7 @@ def cantilever(report: Report, quick: bool) -> list[Requirement]:
         f"With the full law of St. Venant-Kirchhoff, {counts[-1]} elements are {worst:.1%} off at "
         "nu = 0.3 (Poisson locking)."
     )
-    apart = _derivatives(report, counts[-1])
+    apart = _derivatives(report, counts[long])
     title = "Largest error of the tip"
     panel = Panel(title, "elements [-]", "relative error [-]", series, "log", "log")
     caption = "Against the exact rod."

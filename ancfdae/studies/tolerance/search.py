@@ -34,21 +34,24 @@ class Found:
 
 
 @final
-@dataclass
+@dataclass(frozen=True)
 class _Spent:
-    """Runs of a search, by kind."""
+    """Runs of a search: of which kind, what was seen, and its work."""
 
-    trials: list[tuple[Runs, Trial]]
-    work: float = 0.0
+    runs: list[tuple[Runs, Trial, float]]
+
+    @property
+    def work(self) -> float:
+        """Work of all runs."""
+        return sum(work for _, _, work in self.runs)
 
     def take(self, runs: Runs, measure: Measure) -> Sample:
         """Take and judge the next run of a kind."""
-        setting, clock = runs.setting, stopwatch()
-        self.work += runs.work
+        setting, work, clock = runs.setting, runs.work, stopwatch()
         sample = measure(setting)
         runs.take(sample)
         steps = sample.steps if sample.vectors else 0
-        self.trials.append((runs, Trial(setting, steps, clock(), runs.error)))
+        self.runs.append((runs, Trial(setting, steps, clock(), runs.error), work))
         return sample
 
     def price(self, runs: Runs, left: float) -> str:
@@ -56,7 +59,7 @@ class _Spent:
         seen = "" if math.isinf(runs.error) else f" (at {runs.error:.1g})"
         if math.isinf(left) or left > 1e3 * _MOST:
             return f"{runs.name}{seen} out of reach"
-        seconds = sum(trial.seconds for _, trial in self.trials) / self.work * left
+        seconds = sum(trial.seconds for _, trial, _ in self.runs) / self.work * left
         return f"{runs.name}{seen} about {seconds:.1g} s more"
 
 
@@ -72,7 +75,7 @@ def search(seer: Second, others: Sequence[Runs], measure: Measure, tolerance: fl
         if best.error <= tolerance:
             break
         ways = {runs: runs.left for runs in kinds}
-        most = _MOST if len(spent.trials) > 1 else math.inf
+        most = _MOST if len(spent.runs) > 1 else math.inf
         going = [x for x in kinds if ways[x] < math.inf and spent.work + x.work <= most]
         if not going:
             break
@@ -88,6 +91,6 @@ def search(seer: Second, others: Sequence[Runs], measure: Measure, tolerance: fl
     # What was foreseen before the last run.
     left = "; ".join(spent.price(*x) for x in ways.items() if not reached or x[0] is not best)
     why = f"{best.words}. {'Not taken' if reached else 'To the tolerance'}: {left}."
-    integrator = next(trial.integrator for runs, trial in spent.trials[::-1] if runs is best)
-    trials = tuple(trial for _, trial in spent.trials)
+    integrator = next(trial.integrator for runs, trial, _ in spent.runs[::-1] if runs is best)
+    trials = tuple(trial for _, trial, _ in spent.runs)
     return Found(best.estimates, best.samples[-1].result, reached, integrator, why, trials)
