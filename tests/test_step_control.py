@@ -239,7 +239,7 @@ def test_the_error_of_a_step_is_that_from_the_state_it_began_with(monkeypatch):
 class NumbersOnly:
     """All that a controller reads of a method."""
 
-    bears_jumps = False
+    bears_jumps, breakpoints = False, ()
 
     def __init__(self, order, e):
         self.order, self.e = order, e

@@ -156,10 +156,17 @@ class AncfSystem(PlannedSystem):
             symmetric=not (damped or moving or turning),
             project_start=self._scene.project_start,
             force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
+            breakpoints=self._breakpoints(),
         )
         rows = structure.joints
         self.naming = replace(self.naming, layout=replace(self.naming.layout, joints=rows))
         self.constraint_names = tuple(joint.name for joint in rows for _ in range(joint.rows))
+
+    def _breakpoints(self) -> tuple[float, ...]:
+        """Instants between which all laws of time are smooth."""
+        parts = (*self._scene.joints, *self._scene.loads)
+        values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
+        return tuple(t for part, p in values for t in part.breakpoints(p))
 
     @property
     def plan(self) -> Plan | None:

@@ -42,7 +42,7 @@ import numpy as np
 
 from ancfdae.equations.complex_steps import ComplexSteps
 from ancfdae.equations.naming import Naming
-from ancfdae.errors import InvalidInput, require_finite, require_flag
+from ancfdae.errors import InvalidInput, require_array, require_finite, require_flag
 from ancfdae.kernels import Plan
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
@@ -83,6 +83,9 @@ class Traits:
     force_round_off : float
         Size of the round-off in Q in the norm sqrt(sum Q^2 / weights); zero where it is that of
         Q itself. Newton corrections that stop shrinking at this size are accepted.
+    breakpoints : tuple of float
+        Instants between which forces and constraints are smooth in time: a step under error control
+        ends at each, for it could miss what lies between two of them.
     """
 
     constant_mass: bool = False
@@ -92,12 +95,14 @@ class Traits:
     symmetric: bool = False
     project_start: bool = False
     force_round_off: float = 0.0
+    breakpoints: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        *flags, round_off = fields(self)
+        *flags, round_off, breakpoints = fields(self)
         for flag in flags:
             require_flag(f"Traits.{flag.name}", getattr(self, flag.name))
         require_finite(f"Traits.{round_off.name}", self.force_round_off)
+        require_array(f"Traits.{breakpoints.name}", self.breakpoints)
 
 
 @final

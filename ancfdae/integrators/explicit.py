@@ -96,7 +96,7 @@ class _ExplicitMarch(March):
     def __init__(
         self, settings: Explicit, problem: Problem, t_end: float, quadrature: Quadrature
     ) -> None:
-        super().__init__(t_end, settings.max_steps)
+        super().__init__(problem, t_end, settings.max_steps)
         self._quadrature, self._problem, self._rtol = quadrature, problem, settings.rtol
         self._trouble, self._multipliers = Verdict.ERROR_TEST, list[Array]()
         self._wanted = quadrature.wanted
@@ -133,8 +133,9 @@ class _ExplicitMarch(March):
         self._trouble = Verdict.ERROR_TEST
         if self.steps:
             method.advance()
+        stop = self._stop
         while self._h >= _SHORTEST * math.ulp(method.t):
-            error = self._attempt(min(method.t + self._h, self._t_end))
+            error = self._attempt(min(method.t + self._h, stop))
             h = method.end - method.t
             if error < 1:
                 ratio = max(error, _NO_ERROR) ** _NOW * self._error**_BEFORE

@@ -32,7 +32,7 @@ from ancfdae.integrators.recorder import Recorder
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
-from ancfdae.numerics.time_grid import TimeGrid
+from ancfdae.numerics.time_grid import TimeGrid, next_end
 
 # Steps that together advance by less than this share of the end time. Single steps may be lost in
 # round-off: at tight tolerances Newton's method meets it, and SUNDIALS tries shorter steps until it
@@ -95,6 +95,7 @@ class March(abc.ABC):
 
     def __init__(
         self,
+        problem: Problem,
         t_end: float,
         max_steps: int,
         context: Callable[[], AbstractContextManager[None]] = nullcontext,
@@ -102,6 +103,12 @@ class March(abc.ABC):
         self.steps = self.iterations = self.factorisations = self.residuals = 0
         self.residual, self._t, self._t_end, self._max_steps = 0.0, 0.0, t_end, max_steps
         self._progress, self._context = Progress(t_end), context
+        self._breakpoints = problem.system.traits.breakpoints
+
+    @property
+    def _stop(self) -> float:
+        """What the next step must not pass: the next breakpoint, or the end."""
+        return next_end(self._breakpoints, self._t, self._t_end)
 
     @final
     def to(self, t: float) -> Array | Verdict:

@@ -81,6 +81,18 @@ class Designable:
             p = p[count:]
         return parts
 
+    def breakpoints(self, p: Array) -> tuple[float, ...]:
+        """Return the instants between which it is an analytic function of time; s.
+
+        Parameters
+        ----------
+        p : array, shape (n_p,)
+            Values of all `parameters`.
+        """
+        values = zip(self._design_values(), self.split(p), strict=True)
+        inner = ((x, its) for (_, x), its in values if isinstance(x, Designable))
+        return tuple(t for x, its in inner for t in x.breakpoints(its))
+
     def check_fields(self, where: str) -> None:
         """Refuse values of design fields that break their rules."""
         optional = {field.name for field in fields(self) if field.default is None}  # type: ignore[arg-type]

@@ -13,6 +13,7 @@ values; quadrature and interpolation integrate and evaluate that polynomial.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import final
@@ -22,6 +23,14 @@ import numpy as np
 from ancfdae.numerics.arrays import Array
 
 LOBATTO_DEGREE = 8
+# Part of the length of a run within which instants are one.
+_SAME = 1e-9
+
+
+def next_end(breakpoints: Iterable[float], t: float, t_end: float) -> float:
+    """Return the first of the instants after t, or the end of the run."""
+    least = _SAME * t_end
+    return min((x for x in breakpoints if t + least < x < t_end - least), default=t_end)
 
 
 @final

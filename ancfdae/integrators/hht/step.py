@@ -58,6 +58,7 @@ class HHTStepper(OneStepMethod[State]):
         recorder: Recorder,
     ) -> None:
         self._problem, self._alpha = problem, alpha
+        self.breakpoints = problem.system.traits.breakpoints
         self._solver = StepSolver(problem.system, problem.matrices, *newton, recorder)
         self._tolerance, self._recorder = tolerance, recorder
         rules = self._solver.rules(alpha)

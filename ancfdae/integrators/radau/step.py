@@ -79,6 +79,7 @@ class RadauStepper(OneStepMethod[State]):
     ) -> None:
         self._problem, self._recorder, self._tolerances = problem, recorder, tolerances
         self._solver = StageSolver(problem, *newton, recorder)
+        self.breakpoints = problem.system.traits.breakpoints
         self._matrices = None if problem.derivative is None else stage_matrices(problem)
 
     def consistent(self) -> Record:

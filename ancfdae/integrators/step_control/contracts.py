@@ -39,11 +39,12 @@ class OneStepMethod(abc.ABC, Generic[State]):
     """A run of a method that goes from state to state; how far, others decide.
 
     Its e falls with the step to the power `order`. Where accelerations and multipliers suffer from
-    a step that jumps, which is the rule, steps change slowly.
+    a step that jumps, which is the rule, steps change slowly. Controlled steps end at breakpoints.
     """
 
     order: ClassVar[int]
     bears_jumps: ClassVar[bool] = False
+    breakpoints: tuple[float, ...] = ()
 
     @abc.abstractmethod
     def consistent(self) -> Record:

@@ -30,6 +30,7 @@ from ancfdae.integrators.step_control.contracts import (
 from ancfdae.integrators.step_control.planned import GivenSteps, require_square
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.time_grid import next_end
 
 # Second order asks for a tolerance of the same size where coordinates pass through zero.
 _LEAST_RTOL = 1e-12
@@ -153,7 +154,7 @@ class _Filter(Controller):
     ) -> None:
         self._order, self._bears_jumps = method.order, method.bears_jumps
         self._last_steps = _LAST_EQUAL if method.bears_jumps else _LAST_STEPS
-        self._t_end, self._max_steps = t_end, max_steps
+        self._t_end, self._max_steps, self._breakpoints = t_end, max_steps, method.breakpoints
         self._h = self._start = first
         self._taken = 0
         self._last_wish = self._last_ratio = 1.0
@@ -170,17 +171,18 @@ class _Filter(Controller):
         return *sizes, self._last_h, float(self._taken), float(self._remaining)
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
-        """Return the proposed step; the last ones of a run change linearly to meet its end."""
+        """Return the proposed step; the last ones before an end change linearly."""
         if t >= self._t_end:
             return Verdict.FINISHED
         if self._taken >= self._max_steps:
             return Verdict.STEP_LIMIT
-        left = self._t_end - t
+        stop = next_end(self._breakpoints, t, self._t_end)
+        left = stop - t
         if self._remaining == 0 and left < (self._last_steps + 0.5) * self._h:
             self._remaining = max(1, math.ceil(left / self._h * (1 - 1e-9)))
         count = self._remaining
         if count == 1:
-            return left, self._t_end
+            return left, stop
         h = self._h
         if count > 0:
             # Sizes h_0 (1 + c j), j = 1 .. count, with the sum that is left.

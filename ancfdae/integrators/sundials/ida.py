@@ -104,7 +104,7 @@ class _IdaMarch(March):
     def __init__(
         self, settings: IDA, problem: Problem, t_end: float, quadrature: Quadrature
     ) -> None:
-        super().__init__(t_end, settings.max_steps, without_messages)
+        super().__init__(problem, t_end, settings.max_steps, without_messages)
         self._form = settings.form.form(problem.system, problem.scales)
         system, b = problem.system, problem.derivative
         self._m = 0 if b is None else system.n_b
@@ -126,7 +126,7 @@ class _IdaMarch(March):
         self._solver.init_step(0.0, Y, Yp)
 
     def _step(self) -> Verdict | None:
-        result = self._solver.step(self._t_end, "onestep", self._t_end)
+        result = self._solver.step(self._t_end, "onestep", self._stop)
         if not result.success:
             return verdict(result.status)
         if self.steps == 0:

@@ -61,8 +61,7 @@ class _IdasMarch(March):
         t_end: float,
         quadrature: Quadrature,
     ) -> None:
-        super().__init__(t_end, settings.max_steps)
-        idas, check = bindings.idas, bindings.check
+        super().__init__(problem, t_end, settings.max_steps)
         self._bindings, self._rtol = bindings, settings.rtol
         self._form = settings.form.form(problem.system, problem.scales)
         start = self._form.start(problem.initial)
@@ -75,12 +74,12 @@ class _IdasMarch(March):
         self._m = Y.shape[1]
         if self._m:
             self._add_sensitivities(Y, Yp)
-        check(idas.IDASetStopTime(self._memory, t_end))
         self._points = StepPoints(self._form, quadrature, self._m)
         self._points.add(0.0, np.append(start[0], Y.T), np.append(start[1], Yp.T))
 
     def _step(self) -> Verdict | None:
         idas, e = self._bindings.idas, self._equations
+        self._bindings.check(idas.IDASetStopTime(self._memory, self._stop))
         flag, reached = idas.IDASolve(self._memory, self._t_end, e.y, e.yp, idas.IDA_ONE_STEP)
         self._count()
         not_finite = e.guard.raise_kept()

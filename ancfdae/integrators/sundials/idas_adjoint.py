@@ -28,7 +28,7 @@ from ancfdae.integrators.sundials.bindings import Bindings, IdasEquations, verdi
 from ancfdae.integrators.sundials.index_reduced import IndexReduced
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.time_grid import TimeGrid
+from ancfdae.numerics.time_grid import TimeGrid, next_end
 
 # Steps between two checkpoints; the states between them are kept in memory.
 _CHECKPOINT = 250
@@ -87,7 +87,7 @@ class BackwardRun:
         self._seeds = AdjointSeeds(problem, solution, seeds)
         s, size = problem.scales, self._seeds.size or 1.0
         self._scale, self._b_scale = np.concatenate([s.q, s.v]) / size, s.b / size
-        self._n = len(self._scale)
+        self._n, self._breakpoints = len(self._scale), problem.system.traits.breakpoints
         self._which: int | None = None
         self._y: Any = None
         self._yp: Any = None
@@ -119,19 +119,30 @@ class BackwardRun:
         self._equations = e = IdasEquations(bindings, self._form, self._rtol, start)
         self._memory = e.memory
         bindings.check(idas.IDAAdjInit(self._memory, _CHECKPOINT, idas.IDA_HERMITE))
-        bindings.check(idas.IDASetStopTime(self._memory, self._t_end))
         bindings.check(idas.IDASetMaxNumSteps(self._memory, self._max_steps))
-        flag, _, _ = idas.IDASolveF(self._memory, self._t_end, e.y, e.yp, idas.IDA_NORMAL)
-        e.guard.raise_kept()
-        if flag < 0:
-            raise PassFailed(verdict(flag))
+        t = 0.0
+        while t < self._t_end:
+            t = next_end(self._breakpoints, t, self._t_end)
+            bindings.check(idas.IDASetStopTime(self._memory, t))
+            flag, _, _ = idas.IDASolveF(self._memory, t, e.y, e.yp, idas.IDA_NORMAL)
+            e.guard.raise_kept()
+            if flag < 0:
+                raise PassFailed(verdict(flag))
 
     # -- backward ------------------------------------------------------------------------------
 
     def _back(self, t: float, stop: float, p: Array) -> tuple[Array, Array]:
         """Integrate from t back to `stop`; return p there and the quadrature."""
-        if t - stop <= 1e-12 * self._t_end:
-            return p, np.zeros(self._problem.system.n_b)
+        total = np.zeros(self._problem.system.n_b)
+        while t - stop > 1e-12 * self._t_end:
+            before = [t - x for x in self._breakpoints]
+            end = t - next_end(before, 0.0, t - stop)
+            p, share = self._back_smoothly(t, end, p)
+            total, t = total + share, end
+        return p, total
+
+    def _back_smoothly(self, t: float, stop: float, p: Array) -> tuple[Array, Array]:
+        """Integrate from t back to `stop`, between which all is smooth."""
         bindings, idas, check = self._bindings, self._bindings.idas, self._bindings.check
         y = p * self._scale
         yp = self._rates(t, *self._states_at_instant(t), p)[0] * self._scale

@@ -15,7 +15,8 @@ class Law(Designable, abc.ABC):
 
     The first three derivatives are continuous: a prescribed motion has accelerations, and HHT-I3
     starts with their rate. At a kink, where one of them jumps, the motion jumps in that derivative
-    too; a fixed step loses its order there and a controlled one shrinks.
+    too; a fixed step loses its order there and a controlled one shrinks. A law made of pieces tells
+    their ends (`breakpoints`): controlled steps end there, and miss none.
     """
 
     def __post_init__(self) -> None:

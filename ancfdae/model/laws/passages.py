@@ -17,6 +17,11 @@ _STEP = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
 _ORDERS = {order: _STEP.deriv(order) for order in range(4)} | {-1: _STEP.integ()}
 
 
+def passage(begin: complex, duration: complex) -> tuple[float, float]:
+    """Return the instants at which the fourth derivative of `smooth_step` jumps."""
+    return begin.real, (begin + duration).real
+
+
 def smooth_step(t: Any, begin: complex, duration: complex, order: int) -> Array:
     """Return 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7, s = (t - begin)/duration held between 0 and 1.
 
@@ -59,6 +64,11 @@ class Ramp(Law):
         *numbers("begin"),
     )
 
+    def breakpoints(self, p: Array) -> tuple[float, ...]:
+        """Begin and end of the passage."""
+        _, _, duration, begin = p
+        return passage(begin, duration)
+
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Polynomial of degree seven on the way."""
         initial, final, duration, begin = p
@@ -94,6 +104,11 @@ class RunUp(Law):
         ("duration", require_positive),
         *numbers("initial", "begin"),
     )
+
+    def breakpoints(self, p: Array) -> tuple[float, ...]:
+        """Begin and end of the passage."""
+        _, duration, _, begin = p
+        return passage(begin, duration)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Integral of the ramp."""
@@ -138,6 +153,11 @@ class Change(Law):
         if not isinstance(getattr(self, name), Law):
             return values
         return {f"{name}_{key}": value for key, value in values.items()}
+
+    def breakpoints(self, p: Array) -> tuple[float, ...]:
+        """Those of both laws, and of the passage between them."""
+        *_, duration, begin = p
+        return *super().breakpoints(p), *passage(begin, duration)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Leibniz' rule."""

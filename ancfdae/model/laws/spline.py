@@ -65,6 +65,10 @@ class Spline(Law):
             rule = f"must exceed the {span:g} from the first time to the last"
             raise InvalidInput("Spline, period", rule, self.period, repair)
 
+    def breakpoints(self, p: Array) -> tuple[float, ...]:
+        """First and last time; between them six derivatives are continuous."""
+        return () if self.period is not None else (float(self.times[0]), float(self.times[-1]))
+
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Sum of the control values times their basis functions."""
         s = (np.asarray(t) - self.times[0]) / self._unit

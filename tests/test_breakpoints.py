@@ -1,0 +1,116 @@
+"""Ends of the pieces of laws: integrators that choose their steps end one there, and miss none."""
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    IDA,
+    IDAS,
+    Adjoint,
+    Change,
+    Constant,
+    Direct,
+    Drive,
+    Explicit,
+    Harmonic,
+    InvalidInput,
+    Pin,
+    PointForce,
+    Radau,
+    Ramp,
+    RigidBody,
+    RunUp,
+    Scene,
+    Spline,
+    Terminal,
+    Uniform,
+    assemble,
+    gradient,
+    position,
+    simulate,
+)
+from ancfdae.equations import Traits
+from ancfdae.numerics.time_grid import next_end
+
+BLOCK = RigidBody("block", (0, 0), mass=2.0, inertia=0.1)
+T_END, BEGIN, FORCE = 1.0, 0.6137, 3.0
+
+
+def pulse(width):
+    """Up to one within the width, and down again within another."""
+    return Change(Ramp(0.0, 1.0, width, BEGIN), Constant(0.0), width, BEGIN + width)
+
+
+def kicked(width):
+    """A block that nothing else moves: a step across the kick would not know of it."""
+    kick = PointForce(BLOCK.at(0, 0), (FORCE / width, 0.0), law=pulse(width), name="kick")
+    return Scene([], bodies=[BLOCK], loads=[kick])
+
+
+def test_laws_tell_where_their_pieces_end():
+    for law, expected in (
+        (Uniform(2.0), ()),
+        (Harmonic(1.0, 2.0), ()),
+        (Ramp(0.0, 1.0, 0.2, 0.3), (0.3, 0.5)),
+        (RunUp(1.0, 0.25, begin=0.5), (0.5, 0.75)),
+        (
+            Change(Ramp(0, 1, 0.5, 0.25), RunUp(1.0, 0.5), 0.125, 2.0),
+            (0.25, 0.75, 0, 0.5, 2, 2.125),
+        ),
+        (Spline([0.5, 1.0, 2.0], [0.0, 3.0, 1.0]), (0.5, 2.0)),
+        (Spline([0.5, 1.0, 2.0], [0.0, 3.0, 1.0], period=2.0), ()),
+    ):
+        p = np.array(list(law.parameters().values())) * (1 + 1e-30j)
+        assert law.breakpoints(p) == pytest.approx(expected)
+
+
+def test_a_system_knows_those_of_its_joints_and_loads_at_any_design():
+    block, arm = kicked(0.25), RigidBody("arm", (0, 0), mass=1.0, inertia=1.0)
+    joints = [Pin(arm.at(0, 0)), Drive(arm.at(0, 0), RunUp(1.0, 0.5, begin=0.25), name="motor")]
+    scene = Scene([], joints, bodies=[BLOCK, arm], loads=block.loads)
+    system = assemble(scene, ["motor.duration", "kick.force_x"])
+    ends = (0.25, 0.75, BEGIN, BEGIN + 0.25, BEGIN + 0.25, BEGIN + 0.5)
+    assert system.traits.breakpoints == pytest.approx(ends)
+    moved = system.with_values(system.b + np.array([0.125, 1.0]))
+    assert moved.traits.breakpoints == pytest.approx((0.25, 0.875, *ends[2:]))
+
+
+CONTROLLED = [HHT(rtol=1e-5), Radau(rtol=1e-5), IDA(rtol=1e-7), Explicit(rtol=1e-7)]
+KICKS = [(integrator, width) for integrator in CONTROLLED for width in (0.1, 0.003)]
+
+
+@pytest.mark.parametrize(
+    ("integrator", "width"), [*KICKS, pytest.param(IDAS(rtol=1e-6), 0.1, marks=pytest.mark.idas)]
+)
+def test_no_integrator_steps_over_a_kick(integrator, width):
+    """The path J (T - t_c)/m of an impulse J about its middle t_c, and its derivatives."""
+    objective, left = Terminal(position(BLOCK.at(0, 0), 0)), T_END - BEGIN - width
+    design = ["kick.force_x", "block.mass"]
+    method = Adjoint() if isinstance(integrator, IDAS) else Direct()
+    found = gradient(kicked(width), objective, T_END, integrator, design=design, method=method)
+    path = FORCE * left / 2.0
+    # Tolerances hold per step, HHT-I3 errs by ten times its own.
+    assert found.value == pytest.approx(path, rel=2e-4)
+    assert found.gradient == pytest.approx([path / (FORCE / width), -path / 2.0], rel=2e-4)
+
+
+def test_steps_end_at_breakpoints():
+    for integrator in (HHT(rtol=1e-4), Radau(rtol=1e-4)):
+        t = simulate(kicked(0.05), T_END, integrator).t
+        for instant in (BEGIN, BEGIN + 0.05, BEGIN + 0.1, T_END):
+            assert np.min(np.abs(t - instant)) <= 1e-15
+        assert np.all(np.diff(t) > 0)
+
+
+def test_the_next_end():
+    ends = (0.5, 0.25, 0.5, 1.0, 2.0, -1.0)
+    assert [next_end(ends, t, 1.5) for t in (0.0, 0.25, 0.5 - 1e-12, 1.0, 1.2)] == [
+        0.25, 0.5, 1.0, 1.5, 1.5,
+    ]  # fmt: skip
+    assert next_end((), 0.3, 1.5) == 1.5
+
+
+def test_breakpoints_are_numbers():
+    with pytest.raises(InvalidInput, match="breakpoints"):
+        Traits(breakpoints=(0.1, np.nan))
