@@ -45,6 +45,8 @@ class TestProblem(ComplexStepSystem):
         Whether the objective is the integral of what is observed, or its value at the end.
     step : float
         Largest step of HHT that is run; s.
+    stiff : bool
+        Whether `Explicit` needs 100,000 steps for a decay that does not matter: it is left out.
     values : tuple of float
         Design values of the source.
     """
@@ -56,6 +58,7 @@ class TestProblem(ComplexStepSystem):
     digits: ClassVar[float]
     integral: ClassVar[bool] = False
     step: ClassVar[float]
+    stiff: ClassVar[bool] = False
     values: ClassVar[tuple[float, ...]]
 
     def __init__(self, b: Array | tuple[float, ...] | None = None) -> None:

@@ -22,7 +22,7 @@ class Roberts(TestProblem):
     """The reactions; design variables are their rates."""
 
     title, source = "Robertson's reactions", "SUNDIALS"
-    t_end, step, integral = 80.0, 0.1, True
+    t_end, step, integral, stiff = 80.0, 0.1, True, True
     published = 25.042
     digits = 2e-5
 
