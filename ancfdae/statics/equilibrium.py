@@ -12,7 +12,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities, Statistics
-from ancfdae.errors import AncfdaeError, uninterrupted
+from ancfdae.errors import AncfdaeError, Verdict, uninterrupted
 from ancfdae.errors.text import listed
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance
@@ -113,6 +113,14 @@ def find_equilibrium(
     statistics = Statistics(*counted, 0, seconds, work.rejected)
     solution = _solution(system, end, derivatives, statistics)
     return Equilibrium(end.q, end.lam, end.outcome, solution, *(derivatives or (None, None)))
+
+
+def resting(system: MechanicalSystem, q: Array, lam: Array, stable: bool) -> Equilibrium:
+    """Return a state that was found to be an equilibrium by other means than a search."""
+    outcome = LoadOutcome(Verdict.EQUILIBRIUM, 1.0, 0, 0.0, None if stable else 0.0)
+    statistics = Statistics(0, 0, 0, 0, 0, 0.0)
+    solution = _solution(system, SearchEnd(q, lam, outcome), None, statistics)
+    return Equilibrium(q, lam, outcome, solution)
 
 
 def _solution(

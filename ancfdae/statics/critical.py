@@ -1,0 +1,269 @@
+"""Critical points of a parameter p: where an equilibrium loses its stiffness.
+
+With one coordinate held (`held_coordinate.py`) equilibria are tau(a, p) = 0. At a limit point
+tau = tau_a = 0. Where two paths cross, at a bifurcation, tau has a saddle of height zero:
+tau = tau_a = tau_p = 0. Both are found by Newton's method in a and p, and
+
+    limit point:  p_b = -tau_b/tau_p,      bifurcation:  [a_b, p_b] = -H^-1 [tau_ab, tau_pb]
+
+with the Hessian H of tau in a and p. A variable with tau_b != 0 parts the paths of a bifurcation:
+the load then falls as a root of the change, and has no derivative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import AncfdaeError, InvalidInput, uninterrupted
+from ancfdae.numerics.arrays import Array
+from ancfdae.statics.balance import Balance
+from ancfdae.statics.equilibrium import Equilibrium, find_equilibrium, resting
+from ancfdae.statics.held_coordinate import HeldPoint, HeldSystem
+from ancfdae.statics.softness import softest
+
+Kind: TypeAlias = Literal["limit point", "bifurcation"]
+
+# The range of p is searched in so many steps; what is left of one is what Newton's method bears.
+_STEPS, _HALVINGS, _ITERATIONS = 8, 8, 25
+# Work of a load on the critical motion over what it could be: less is none.
+_NO_WORK = 1e-7
+# Newton's method goes on, once p changes by less than this part of the width, while changes halve;
+# farther than so many widths it has left.
+_CONVERGED, _FAR = 1e-6, 64.0
+# Height of a saddle of tau that is none; ratio of two stiffnesses that vanish together.
+_HEIGHT, _DOUBLE = 1e-7, 1.01
+
+
+@final
+class NoCriticalPoint(AncfdaeError):
+    """The equilibrium keeps its stiffness over the whole range, or no point could be found."""
+
+
+@final
+@dataclass(frozen=True)
+class CriticalLoad:
+    """The value of a parameter at which an equilibrium loses its stiffness.
+
+    Attributes
+    ----------
+    name : str
+        The parameter.
+    value : float
+        Its critical value.
+    kind : str
+        ``"limit point"``: no equilibrium near beyond it; ``"bifurcation"``: paths cross.
+    motion : array, shape (n_q,)
+        The motion that meets no stiffness, of the size of the system, its largest entry positive.
+    equilibrium : Equilibrium
+        The state there.
+    names : tuple of str
+        Design variables.
+    gradient : array, shape (n_b,)
+        Derivatives of the value with respect to them.
+    """
+
+    name: str
+    value: float
+    kind: Kind
+    motion: Array
+    equilibrium: Equilibrium
+    names: tuple[str, ...]
+    gradient: Array
+    _point: HeldPoint
+    _p: int
+
+    def branch(self, size: float) -> tuple[float, Equilibrium]:
+        """Return an equilibrium beside this one, and the value of the parameter there.
+
+        At a bifurcation it is on the other path; at a limit point it is farther along the path. It
+        is `size` times the `motion` away, in its sense if positive. Where it is stable,
+        ``equilibrium(scene.with_values({name: ...}), start=...)`` follows the path from there.
+
+        Raises
+        ------
+        NoCriticalPoint
+            If Newton's method does not converge; a smaller size may.
+        """
+        step = size * float(self.motion[self._point.i])
+        point, k = self._point, self._p
+        tau_aa, tau_ab, _ = point.seconds(k)
+        slope = tau_aa * step / 2
+        bent = tau_ab[k] if self.kind == "bifurcation" else point.tau_b[k] / step
+        p, q, lam = self.value - slope / bent, point.q, point.lam
+        q, lam = q + step * point.motion[0], lam + step * point.motion[1]
+        a, last = point.q[point.i] + step, np.inf
+        for _ in range(_ITERATIONS):
+            found = _held(point.system, k, p, point.i, a, q, lam)
+            if found is None:
+                break
+            change = -found.tau / found.tau_b[k]
+            if abs(change) >= 0.5 * last and last <= _CONVERGED * abs(p):
+                return p, resting(found.system, found.q, found.lam, _stable(found))
+            p, q, lam, last = p + change, found.q, found.lam, abs(change)
+        raise NoCriticalPoint(f"branch of {self.name!r}: no convergence at size={size:g}.")
+
+
+def find_critical(system: MechanicalSystem, k: int, to: float) -> CriticalLoad:
+    """Search from the value of design variable k to another for the first critical point.
+
+    NoCriticalPoint if there is none. InvalidInput if there is no stable equilibrium at the first
+    value, if two motions lose their stiffness at once, or if a design variable parts the paths of a
+    bifurcation.
+    """
+    start = uninterrupted(find_equilibrium(system))
+    if not start.outcome.success or start.outcome.stable_to is not None:
+        rule, repair = "needs a stable equilibrium to start from", "Start at another value."
+        raise InvalidInput("critical_load", rule, str(start.outcome), repair)
+    search = _Search(system, k, *_last_stable(system, k, to, start))
+    found = search.limit_point() or search.bifurcation()
+    if found is None:
+        rule = f"{system.design_names[k]!r}: stiffness is lost beyond {search.p:g}"
+        raise NoCriticalPoint(f"{rule}, but Newton's method finds no critical point there.")
+    point, kind = found
+    motion = point.motion[0] * _size(point)
+    motion = motion * np.sign(motion[np.argmax(np.abs(motion))])
+    names = tuple(x for j, x in enumerate(system.design_names) if j != k)
+    at = resting(point.system, point.q, point.lam, stable=True)
+    value, gradient = float(point.system.b[k]), np.delete(_gradient(point, k, kind), k)
+    return CriticalLoad(system.design_names[k], value, kind, motion, at, names, gradient, point, k)
+
+
+def _stable(x: HeldPoint) -> bool:
+    return softest(Balance(x.system, 0.0, x.q, x.lam), 1.0, x.q, x.lam).stable
+
+
+def _moved(system: MechanicalSystem, k: int, p: float) -> MechanicalSystem:
+    b = np.array(system.b)
+    b[k] = p
+    return system.with_values(b)
+
+
+def _last_stable(
+    system: MechanicalSystem, k: int, to: float, at: Equilibrium
+) -> tuple[float, float, Equilibrium]:
+    """Return the last p with a stable equilibrium before the first loss, how near it is, and it."""
+    p, step, lost = float(system.b[k]), (to - float(system.b[k])) / _STEPS, False
+    least = 0.5**_HALVINGS * abs(step)
+    while abs(step) >= least:
+        if not lost and abs(p - to) < 0.5 * abs(step):
+            rule = f"{system.design_names[k]!r}: every equilibrium up to {to:g} is stable."
+            raise NoCriticalPoint(rule)
+        ahead = uninterrupted(find_equilibrium(_moved(system, k, p + step), start=at))
+        end = ahead.outcome
+        if end.success and end.stable_to is None and not end.downhill:
+            p, at = p + step, ahead
+        else:
+            lost = True
+        step = step / 2 if lost else step
+    return p, abs(step), at
+
+
+@final
+class _Search:
+    """Newton's method in a and p from the last stable equilibrium, `width` before the loss."""
+
+    def __init__(
+        self, system: MechanicalSystem, k: int, p: float, width: float, at: Equilibrium
+    ) -> None:
+        self.p, self._k, self._width, self._at = p, k, width, at
+        self._system = _moved(system, k, p)
+        soft = softest(Balance(self._system, 0.0, at.q, at.lam), 1.0, at.q, at.lam)
+        if len(soft.kappa) > 1 and soft.kappa[1] < _DOUBLE * soft.kappa[0]:
+            raise InvalidInput(
+                "critical_load",
+                "one motion must lose its stiffness, not two at once",
+                f"two beyond {system.design_names[k]} = {p:g}",
+                "Hold one of them, or make their stiffness differ, as that of a square section.",
+            )
+        self._i = int(np.argmax(np.abs(soft.motions[:, 0]) * np.sqrt(system.weights)))
+
+    def limit_point(self) -> tuple[HeldPoint, Kind] | None:
+        """Solve tau = tau_a = 0; None where that leads to no limit point."""
+
+        def correction(x: HeldPoint) -> Array:
+            tau_aa, tau_ab, _ = x.seconds(self._k)
+            matrix = np.array([[x.tau_a, x.tau_b[self._k]], [tau_aa, tau_ab[self._k]]])
+            return np.asarray(np.linalg.lstsq(matrix, [x.tau, x.tau_a])[0])
+
+        point = self._newton(correction)
+        return None if point is None or _idle(point, self._k) else (point, "limit point")
+
+    def bifurcation(self) -> tuple[HeldPoint, Kind] | None:
+        """Solve tau_a = tau_p = 0; None where tau does not vanish there."""
+
+        def correction(x: HeldPoint) -> Array:
+            return np.linalg.solve(_hessian(x, self._k), [x.tau_a, x.tau_b[self._k]])
+
+        point = self._newton(correction)
+        if point is None or not abs(point.tau) <= _HEIGHT * _force(point, self._k):
+            return None
+        return point, "bifurcation"
+
+    def _newton(self, correction: Callable[[HeldPoint], Array]) -> HeldPoint | None:
+        p, last = self.p, np.inf
+        a, q, lam = self._at.q[self._i], self._at.q, self._at.lam
+        for _ in range(_ITERATIONS):
+            point = _held(self._system, self._k, p, self._i, a, q, lam)
+            if point is None:
+                return None
+            da, dp = correction(point)
+            if abs(dp) >= 0.5 * last and last <= _CONVERGED * self._width:
+                return point
+            a, p, last = a - da, p - dp, abs(dp)
+            if not abs(p - self.p) <= _FAR * self._width:
+                return None
+            # The guess of the next solution.
+            q = point.q - da * point.motion[0] - dp * point.paths[0][:, self._k]
+            lam = point.lam - da * point.motion[1] - dp * point.paths[1][:, self._k]
+        return None
+
+
+def _held(
+    system: MechanicalSystem, k: int, p: float, i: int, a: float, q: Array, lam: Array
+) -> HeldPoint | None:
+    moved = _moved(system, k, p)
+    return HeldSystem(moved, i, q).solve(a, q, lam)
+
+
+def _hessian(x: HeldPoint, k: int) -> Array:
+    tau_aa, tau_ab, tau_pb = x.seconds(k)
+    return np.array([[tau_aa, tau_ab[k]], [tau_ab[k], tau_pb[k]]])
+
+
+def _size(x: HeldPoint) -> float:
+    """Return the change of a with which the motion is as large as the system."""
+    balance = Balance(x.system, 0.0, x.system.start()[0], x.lam)
+    return balance.extent / balance.length(x.motion[0])
+
+
+def _force(x: HeldPoint, k: int) -> float:
+    """Return what the parameter, as large as it is, changes in tau over such a motion."""
+    return float(np.abs(x.seconds(k)[1][k] * x.system.b[k]) * _size(x))
+
+
+def _idle(x: HeldPoint, k: int) -> bool:
+    """Whether what the parameter changes does no work on the critical motion."""
+    return bool(np.abs(x.tau_b[k] * x.system.b[k]) <= _NO_WORK * _force(x, k))
+
+
+def _gradient(x: HeldPoint, k: int, kind: Kind) -> Array:
+    """Return the derivatives of p."""
+    if kind == "limit point":
+        return -x.tau_b / x.tau_b[k]
+    f = np.abs(x.tau_b * x.system.b) > _NO_WORK * _force(x, k)
+    if np.any(f):
+        name = x.system.design_names[int(np.argmax(f))]
+        raise InvalidInput(
+            "critical_load",
+            "a bifurcation has derivatives in variables that keep its paths crossing",
+            f"{name!r}, a change of which parts them",
+            "The load falls with a root of that change. Leave it out, or give it a value: the "
+            "limit point that is left has a derivative.",
+        )
+    _, tau_ab, tau_pb = x.seconds(k)
+    return np.asarray(-np.linalg.solve(_hessian(x, k), [tau_ab, tau_pb])[1])
