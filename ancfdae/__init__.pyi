@@ -173,7 +173,14 @@ from ancfdae.sensitivity.observables import (
     velocity,
     von_mises,
 )
-from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
+from ancfdae.statics import (
+    CriticalLoad,
+    Equilibrium,
+    FreeMechanism,
+    LoadOutcome,
+    NoCriticalPoint,
+    NoEquilibrium,
+)
 from ancfdae.studies import (
     AdjointError,
     Campbell,
@@ -203,6 +210,7 @@ from ancfdae.studies import (
     adjoint_error,
     campbell,
     choose_model,
+    critical_load,
     differentiate,
     equilibrium,
     error_bars,
@@ -253,6 +261,7 @@ __all__ = [
     "Constant",
     "ContinuousAdjoint",
     "ControlledSteps",
+    "CriticalLoad",
     "CurvedBeam",
     "Cylindrical",
     "DesignVariable",
@@ -302,6 +311,7 @@ __all__ = [
     "MomentSection",
     "MotionKind",
     "MovingBase",
+    "NoCriticalPoint",
     "NoEquilibrium",
     "NoModel",
     "NodeState",
@@ -387,6 +397,7 @@ __all__ = [
     "centre_of_mass",
     "check_system",
     "choose_model",
+    "critical_load",
     "custom",
     "deflection",
     "design_value",

@@ -1,6 +1,7 @@
 """Equilibria of mechanical systems under load, and their design derivatives."""
 
 from ancfdae.statics.balance import Balance
+from ancfdae.statics.critical import CriticalLoad, NoCriticalPoint, find_critical
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.equilibrium import (
     MAX_STEPS,

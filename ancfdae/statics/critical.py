@@ -30,13 +30,14 @@ Kind: TypeAlias = Literal["limit point", "bifurcation"]
 
 # The range of p is searched in so many steps; what is left of one is what Newton's method bears.
 _STEPS, _HALVINGS, _ITERATIONS = 8, 8, 25
-# Work of a load on the critical motion over what it could be: less is none.
-_NO_WORK = 1e-7
+# A step that needs more attempted steps of the load has met a critical point.
+_ATTEMPTS = 16
 # Newton's method goes on, once p changes by less than this part of the width, while changes halve;
 # farther than so many widths it has left.
 _CONVERGED, _FAR = 1e-6, 64.0
-# Height of a saddle of tau that is none; ratio of two stiffnesses that vanish together.
-_HEIGHT, _DOUBLE = 1e-7, 1.01
+# Part of what the parameter changes in tau over a motion as large as the system, below which tau,
+# and its change with a variable, are none; ratio of two stiffnesses that vanish together.
+_NONE, _DOUBLE = 1e-7, 1.01
 
 
 @final
@@ -77,6 +78,12 @@ class CriticalLoad:
     _point: HeldPoint
     _p: int
 
+    def __repr__(self) -> str:
+        """Return value, kind and derivatives."""
+        lines = [f"{self.name} = {self.value:.6g}: {self.kind}"]
+        lines += [f"  d/d({n}) = {g:.6g}" for n, g in zip(self.names, self.gradient, strict=True)]
+        return "\n".join(lines)
+
     def branch(self, size: float) -> tuple[float, Equilibrium]:
         """Return an equilibrium beside this one, and the value of the parameter there.
 
@@ -91,7 +98,7 @@ class CriticalLoad:
         """
         step = size * float(self.motion[self._point.i])
         point, k = self._point, self._p
-        tau_aa, tau_ab, _ = point.seconds(k)
+        tau_aa, tau_ab = point.in_a
         slope = tau_aa * step / 2
         bent = tau_ab[k] if self.kind == "bifurcation" else point.tau_b[k] / step
         p, q, lam = self.value - slope / bent, point.q, point.lam
@@ -115,17 +122,20 @@ def find_critical(system: MechanicalSystem, k: int, to: float) -> CriticalLoad:
     value, if two motions lose their stiffness at once, or if a design variable parts the paths of a
     bifurcation.
     """
+    if to == system.b[k]:
+        rule, repair = "must differ from the value in the model", "Search to the other side."
+        raise InvalidInput("to", rule, f"{to:g}", repair)
     start = uninterrupted(find_equilibrium(system))
     if not start.outcome.success or start.outcome.stable_to is not None:
         rule, repair = "needs a stable equilibrium to start from", "Start at another value."
         raise InvalidInput("critical_load", rule, str(start.outcome), repair)
     search = _Search(system, k, *_last_stable(system, k, to, start))
-    found = search.limit_point() or search.bifurcation()
+    found = search.bifurcation() or search.limit_point()
     if found is None:
         rule = f"{system.design_names[k]!r}: stiffness is lost beyond {search.p:g}"
         raise NoCriticalPoint(f"{rule}, but Newton's method finds no critical point there.")
     point, kind = found
-    motion = point.motion[0] * _size(point)
+    motion = point.motion[0] * point.size
     motion = motion * np.sign(motion[np.argmax(np.abs(motion))])
     names = tuple(x for j, x in enumerate(system.design_names) if j != k)
     at = resting(point.system, point.q, point.lam, stable=True)
@@ -153,7 +163,8 @@ def _last_stable(
         if not lost and abs(p - to) < 0.5 * abs(step):
             rule = f"{system.design_names[k]!r}: every equilibrium up to {to:g} is stable."
             raise NoCriticalPoint(rule)
-        ahead = uninterrupted(find_equilibrium(_moved(system, k, p + step), start=at))
+        moved = _moved(system, k, p + step)
+        ahead = uninterrupted(find_equilibrium(moved, start=at, max_steps=_ATTEMPTS))
         end = ahead.outcome
         if end.success and end.stable_to is None and not end.downhill:
             p, at = p + step, ahead
@@ -182,27 +193,27 @@ class _Search:
             )
         self._i = int(np.argmax(np.abs(soft.motions[:, 0]) * np.sqrt(system.weights)))
 
-    def limit_point(self) -> tuple[HeldPoint, Kind] | None:
-        """Solve tau = tau_a = 0; None where that leads to no limit point."""
-
-        def correction(x: HeldPoint) -> Array:
-            tau_aa, tau_ab, _ = x.seconds(self._k)
-            matrix = np.array([[x.tau_a, x.tau_b[self._k]], [tau_aa, tau_ab[self._k]]])
-            return np.asarray(np.linalg.lstsq(matrix, [x.tau, x.tau_a])[0])
-
-        point = self._newton(correction)
-        return None if point is None or _idle(point, self._k) else (point, "limit point")
-
     def bifurcation(self) -> tuple[HeldPoint, Kind] | None:
         """Solve tau_a = tau_p = 0; None where tau does not vanish there."""
 
         def correction(x: HeldPoint) -> Array:
-            return np.linalg.solve(_hessian(x, self._k), [x.tau_a, x.tau_b[self._k]])
+            return _solved(_hessian(x, self._k), np.array([x.tau_a, x.tau_b[self._k]]))
 
         point = self._newton(correction)
-        if point is None or not abs(point.tau) <= _HEIGHT * _force(point, self._k):
+        if point is None or not abs(point.tau) <= _NONE * _force(point, self._k):
             return None
         return point, "bifurcation"
+
+    def limit_point(self) -> tuple[HeldPoint, Kind] | None:
+        """Solve tau = tau_a = 0; None where that leads to no limit point."""
+
+        def correction(x: HeldPoint) -> Array:
+            tau_aa, tau_ab = x.in_a
+            matrix = np.array([[x.tau_a, x.tau_b[self._k]], [tau_aa, tau_ab[self._k]]])
+            return _solved(matrix, np.array([x.tau, x.tau_a]))
+
+        point = self._newton(correction)
+        return None if point is None else (point, "limit point")
 
     def _newton(self, correction: Callable[[HeldPoint], Array]) -> HeldPoint | None:
         p, last = self.p, np.inf
@@ -231,39 +242,34 @@ def _held(
 
 
 def _hessian(x: HeldPoint, k: int) -> Array:
-    tau_aa, tau_ab, tau_pb = x.seconds(k)
-    return np.array([[tau_aa, tau_ab[k]], [tau_ab[k], tau_pb[k]]])
-
-
-def _size(x: HeldPoint) -> float:
-    """Return the change of a with which the motion is as large as the system."""
-    balance = Balance(x.system, 0.0, x.system.start()[0], x.lam)
-    return balance.extent / balance.length(x.motion[0])
+    tau_aa, tau_ab = x.in_a
+    return np.array([[tau_aa, tau_ab[k]], [tau_ab[k], x.in_p(k)[k]]])
 
 
 def _force(x: HeldPoint, k: int) -> float:
     """Return what the parameter, as large as it is, changes in tau over such a motion."""
-    return float(np.abs(x.seconds(k)[1][k] * x.system.b[k]) * _size(x))
+    return float(np.abs(x.in_a[1][k] * x.system.b[k]) * x.size)
 
 
-def _idle(x: HeldPoint, k: int) -> bool:
-    """Whether what the parameter changes does no work on the critical motion."""
-    return bool(np.abs(x.tau_b[k] * x.system.b[k]) <= _NO_WORK * _force(x, k))
+def _solved(matrix: Array, right: Array) -> Array:
+    """Solve; what a singular matrix does not tell stays zero."""
+    return np.asarray(np.linalg.lstsq(matrix, right)[0])
 
 
 def _gradient(x: HeldPoint, k: int, kind: Kind) -> Array:
     """Return the derivatives of p."""
     if kind == "limit point":
         return -x.tau_b / x.tau_b[k]
-    f = np.abs(x.tau_b * x.system.b) > _NO_WORK * _force(x, k)
-    if np.any(f):
-        name = x.system.design_names[int(np.argmax(f))]
+    size, none = np.abs(x.system.b), _NONE * _force(x, k)
+    works = np.abs(x.tau_b) > _NONE * x.reach
+    parted = works & ((size == 0) | (np.abs(x.tau_b) * size > none))
+    parted[k] = False
+    if np.any(parted):
+        name = x.system.design_names[int(np.argmax(parted))]
         raise InvalidInput(
             "critical_load",
             "a bifurcation has derivatives in variables that keep its paths crossing",
             f"{name!r}, a change of which parts them",
-            "The load falls with a root of that change. Leave it out, or give it a value: the "
-            "limit point that is left has a derivative.",
+            "The critical load falls with a root of that change. Leave the variable out.",
         )
-    _, tau_ab, tau_pb = x.seconds(k)
-    return np.asarray(-np.linalg.solve(_hessian(x, k), [tau_ab, tau_pb])[1])
+    return np.asarray(-np.linalg.solve(_hessian(x, k), [x.in_a[1], x.in_p(k)])[1])

@@ -11,13 +11,15 @@ system and F_c the partial derivative of the equations, and y = A^-T e, e the ro
 
     tau_c = -y^T F_c,    tau_cd = -y^T F_cd,
 
-where F_cd is the derivative along z_d, and in d, of what F changes along z_c, and in c
-(docs/theory/11-statics.md).
+where F_cd is the derivative along z_d, and in d, of what F changes along z_c, and in c; the second
+by differences of five points (docs/theory/11-statics.md).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -26,12 +28,15 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import force_total, held_total
 from ancfdae.equations.saddle_points import solve, solve_transposed
 from ancfdae.errors import SingularMatrix
-from ancfdae.numerics.arrays import STEP, Array, only
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.statics.balance import Balance
 
 _ITERATIONS = 25
+# Part of the size of the system by which second derivatives move it: forces are polynomials of the
+# coordinates of low degree, or near to one.
+_STEP = 3e-3
 # Corrections of this part of the size of the system are followed by more; once they stop to halve
 # they are round-off.
 _CONVERGED = 1e-7
@@ -42,7 +47,8 @@ _CONVERGED = 1e-7
 class HeldPoint:
     """A solution with q_i held, and tau with its derivatives in a and in the design variables b.
 
-    `motion` and `paths` are z_a and z_b, as (q, lam); `left` is (y_q, y_lam).
+    `motion` and `paths` are z_a and z_b, as (q, lam); `left` is (y_q, y_lam). tau_b is that part of
+    `reach` that does work on y.
     """
 
     system: MechanicalSystem
@@ -52,32 +58,57 @@ class HeldPoint:
     tau: float
     tau_a: float
     tau_b: Array
+    reach: Array
     motion: tuple[Array, Array]
     paths: tuple[Array, Array]
     left: tuple[Array, Array]
 
-    def seconds(self, k: int) -> tuple[float, Array, Array]:
-        """Return tau_aa, tau_ab and tau_pb, p the design variable k; shapes (), (n_b,), (n_b,)."""
-        path = tuple(x[:, k] for x in self.paths)
-        b = np.asarray(self.system.b) + 1j * STEP * np.eye(self.system.n_b)[k]
-        with_a = self._changed(self.system, *self.motion)
-        with_p = self._changed(self.system.with_values(b), *path)
-        return float(with_a[-1]), with_a[:-1], with_p[:-1]
+    @cached_property
+    def in_a(self) -> tuple[float, Array]:
+        """tau_aa, and tau_ab, shape (n_b,)."""
+        q_a, lam_a = (self.size * x for x in self.motion)
+        slopes = _slope(lambda x: self._forces(self.system, x * q_a, x * lam_a)) / self.size
+        return float(slopes[-1]), slopes[:-1]
 
-    def _changed(self, system: MechanicalSystem, q_c: Array, lam_c: Array) -> Array:
-        """Return -y^T F_db and -y^T F_da for a change d of the state, and of the system given."""
-        q, lam = self.q + 1j * STEP * q_c, self.lam + 1j * STEP * lam_c
-        balance, rest = Balance(system, 0.0, q, lam), np.zeros((1, len(q)))
-        states = q[None], rest, rest, lam[None]
-        partials = system.design_partials(np.array([0.0]), *states)
+    def in_p(self, k: int) -> Array:
+        """Return tau_pb, shape (n_b,), p the design variable k."""
+        b, (q_p, lam_p) = np.asarray(self.system.b), (x[:, k] for x in self.paths)
+        # Changes that are as large as the system, or as the parameter.
+        far = self._balance.length(q_p)
+        size = min(self._balance.extent / far if far else np.inf, abs(b[k]) or np.inf)
+
+        def forces(x: float) -> Array:
+            p = x * size
+            moved = self.system.with_values(b + p * np.eye(len(b))[k])
+            return self._forces(moved, p * q_p, p * lam_p)
+
+        return np.asarray(_slope(forces)[:-1] / size)
+
+    @cached_property
+    def size(self) -> float:
+        """The change of a with which the motion is as large as the system."""
+        return self._balance.extent / self._balance.length(self.motion[0])
+
+    @property
+    def _balance(self) -> Balance:
+        return Balance(self.system, 0.0, self.system.start()[0], self.lam)
+
+    def _forces(self, system: MechanicalSystem, dq: Array, dlam: Array) -> Array:
+        """Return -y^T F_b along z_b, and -y^T F_a along z_a, in a changed state and system."""
+        q, lam, y = self.q + dq, self.lam + dlam, self.left
         q_d, lam_d = (np.column_stack(x) for x in zip(self.paths, self.motion, strict=True))
-        Phi_q, y_q, y_lam = balance.Phi_q(q), *self.left
-        force = system.pattern.dot(balance.tangent(1.0, q, lam), q_d)
-        force = force + system.constraint_pattern.dot_transposed(Phi_q, lam_d)
-        side = system.constraint_pattern.dot(Phi_q, q_d)
-        force[:, :-1] += only(partials.f_b)
-        side[:, :-1] += only(partials.Phi_b)
-        return np.asarray((y_q @ force.imag + y_lam @ side.imag) / STEP)
+        force, side = _totals(system, q, lam, q_d[:, :-1])
+        balance, pattern = Balance(system, 0.0, q, lam), system.constraint_pattern
+        Phi_q, K = balance.Phi_q(q), balance.tangent(1.0, q, lam)
+        force = np.column_stack([force, -system.pattern.dot(K, q_d[:, -1])])
+        side = np.column_stack([side, -pattern.dot(Phi_q, q_d[:, -1])])
+        return -(y[0] @ (force - pattern.dot_transposed(Phi_q, lam_d)) + y[1] @ side)
+
+
+def _slope(f: Callable[[float], Array]) -> Array:
+    """Return the derivative at zero by five points, exact for polynomials of degree four."""
+    near, far = (f(x) - f(-x) for x in (_STEP, 2 * _STEP))
+    return np.asarray((8 * near - far) / (12 * _STEP))
 
 
 def _totals(system: MechanicalSystem, q: Array, lam: Array, q_b: Array) -> tuple[Array, Array]:
@@ -137,4 +168,7 @@ class HeldSystem:
         tau_b = -(y_q @ force + y_lam @ side)
         paths, motion = (q_b + s_b, lam_b[:-1]), (q_a, lam_a[:-1])
         left = y_q, y_lam[:-1]
-        return HeldPoint(system, i, q, lam, tau, -float(lam_a[-1]), tau_b, motion, paths, left)
+        strength = np.sqrt((force**2).T @ (1 / system.weights))
+        reach = np.sqrt(system.weights @ y_q**2) * strength
+        point = tau, -float(lam_a[-1]), tau_b, reach
+        return HeldPoint(system, i, q, lam, *point, motion, paths, left)

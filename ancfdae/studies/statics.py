@@ -3,7 +3,15 @@
 from collections.abc import Sequence
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import InvalidInput, require_count, require_kind, uninterrupted
+from ancfdae.errors import (
+    InvalidInput,
+    UnknownName,
+    require_count,
+    require_finite,
+    require_kind,
+    require_sequence,
+    uninterrupted,
+)
 from ancfdae.integrators import Static
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
@@ -11,7 +19,13 @@ from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run
 from ancfdae.sensitivity.objectives import Terminal
 from ancfdae.sensitivity.observables import Observable
-from ancfdae.statics import MAX_STEPS, Equilibrium, find_equilibrium
+from ancfdae.statics import (
+    MAX_STEPS,
+    CriticalLoad,
+    Equilibrium,
+    find_critical,
+    find_equilibrium,
+)
 from ancfdae.studies.calls import as_system, cheapest, differentiable
 
 _STEPS = "For example 100."
@@ -61,6 +75,58 @@ def equilibrium(
     return uninterrupted(
         find_equilibrium(system, start=start, max_steps=max_steps, sensitivities=bool(system.n_b))
     )
+
+
+def critical_load(
+    model: Scene | MechanicalSystem,
+    parameter: str | DesignVariable,
+    to: float,
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+) -> CriticalLoad:
+    """Find the value of a load, or of another parameter, at which stability is lost.
+
+    From the value that it has in the model to another, equilibria are followed until one meets a
+    motion without stiffness: a limit point, as of an arch that snaps through, or a bifurcation, as
+    of a column that buckles (docs/theory/11-statics.md). The parameter may be any design target: a
+    force, a pressure, the place of a drive, an initial strain, a rate of rotation.
+
+    Parameters
+    ----------
+    model : Scene or MechanicalSystem
+        In stable equilibrium at the value that the parameter has in it.
+    parameter : str or DesignVariable
+        A design target such as ``"load.force_y"``, or a variable that drives several; of a
+        mechanical system one of its `design_names`.
+    to : float
+        Where the search ends. Its sense is that of the load.
+    design : sequence of str or DesignVariable, optional
+        As in `equilibrium`: what to differentiate the critical value in. A mechanical system is
+        differentiated in its other design variables.
+
+    Returns
+    -------
+    CriticalLoad
+
+    Raises
+    ------
+    NoCriticalPoint
+        If every equilibrium up to `to` is stable.
+    InvalidInput
+        If the model is not in stable equilibrium, two motions lose their stiffness at once, or a
+        design variable parts the paths of a bifurcation: the load then falls with a root of it and
+        has no derivative.
+    Interrupted
+        At Ctrl-C; its `result` is the last equilibrium.
+    """
+    require_finite("to", to)
+    name = parameter.name if isinstance(parameter, DesignVariable) else parameter
+    if isinstance(model, Scene):
+        design = [parameter, *require_sequence("design", () if design is None else design)]
+    system = as_system(model, design)
+    if name not in system.design_names:
+        raise UnknownName("parameter", name, system.design_names)
+    return find_critical(system, system.design_names.index(name), float(to))
 
 
 def _require_start_of(system: MechanicalSystem, start: Equilibrium) -> None:

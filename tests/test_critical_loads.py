@@ -1,0 +1,190 @@
+"""Critical loads: closed forms, printed values, derivatives of the very call, other branches."""
+
+import numpy as np
+import pytest
+from scipy.special import ellipe, ellipk
+
+from ancfdae import (
+    Beam,
+    Clamp,
+    CurvedBeam,
+    DesignVariable,
+    InvalidInput,
+    Material,
+    NoCriticalPoint,
+    Pin,
+    PointForce,
+    Rectangle,
+    Scene,
+    UnknownName,
+    Weld,
+    critical_load,
+    equilibrium,
+)
+
+E = 2.1e11
+
+
+def column(n=8, h=0.01, length=1.0, E=E, across=0.0):
+    rod = Beam("rod", (0, 0), (length, 0), n, Rectangle(h, h), Material(7850, E, 0.3))
+    load = PointForce(rod.at_end, (0.0, across), name="load")
+    return Scene([rod], [Clamp(rod.at_start)], loads=[load])
+
+
+def lee(n=10):
+    """Frame of Lee, Manuel and Rossow (1968); E I = 1.44e7, lengths 120."""
+    material = Material(1.0, 7.2e6, 0.0)
+    post = Beam("post", (0, 0), (0, 120), n, Rectangle(2, 3), material)
+    top = Beam("top", (0, 120), (120, 120), n, Rectangle(2, 3), material)
+    joints = [Pin(post.at_start), Pin(top.at_end), Weld(post.at_end, top.at_start)]
+    return Scene([post, top], joints, loads=[PointForce(top.at(0.2), (0.0, 0.0), name="load")])
+
+
+def arch(n=32, R=100.0):
+    """Arch of DaDeppo and Schmidt (1975): 215 degrees, clamped and hinged, E I = 1.25e5."""
+    angle = np.pi / 2 + np.radians(107.5) * np.linspace(1, -1, n + 1)
+    c, s = np.cos(angle), np.sin(angle)
+    frames = np.moveaxis(np.array([[s, -c], [c, s]]), -1, 0)
+    section, material = Rectangle(1, 1), Material(1.0, 1.5e6, 0.0)
+    beam = CurvedBeam("arch", R * np.array([c, s]).T, frames, section, material)
+    load = PointForce(beam.at(0.5), (0.0, 0.0), name="load")
+    return Scene([beam], [Clamp(beam.at_start), Pin(beam.at_end)], loads=[load])
+
+
+SPAN = DesignVariable("span", {"top.length": 1, "pin(top@1).ground_x": 1})
+
+
+def differences(scene, parameter, to, design):
+    """Derivatives of the call, of second order; values move by 1e-4 of themselves."""
+    slopes = []
+    for name in design:
+        variable = name if isinstance(name, DesignVariable) else DesignVariable(name, [name])
+        value = scene.value(variable)
+        ends = [
+            critical_load(scene.with_values({variable: value * (1 + s)}), parameter, to).value
+            for s in (1e-4, -1e-4)
+        ]
+        slopes.append((ends[0] - ends[1]) / (2e-4 * value))
+    return np.array(slopes)
+
+
+def test_a_column_buckles_at_eulers_load():
+    design = ["rod.youngs_modulus", "rod.height", "rod.width", "rod.length"]
+    found = critical_load(column(), "load.force_x", -1000.0, design=design)
+    exact = -(np.pi**2) * E * 0.01**4 / 12 / 4
+    assert found.kind == "bifurcation"
+    # Extension and shear: (pi h/L)^2/48 times some.
+    np.testing.assert_allclose(found.value, exact, rtol=1e-3)
+    logs = found.gradient * [E, 0.01, 0.01, 1.0] / found.value
+    np.testing.assert_allclose(logs, [1, 3, 1, -2], rtol=1e-3)
+    # Only what bends has no stiffness.
+    assert abs(found.motion[-4]) < 1e-6 * abs(found.motion[-3])
+
+
+@pytest.mark.parametrize(
+    ("scene", "parameter", "to", "design"),
+    [
+        (column(4), "load.force_x", -1000.0, ["rod.height", "rod.length"]),
+        (
+            lee(6),
+            "load.force_y",
+            -3e4,
+            ["top.height", "post.youngs_modulus", SPAN],
+        ),
+        (arch(16), "load.force_y", -200.0, ["arch.length", "arch.height"]),
+    ],
+    ids=["column", "frame", "arch"],
+)
+def test_derivatives_are_those_of_the_call(scene, parameter, to, design):
+    found = critical_load(scene, parameter, to, design=design)
+    expected = differences(scene, parameter, to, design)
+    # Differences err by (1e-4)^2 times a few and by round-off of loads, 1e-10 over 1e-4.
+    np.testing.assert_allclose(found.gradient, expected, rtol=3e-6)
+
+
+def test_lees_frame_snaps_at_the_printed_load():
+    found = critical_load(lee(20), "load.force_y", -3e4)
+    assert found.kind == "limit point"
+    # J. C. Simo and L. Vu-Quoc (1986): 18,552.
+    np.testing.assert_allclose(found.value, -18552.0, rtol=1e-3)
+    # Past the limit the frame carries less and would not stay there; before it, it does.
+    sides = [found.branch(size) for size in (0.05, -0.05)]
+    assert all(0 > load > found.value for load, _ in sides)
+    assert sorted(at.outcome.stable_to is None for _, at in sides) == [False, True]
+
+
+def test_the_deep_arch_snaps_at_the_printed_load():
+    found = critical_load(arch(), "load.force_y", -200.0, design=["arch.youngs_modulus"])
+    assert found.kind == "limit point"
+    np.testing.assert_allclose(found.value * 100**2 / 1.25e5, -8.97, rtol=5e-3)
+    # Proportional to E where everything else is fixed.
+    np.testing.assert_allclose(found.gradient[0] * 1.5e6 / found.value, 1.0, rtol=1e-6)
+
+
+def test_the_other_branch_is_the_elastica():
+    scene = column(16, h=0.004)
+    found = critical_load(scene, "load.force_x", -100.0)
+    load, bent = found.branch(0.2)
+    assert abs(load) > abs(found.value)
+    k = np.sin(np.radians(40) / 2)
+    exact = -(ellipk(k**2) ** 2) * E * 0.004**4 / 12
+    at = equilibrium(scene.with_values({"load.force_x": exact}), start=bent)
+    assert at.outcome.success
+    assert at.outcome.stable_to is None
+    tip = at.solution.position(scene.beams[0].at_end)[0]
+    w, x = 2 * k / ellipk(k**2), 2 * ellipe(k**2) / ellipk(k**2) - 1
+    np.testing.assert_allclose([tip[0], abs(tip[1])], [x, w], rtol=1e-3)
+    opposite = found.branch(-0.2)
+    np.testing.assert_allclose(opposite[0], load, rtol=1e-9)
+
+
+def test_heat_buckles_a_clamped_column():
+    rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.01, 0.01), Material(7850, E, 0.3))
+    scene = Scene([rod], [Clamp(rod.at_start), Clamp(rod.at_end)])
+    found = critical_load(scene, "rod.initial_strain", -1e-3, design=["rod.height"])
+    np.testing.assert_allclose(found.value, -(np.pi**2) * 0.01**2 / 3, rtol=2e-3)
+    np.testing.assert_allclose(found.gradient[0] * 0.01 / found.value, 2.0, rtol=2e-3)
+
+
+def test_loads_that_grow_together_are_one_variable():
+    rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.01, 0.01), Material(7850, E, 0.3))
+    loads = [PointForce(rod.at_end, (0.0, 0.0), name=name) for name in ("one", "two")]
+    both = DesignVariable("both", ["one.force_x", "two.force_x"])
+    found = critical_load(Scene([rod], [Clamp(rod.at_start)], loads=loads), both, -1000.0)
+    alone = critical_load(column(), "load.force_x", -1000.0)
+    np.testing.assert_allclose(2 * found.value, alone.value, rtol=1e-8)
+
+
+def test_other_units_give_the_same_digits():
+    # Millimetres and tonnes: forces stay, moduli are 1e-6 of what they were.
+    metres = critical_load(column(), "load.force_x", -1000.0, design=["rod.height"])
+    small = column(h=10.0, length=1000.0, E=E * 1e-6)
+    millimetres = critical_load(small, "load.force_x", -1000.0, design=["rod.height"])
+    np.testing.assert_allclose(millimetres.value, metres.value, rtol=1e-8)
+    np.testing.assert_allclose(1e3 * millimetres.gradient, metres.gradient, rtol=1e-6)
+
+
+def test_what_has_no_critical_load_says_so():
+    with pytest.raises(NoCriticalPoint, match="every equilibrium up to 1000 is stable"):
+        critical_load(column(4), "load.force_x", 1000.0)
+    buckled = column(4).with_values({"load.force_x": -600.0})
+    with pytest.raises(InvalidInput, match="stable equilibrium to start from"):
+        critical_load(buckled, "load.force_x", -1000.0)
+    with pytest.raises(UnknownName):
+        critical_load(column(4), "load.force_q", -1000.0)
+    for to in (np.nan, 0.0, "much"):
+        with pytest.raises(InvalidInput, match="to"):
+            critical_load(column(4), "load.force_x", to)
+
+
+def test_a_variable_that_parts_the_paths_has_no_derivative():
+    with pytest.raises(InvalidInput, match="a change of which parts them"):
+        critical_load(column(4), "load.force_x", -1000.0, design=["rod.height", "load.force_y"])
+
+
+def test_two_motions_at_once_are_refused():
+    rod = Beam("rod", (0, 0, 0), (1, 0, 0), 4, Rectangle(0.01, 0.01), Material(7850, E, 0.3))
+    load = PointForce(rod.at_end, (0.0, 0.0, 0.0), name="load")
+    scene = Scene([rod], [Clamp(rod.at_start)], loads=[load])
+    with pytest.raises(InvalidInput, match="not two at once"):
+        critical_load(scene, "load.force_x", -1000.0)
