@@ -9,12 +9,12 @@ from scipy.optimize import brentq
 from ancfdae import (
     Beam,
     Clamp,
-    Configuration,
+    CriticalLoad,
     Material,
-    Modes,
     PointForce,
     Rectangle,
     Scene,
+    critical_load,
     equilibrium,
     modes,
 )
@@ -30,7 +30,7 @@ _L, _H, _W, _E, _NU = 1.0, 0.1, 0.02, 2e11, 0.0
 # P L^2/sqrt(E I_2 G J) without deflection before buckling (Timoshenko & Gere 1961, section 6.3).
 _PUBLISHED: Final = 4.013
 _NAMES: Final = ("P L²/sqrt(E I G J)",)
-_DESIGN: Final = ("load.force_y", "beam.youngs_modulus", "beam.height", "beam.width", "beam.length")
+_DESIGN: Final = ("beam.youngs_modulus", "beam.height", "beam.width", "beam.length")
 
 
 def buckling(report: Report, quick: bool) -> list[Requirement]:
@@ -45,14 +45,14 @@ def buckling(report: Report, quick: bool) -> list[Requirement]:
         f"Reference: {exact / unit:.5f}; for a section ten times as high, which bends little "
         f"before it buckles, {narrow:.5f} (closed form {_PUBLISHED})."
     )
-    loads = {n: _critical(n) for n in counts}
+    loads = {n: -_critical(n).value for n in counts}
     error = float(
         convergence(
             report, "buckling", _NAMES, counts, [[P / unit] for P in loads.values()], [exact / unit]
         )[-1, 0]
     )
     n = counts[-1]
-    apart = _derivatives(report, n, loads[n], b, exact, tolerance)
+    apart = _derivatives(report, n, b, exact, tolerance)
     _plot(report, n, unit, exact)
     report.claim(
         "Lateral buckling of a narrow cantilever",
@@ -117,34 +117,23 @@ def _scene(n: int, load: float) -> Scene:
     return Scene([beam], [Clamp(beam.at_start)], loads=[force])
 
 
-def _lowest(n: int, load: float, design: tuple[str, ...] = ()) -> Modes:
-    scene = _scene(n, load)
-    at = equilibrium(scene, design=design)
-    return modes(scene, 1, at=Configuration.of(at.solution), design=design)
-
-
 def _square(n: int, load: float) -> float:
     """Return omega^2 of the lowest mode, negative where it grows."""
     at = equilibrium(_scene(n, load))
     # Where the tangent is singular to round-off the search does not converge: the load is critical.
-    return -(_lowest(n, load).exponents[0] ** 2).real if at.outcome.success else 0.0
+    if not at.outcome.success:
+        return 0.0
+    return -(modes(_scene(n, load), 1, at=at).exponents[0] ** 2).real
 
 
-def _critical(n: int) -> float:
+def _critical(n: int, design: tuple[str, ...] = ()) -> CriticalLoad:
     unit = _unit(np.array([_E, _H, _W, _L]))
-    return unit * _first_zero(lambda x: _square(n, x * unit), 1e-7)
+    return critical_load(_scene(n, 0.0), "load.force_y", -5.0 * unit, design=design)
 
 
-def _derivatives(
-    report: Report, n: int, load: float, b: Array, exact: float, tolerance: float
-) -> float:
-    """Where omega^2(P, b) = 0, P_b = -omega^2_b/omega^2_P."""
-    # A little below, where the mode vibrates.
-    lowest = _lowest(n, load * (1 - 1e-6), _DESIGN)
-    assert lowest.derivatives is not None
-    slopes = -2 * (lowest.exponents[0] * lowest.derivatives.exponents_b[0]).real
-    # The force points down: force_y = -P.
-    ours = slopes[1:] / slopes[0] * b / load
+def _derivatives(report: Report, n: int, b: Array, exact: float, tolerance: float) -> float:
+    critical = _critical(n, _DESIGN)
+    ours = critical.gradient * b / critical.value
     rows = []
     for k, name in enumerate("EhwL"):
         d = np.zeros(4)
@@ -173,7 +162,7 @@ _TEXT = """
 Elastic Stability* (1961): a cantilever under a tip force in its stiff plane buckles sideways at P
 = 4.013 sqrt(E I G J)/L², its bending before that left out; it raises the load (D. H. Hodges and
 D. A. Peters, *Int. J. Solids Struct.* 11 (1975) 1269-1280). *Reference*: exact rod, the load at
-which the tangent of the shooting is singular out of the plane. *Here*: `modes` about
-`equilibrium`; the load at which the square of the lowest frequency vanishes, and its derivative
-from those of the mode.
+which the tangent of the shooting is singular out of the plane. *Here*: `critical_load`, a
+bifurcation from the bent state. Drawn is the square of the lowest frequency by `modes`, which
+vanishes there.
 """

@@ -10,6 +10,7 @@ from validation.literature.elastica import elastica
 from validation.literature.princeton import princeton
 from validation.literature.rotating import rotating
 from validation.literature.spin_up import spin_up
+from validation.literature.stability import stability
 from validation.literature.supported import supported
 from validation.report import Report
 
@@ -24,6 +25,7 @@ _CASES = (
     cable,
     supported,
     buckling,
+    stability,
     rotating,
     spin_up,
 )
@@ -41,7 +43,7 @@ def run(report: Report, quick: bool) -> None:
 
 
 _METHOD = """
-Ten problems, one file each in `validation/literature/`. For each: what was *published*; a
+Eleven problems, one file each in `validation/literature/`. For each: what was *published*; a
 *reference* to more digits, recomputed by a way that shares nothing with the elements of this
 package and first held against the print; *here*, the default beam unless stated, on several
 meshes, with the error against the reference and the order observed between neighbouring meshes,
