@@ -55,6 +55,7 @@ class _Setting(NamedTuple):
     family: str
     words: str
     integrator: Integrator
+    always: bool = False
 
 
 class _Case:
@@ -120,11 +121,13 @@ def _answers(report: Report, cases: Sequence[_Case]) -> None:
         values = [f"{x:.10g}" for x in case.exact[1:]]
         names = ", ".join(system.design_names)
         rows.append([system.title, system.source, printed, f"{apart:.0e}", names, *values])
+        # What a tenth of its tolerance still changed is no more than the reference's own error.
+        known = max(system.digits, 2 * max(case.settled))
         report.claim(
             f"{system.title}, {system.source}: the objective",
-            f"{printed}, to {system.digits:.0e}",
+            f"{printed}, to {known:.0e}",
             f"{apart:.0e} apart (SciPy)",
-            Agreement.AGREES if apart <= system.digits else Agreement.DISAGREES,
+            Agreement.AGREES if apart <= known else Agreement.DISAGREES,
         )
     header = ["problem", "source", "printed", "SciPy, apart", "b", "d/db_1", "d/db_2", "d/db_3"]
     report.table(header, rows)
@@ -143,7 +146,9 @@ def _settings(system: TestProblem, rtols: Sequence[float], halvings: int) -> lis
     for name, kind in families.items():
         for rtol in rtols:
             options = {} if name == "Radau" else {"intervals": 1, "max_steps": MANY}
-            settings.append(_Setting(name, f"rtol = {rtol:.0e}", kind(rtol=rtol, **options)))
+            always = name == "Explicit" and rtol == rtols[-1]
+            integrator = kind(rtol=rtol, **options)
+            settings.append(_Setting(name, f"rtol = {rtol:.0e}", integrator, always))
     return settings
 
 
@@ -154,7 +159,7 @@ def _ladder(report: Report, case: _Case, rtols: Sequence[float], halvings: int) 
     slope: dict[str, list[tuple[float, float]]] = {}
     slow: set[str] = set()
     for setting in _settings(case.system, rtols, halvings):
-        if setting.family in slow:
+        if setting.family in slow and not setting.always:
             rows.append([setting.family, setting.words, "-", "-", "-", "not run: see Method"])
             continue
         attempt = differentiated(case.problem, setting.integrator, Direct())
@@ -222,7 +227,8 @@ SciPy's DOP853 at a tolerance of 1e-13 (Robertson's reactions: Radau with the va
 and a complex step through the whole integration. Errors are relative; a component of the gradient
 counts by the size of its design variable. Times are processor seconds of one call, with the
 gradient; every function of a problem is Python, called at complex numbers for its derivatives.
-After a run of more than 5 s the tighter settings of an integrator are not run; a run is given up
+After a run of more than 5 s the tighter settings of an integrator are not run, but the tightest of
+`Explicit`; a run is given up
 when its integrator warns that 100,000 steps are to come. `Explicit` is left out of Robertson's
 reactions, whose fastest decay, of 1e-4 s, holds its steps down for 80 s.
 """
