@@ -92,6 +92,8 @@ class Linearised:
     @cached_property
     def symmetric(self) -> bool:
         """Whether K and D are symmetric to round-off, as where forces have potentials."""
+        if self.D is None and self.system.traits.symmetric:
+            return True
         return all(self._is_symmetric(x) for x in (self.K, self.D) if x is not None)
 
     def _is_symmetric(self, values: Array) -> bool:

@@ -278,15 +278,12 @@ def pull_back_part(
     n_t, n_q = len(nodes.run.t), system.n_q
     gradient, change = np.zeros(system.n_b), 0.0
     still, nothing = np.zeros((3, n_q)), np.zeros(system.n_lam)
-    compiled = None
-    if defects is None:
-        compiled = CompiledPasses.of(system, nodes.problem.matrices, all_steps.alpha)
-        on = on.copy()
+    compiled = CompiledPasses.of(system, nodes.problem.matrices, all_steps.alpha)
+    compiled, on = None if defects else compiled, on.copy()
     chunks = _chunks(system, n_t, 0, linearised=not compiled or bool(maybe_small.any()))
     for steps in progress_bar(progress, chunks[::-1], desc="adjoint", unit="chunk"):
         linear = _computed(nodes, steps)
-        mu, zeta = np.zeros_like(linear.states[0]), np.zeros_like(linear.states[3])
-        k = len(mu)
+        mu, zeta, k = *(np.zeros_like(linear.states[j]) for j in (0, 3)), len(linear.t)
         while k > 0:
             first = k - _until(maybe_small[steps.start : steps.start + k][::-1])
             if compiled and first < k:
