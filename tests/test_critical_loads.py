@@ -9,6 +9,7 @@ from ancfdae import (
     Clamp,
     CurvedBeam,
     DesignVariable,
+    Distance,
     InvalidInput,
     Material,
     NoCriticalPoint,
@@ -21,6 +22,9 @@ from ancfdae import (
     critical_load,
     equilibrium,
 )
+from ancfdae.assembly import assemble
+from ancfdae.statics import find_equilibrium
+from ancfdae.statics.held_coordinate import HeldSystem
 
 E = 2.1e11
 
@@ -188,3 +192,40 @@ def test_two_motions_at_once_are_refused():
     scene = Scene([rod], [Clamp(rod.at_start)], loads=[load])
     with pytest.raises(InvalidInput, match="not two at once"):
         critical_load(scene, "load.force_x", -1000.0)
+
+
+def test_derivatives_of_the_holding_force():
+    # A strut of constant length between two bent beams: constraints are quadratic, forces act in
+    # them, and its length moves the start.
+    material = Material(1000, 1e9, 0.3)
+    low = Beam("low", (0, 0), (1, 0), 2, Rectangle(0.02, 0.02), material)
+    high = Beam("high", (0, 0.5), (1.2, 0.5), 2, Rectangle(0.02, 0.02), material)
+    strut = Distance(low.at_end, np.hypot(0.2, 0.5), other=high.at_end, name="strut")
+    joints = [Clamp(low.at_start), Clamp(high.at_start), strut]
+    load = PointForce(high.at_end, (-5.0, -20.0), name="load")
+    design = ["load.force_x", "low.height", "strut.length"]
+    system = assemble(Scene([low, high], joints, loads=[load], project_start=True), design)
+    rest = find_equilibrium(system)
+    i = int(np.argmax(np.abs(rest.q - system.start()[0]) * np.sqrt(system.weights)))
+
+    def held(step=0.0, change=0.0):
+        moved = system.with_values(system.b + change)
+        point = HeldSystem(moved, i, rest.q).solve(rest.q[i] + 0.01 + step, rest.q, rest.lam)
+        assert point is not None
+        return point
+
+    point, h = held(), 1e-4
+    tau_aa, tau_ab = point.in_a
+    np.testing.assert_allclose(point.tau_a, (held(h).tau - held(-h).tau) / (2 * h), rtol=1e-5)
+    np.testing.assert_allclose(tau_aa, (held(h).tau_a - held(-h).tau_a) / (2 * h), rtol=1e-5)
+    tau_pb = point.in_p(0)
+    for j, b in enumerate(system.b):
+        change = 1e-3 * b * np.eye(len(system.b))[j]
+        ends = held(0.0, change), held(0.0, -change)
+        slopes = [(x - y) / (2e-3 * b) for x, y in zip(*map(_parts, ends), strict=True)]
+        found = point.tau_b[j], tau_ab[j], tau_pb[j]
+        np.testing.assert_allclose(found, slopes, rtol=2e-5)
+
+
+def _parts(point):
+    return point.tau, point.tau_a, point.tau_b[0]
