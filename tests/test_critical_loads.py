@@ -16,7 +16,9 @@ from ancfdae import (
     Pin,
     PointForce,
     Rectangle,
+    RigidBody,
     Scene,
+    SpringDamper,
     UnknownName,
     Weld,
     critical_load,
@@ -140,6 +142,31 @@ def test_the_other_branch_is_the_elastica():
     np.testing.assert_allclose([tip[0], abs(tip[1])], [x, w], rtol=1e-3)
     opposite = found.branch(-0.2)
     np.testing.assert_allclose(opposite[0], load, rtol=1e-9)
+
+
+def test_a_tilted_spring_makes_an_asymmetric_bifurcation():
+    # A rigid bar of length 1 that stands on a pin, its top held by a spring at 45 degrees, free of
+    # force: P = k cos^2(angle), and P(turn) beyond (J. M. T. Thompson and G. W. Hunt 1973).
+    k, free = 100.0, np.sqrt(2.0)
+    bar = RigidBody("bar", (0, 0), mass=1.0, inertia=1.0)
+    top = bar.at(0, 1)
+    spring = SpringDamper(top, k, free_length=free, ground=(1, 2), name="spring")
+    load = PointForce(top, (0.0, 0.0), name="load")
+    scene = Scene(joints=[Pin(bar.at(0, 0))], bodies=[bar], loads=[spring, load])
+    tilt = DesignVariable("tilt", {"spring.ground_x": 1.0, "spring.ground_y": -1.0})
+    found = critical_load(scene, "load.force_y", -80.0, design=["spring.stiffness", tilt])
+    assert found.kind == "bifurcation"
+    np.testing.assert_allclose(found.value, -50.0, rtol=1e-8)
+    # The tilt turns the spring by as much, and keeps its length.
+    np.testing.assert_allclose(found.gradient, [-0.5, -100.0], rtol=1e-6)
+    for size in (0.02, -0.02):
+        force, turned = found.branch(size)
+        s, c = turned.solution.position(top)[0]
+        length = np.sqrt(6 - 2 * s - 4 * c)
+        np.testing.assert_allclose(
+            force, -k * (length - free) * (2 * s - c) / (length * s), rtol=1e-8
+        )
+        assert (force < found.value) == (turned.outcome.stable_to is None)
 
 
 def test_heat_buckles_a_clamped_column():
