@@ -21,6 +21,7 @@ from ancfdae.model.elements import BeamElement, StrainEnergy
 from ancfdae.model.material import Material
 from ancfdae.model.sections import Section
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import cross
 
 
 @final
@@ -192,7 +193,7 @@ class Beam(BeamBody):
             return np.array([axis, [-axis[1], axis[0]]])
         if self.height_axis is None:
             along_z = abs(axis[2]) > 1.0 - 1e-8
-            across = np.cross((0.0, 1.0, 0.0) if along_z else (0.0, 0.0, 1.0), axis)
+            across = cross(np.array((0.0, 1.0, 0.0) if along_z else (0.0, 0.0, 1.0)), axis)
         else:
             require_vector(f"beam {self.name!r}, height_axis", self.height_axis, (3,))
             given = np.asarray(self.height_axis, dtype=float)
@@ -206,4 +207,4 @@ class Beam(BeamBody):
                     "Give a direction across the beam.",
                 )
         across = across / np.linalg.norm(across)
-        return np.array([axis, across, np.cross(axis, across)])
+        return np.array([axis, across, cross(axis, across)])
