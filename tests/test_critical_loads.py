@@ -15,6 +15,7 @@ from ancfdae import (
     CurvedBeam,
     DesignVariable,
     Direct,
+    Distance,
     InvalidInput,
     Material,
     NoCriticalPoint,
@@ -22,7 +23,9 @@ from ancfdae import (
     PointForce,
     Rectangle,
     Responses,
+    RigidBody,
     Scene,
+    SpringDamper,
     Terminal,
     UnknownName,
     Weld,
@@ -31,6 +34,9 @@ from ancfdae import (
     gradients,
     mass,
 )
+from ancfdae.assembly import assemble
+from ancfdae.statics import find_equilibrium
+from ancfdae.statics.held_coordinate import HeldSystem
 
 E = 2.1e11
 
@@ -148,6 +154,31 @@ def test_the_other_branch_is_the_elastica():
     np.testing.assert_allclose(opposite[0], load, rtol=1e-9)
 
 
+def test_a_tilted_spring_makes_an_asymmetric_bifurcation():
+    # A rigid bar of length 1 that stands on a pin, its top held by a spring at 45 degrees, free of
+    # force: P = k cos^2(angle), and P(turn) beyond (J. M. T. Thompson and G. W. Hunt 1973).
+    k, free = 100.0, np.sqrt(2.0)
+    bar = RigidBody("bar", (0, 0), mass=1.0, inertia=1.0)
+    top = bar.at(0, 1)
+    spring = SpringDamper(top, k, free_length=free, ground=(1, 2), name="spring")
+    load = PointForce(top, (0.0, 0.0), name="load")
+    scene = Scene(joints=[Pin(bar.at(0, 0))], bodies=[bar], loads=[spring, load])
+    tilt = DesignVariable("tilt", {"spring.ground_x": 1.0, "spring.ground_y": -1.0})
+    found = critical_load(scene, "load.force_y", -80.0, design=["spring.stiffness", tilt])
+    assert found.kind == "bifurcation"
+    np.testing.assert_allclose(found.value, -50.0, rtol=1e-8)
+    # The tilt turns the spring by as much, and keeps its length.
+    np.testing.assert_allclose(found.gradient, [-0.5, -100.0], rtol=1e-6)
+    for size in (0.02, -0.02):
+        force, turned = found.branch(size)
+        s, c = turned.solution.position(top)[0]
+        length = np.sqrt(6 - 2 * s - 4 * c)
+        np.testing.assert_allclose(
+            force, -k * (length - free) * (2 * s - c) / (length * s), rtol=1e-8
+        )
+        assert (force < found.value) == (turned.outcome.stable_to is None)
+
+
 def test_heat_buckles_a_clamped_column():
     rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.01, 0.01), Material(7850, E, 0.3))
     scene = Scene([rod], [Clamp(rod.at_start), Clamp(rod.at_end)])
@@ -248,3 +279,40 @@ def test_a_critical_value_needs_the_variables_of_its_run():
         gradients(column(4), [buckling], 0.01, HHT(step=0.01), design=["rod.width"])
     with pytest.raises(UnknownName):
         CriticalValue(column(4), "load.force_q", -1000.0)
+
+
+def test_derivatives_of_the_holding_force():
+    # A strut of constant length between two bent beams: constraints are quadratic, forces act in
+    # them, and its length moves the start.
+    material = Material(1000, 1e9, 0.3)
+    low = Beam("low", (0, 0), (1, 0), 2, Rectangle(0.02, 0.02), material)
+    high = Beam("high", (0, 0.5), (1.2, 0.5), 2, Rectangle(0.02, 0.02), material)
+    strut = Distance(low.at_end, np.hypot(0.2, 0.5), other=high.at_end, name="strut")
+    joints = [Clamp(low.at_start), Clamp(high.at_start), strut]
+    load = PointForce(high.at_end, (-5.0, -20.0), name="load")
+    design = ["load.force_x", "low.height", "strut.length"]
+    system = assemble(Scene([low, high], joints, loads=[load], project_start=True), design)
+    rest = find_equilibrium(system)
+    i = int(np.argmax(np.abs(rest.q - system.start()[0]) * np.sqrt(system.weights)))
+
+    def held(step=0.0, change=0.0):
+        moved = system.with_values(system.b + change)
+        point = HeldSystem(moved, i, rest.q).solve(rest.q[i] + 0.01 + step, rest.q, rest.lam)
+        assert point is not None
+        return point
+
+    point, h = held(), 1e-4
+    tau_aa, tau_ab = point.in_a
+    np.testing.assert_allclose(point.tau_a, (held(h).tau - held(-h).tau) / (2 * h), rtol=1e-5)
+    np.testing.assert_allclose(tau_aa, (held(h).tau_a - held(-h).tau_a) / (2 * h), rtol=1e-5)
+    tau_pb = point.in_p(0)
+    for j, b in enumerate(system.b):
+        change = 1e-3 * b * np.eye(len(system.b))[j]
+        ends = held(0.0, change), held(0.0, -change)
+        slopes = [(x - y) / (2e-3 * b) for x, y in zip(*map(_parts, ends), strict=True)]
+        found = point.tau_b[j], tau_ab[j], tau_pb[j]
+        np.testing.assert_allclose(found, slopes, rtol=2e-5)
+
+
+def _parts(point):
+    return point.tau, point.tau_a, point.tau_b[0]
