@@ -32,6 +32,7 @@ from ancfdae.model.joints.joint import (
     place_coincidence,
 )
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import cross
 
 #: The axis, what carries it at `other`, and the place on the ground.
 Around: TypeAlias = tuple[Array, Carrier, Array | None]
@@ -95,7 +96,7 @@ class AxisJoint(Joint):
         hold_axis(c, slice(rows - 2, rows), section, carrier, axis)
         if is_fixed_in(section, carrier, axis):
             # F axis is fixed: what is square to it in the section is across the axis.
-            carrier.meet(c, rows, section.carried(unit(np.cross(section.normal, axis))), axis)
+            carrier.meet(c, rows, section.carried(unit(cross(section.normal, axis))), axis)
         else:
             place_shapes(c, both)
         return c

@@ -10,6 +10,7 @@ from ancfdae.model.bodies import Point
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.joint import Equations, RightAngle
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import cross
 from ancfdae.numerics.rotations import in_space
 
 # A direction this much out of a section, as the sine of the angle, is not in it, where another
@@ -42,14 +43,14 @@ def across(direction: Array) -> Array:
     helper = np.zeros(3)
     helper[int(np.argmin(np.round(np.abs(direction.real), 12)))] = 1.0
     first = unit(helper - np.sum(helper * direction) * direction)
-    return np.stack([first, np.cross(direction, first)])
+    return np.stack([first, cross(direction, first)])
 
 
 def normal_of(spanning: Array) -> Array:
     """Return the unit normal of the section that slopes span: (1, 2) in the plane, (2, 3)."""
     if spanning.shape[1] == 2:
         return unit(np.array([spanning[0, 1], -spanning[0, 0]]))
-    return unit(np.cross(*spanning))
+    return unit(cross(*spanning))
 
 
 class Carrier(abc.ABC):
@@ -117,7 +118,7 @@ class SectionFrame(Carrier):
         Their mean turn, that of the skew part of F, holds half of the shear strain E n of the
         centre line against the section: e . phi = e . omega - 1/2 F n . F (e x n).
         """
-        e_n = np.cross(e, in_space(self.normal))[: len(self.normal)]
+        e_n = cross(e, in_space(self.normal))[: len(self.normal)]
         self.meet(c, row, self.carried(self.normal), e_n, -factor / 2)
 
     def flat(self) -> tuple[RightAngle, ...]:
@@ -135,7 +136,7 @@ class SectionFrame(Carrier):
     def place_right_angle(self, c: Equations, row: int, angle: RightAngle) -> None:
         """Enter F w . F w' = 0 for two of its axes."""
         y = unit(self._slopes[1])
-        axes = [self.normal, y] if len(y) == 2 else [self.normal, y, np.cross(self.normal, y)]
+        axes = [self.normal, y] if len(y) == 2 else [self.normal, y, cross(self.normal, y)]
         first, second = (axes[quantity - 1] for quantity in sorted(angle.slopes))
         self.meet(c, row, self.carried(first), second)
 
@@ -207,11 +208,11 @@ def hold_axis(
             # turns about a fixed a has R n = s a + a x F (n x a): no shear is left in it.
             s, n = axis @ section.normal, section.normal
             carrier.meet(c, row, section.carried(axis - s * n), e)
-            carrier.meet(c, row, section.carried(s * np.cross(n, axis)), np.cross(e, axis))
+            carrier.meet(c, row, section.carried(s * cross(n, axis)), cross(e, axis))
             continue
         carrier.meet(c, row, section.carried(e), axis)
         section.meet(c, row, section.carried(e), axis, -0.5)
-        section.take_out_shear(c, row, np.cross(e, axis), 1.0)
+        section.take_out_shear(c, row, cross(e, axis), 1.0)
 
 
 def hold_turn(c: Equations, rows: slice, section: SectionFrame, other: SectionFrame) -> None:
