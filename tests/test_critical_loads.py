@@ -2,13 +2,19 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from scipy.special import ellipe, ellipk
 
 from ancfdae import (
+    HHT,
+    Adjoint,
     Beam,
     Clamp,
+    ComplexStep,
+    CriticalValue,
     CurvedBeam,
     DesignVariable,
+    Direct,
     Distance,
     InvalidInput,
     Material,
@@ -16,13 +22,17 @@ from ancfdae import (
     Pin,
     PointForce,
     Rectangle,
+    Responses,
     RigidBody,
     Scene,
     SpringDamper,
+    Terminal,
     UnknownName,
     Weld,
     critical_load,
     equilibrium,
+    gradients,
+    mass,
 )
 from ancfdae.assembly import assemble
 from ancfdae.statics import find_equilibrium
@@ -219,6 +229,56 @@ def test_two_motions_at_once_are_refused():
     scene = Scene([rod], [Clamp(rod.at_start)], loads=[load])
     with pytest.raises(InvalidInput, match="not two at once"):
         critical_load(scene, "load.force_x", -1000.0)
+
+
+def test_a_critical_value_is_an_objective_like_any_other():
+    scene, names = column(2), ["rod.length", "rod.height"]
+    found = critical_load(scene, "load.force_x", -600.0, design=names)
+    # The run has a variable more, in another order.
+    buckling = CriticalValue(scene, "load.force_x", -600.0, names[::-1])
+    design, b = [*names, "rod.density"], [1.0, 0.01, 7850.0]
+    logs = [*(found.gradient * b[:2] / found.value - 1), -1]
+    for method in (Direct(), Adjoint(), ComplexStep()):
+        over = gradients(
+            scene,
+            [buckling / Terminal(mass("rod"))],
+            0.01,
+            HHT(step=0.01),
+            design=design,
+            method=method,
+        )[0]
+        np.testing.assert_allclose(over.value * 0.785, found.value, rtol=1e-8)
+        np.testing.assert_allclose(over.gradient * b / over.value, logs, rtol=1e-7)
+
+
+def test_the_lightest_column_that_carries_a_load():
+    scene, names = column(2), ["rod.height", "rod.width"]
+    functions = {
+        "mass": Terminal(mass("rod")) / 0.785,
+        "buckling": -CriticalValue(scene, "load.force_x", -2000.0, names) / 400.0,
+    }
+    rod = Responses(scene, functions, 0.01, HHT(step=0.01), design=names, scale=0.01)
+    optimum = minimize(
+        rod["mass"],
+        rod.start,
+        jac=rod["mass"].gradient,
+        method="SLSQP",
+        bounds=[(0.8, 1.2), (0.8, 1.2)],
+        constraints=rod.constraint("buckling", lower=1.0),
+        options={"ftol": 1e-8},
+    )
+    assert optimum.success
+    # Euler's load is E w h^3 pi^2/48: high and narrow, the width at its bound.
+    height = (400 * 48 / (np.pi**2 * E * 0.008)) ** (1 / 3)
+    np.testing.assert_allclose(optimum.x, [100 * height, 0.8], rtol=1e-3)
+
+
+def test_a_critical_value_needs_the_variables_of_its_run():
+    buckling = CriticalValue(column(4), "load.force_x", -1000.0, ["rod.height"])
+    with pytest.raises(UnknownName, match=r"rod\.height"):
+        gradients(column(4), [buckling], 0.01, HHT(step=0.01), design=["rod.width"])
+    with pytest.raises(UnknownName):
+        CriticalValue(column(4), "load.force_q", -1000.0)
 
 
 def test_derivatives_of_the_holding_force():

@@ -19,7 +19,7 @@ from ancfdae.studies.misfit import FrequencyMisfit, Misfit, RunFit, StaticMisfit
 from ancfdae.studies.modes import modes, suggest_step
 from ancfdae.studies.observing import Observations, observations
 from ancfdae.studies.responses import Response, Responses
-from ancfdae.studies.statics import critical_load, equilibrium, static_gradient
+from ancfdae.studies.statics import CriticalValue, critical_load, equilibrium, static_gradient
 from ancfdae.studies.sweep import Evaluate, sweep
 from ancfdae.studies.sweep_file import Sweep, SweepRow
 from ancfdae.studies.taylor import TaylorTest, taylor_test

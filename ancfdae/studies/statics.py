@@ -1,6 +1,11 @@
 """Calls at rest: an equilibrium, and the gradient of what is observed there."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import (
@@ -15,10 +20,13 @@ from ancfdae.errors import (
 from ancfdae.integrators import Static
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run
-from ancfdae.sensitivity.objectives import Terminal
+from ancfdae.sensitivity.objectives import Objective, ObjectivePartials, Terminal
+from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
 from ancfdae.sensitivity.observables import Observable
+from ancfdae.sensitivity.observables.states import States
 from ancfdae.statics import (
     MAX_STEPS,
     CriticalLoad,
@@ -119,14 +127,83 @@ def critical_load(
     Interrupted
         At Ctrl-C; its `result` is the last equilibrium.
     """
-    require_finite("to", to)
-    name = parameter.name if isinstance(parameter, DesignVariable) else parameter
-    if isinstance(model, Scene):
-        design = [parameter, *require_sequence("design", () if design is None else design)]
-    system = as_system(model, design)
-    if name not in system.design_names:
-        raise UnknownName("parameter", name, system.design_names)
-    return find_critical(system, system.design_names.index(name), float(to))
+    search = CriticalValue(model, parameter, to, design)
+    return find_critical(search.system, search.index, float(to))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class CriticalValue(Objective):
+    """The value that `critical_load` finds, as an objective or a constraint beside those of a run.
+
+    Its model is at rest and may be another one than that of the run, with other loads; both have
+    the design variables of the same name in common, and the run has all of them. A complex step
+    takes the same gradient.
+
+    Parameters
+    ----------
+    model, parameter, to, design
+        As in `critical_load`. `to` should be beyond the critical values of all designs: one that
+        is stable up to there has no value.
+    """
+
+    model: Scene | MechanicalSystem
+    parameter: str | DesignVariable
+    to: float
+    design: Sequence[str | DesignVariable] | None = None
+
+    def __post_init__(self) -> None:
+        require_finite("to", self.to)
+        if self._name not in self.system.design_names:
+            raise UnknownName("parameter", self._name, self.system.design_names)
+
+    @property
+    def _name(self) -> str:
+        parameter = self.parameter
+        return parameter.name if isinstance(parameter, DesignVariable) else parameter
+
+    @cached_property
+    def system(self) -> MechanicalSystem:
+        """What is searched; the parameter is one of its design variables."""
+        if not isinstance(self.model, Scene):
+            return as_system(self.model, self.design)
+        others = require_sequence("design", () if self.design is None else self.design)
+        return as_system(self.model, [self.parameter, *others])
+
+    @property
+    def index(self) -> int:
+        """Which of the design variables the parameter is."""
+        return self.system.design_names.index(self._name)
+
+    def check(self, system: MechanicalSystem, t_end: float) -> None:
+        """Refuse a run that lacks a design variable."""
+        for name in self.system.design_names:
+            if name not in (self._name, *system.design_names):
+                raise UnknownName("design of CriticalValue", name, system.design_names)
+
+    def value(
+        self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
+    ) -> float | complex:
+        """Search at the design values of the run."""
+        value, slopes = self._at(system)
+        return value + 1j * float(slopes @ system.b.imag) if np.iscomplexobj(system.b) else value
+
+    def partials(
+        self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
+    ) -> ObjectivePartials:
+        """Return value and gradient; the states do not matter."""
+        value, slopes = self._at(system)
+        return ObjectivePartials(value, None, None, None, slopes)
+
+    def _at(self, system: MechanicalSystem) -> tuple[float, Array]:
+        b, slopes = np.array(self.system.b), np.zeros(system.n_b)
+        others = np.arange(len(b)) != self.index
+        names = np.array(self.system.design_names)[others]
+        columns = [system.design_names.index(name) for name in names]
+        b[others] = system.b[columns].real
+        found = find_critical(self.system.with_values(b), self.index, float(self.to))
+        slopes[columns] = found.gradient
+        return found.value, slopes
 
 
 def _require_start_of(system: MechanicalSystem, start: Equilibrium) -> None:
