@@ -11,9 +11,12 @@ import pytest
 
 from ancfdae import (
     Beam,
+    Clamp,
+    CriticalValue,
     InvalidInput,
     Material,
     Pin,
+    PointForce,
     Rectangle,
     Scene,
     UnknownName,
@@ -84,6 +87,15 @@ def work(t, q, v, lam, b):
     return t * q[:, 2] * v[:, 1] + lam[:, 0] * b[0] + np.cos(q[:, 4]) * b[2]
 
 
+COLUMN = dataclasses.replace(ROD, start=(0.0, 0.0), end=(1.2, 0.0))
+LOAD = PointForce(COLUMN.at_end, (0.0, 0.0), name="load")
+BUCKLING = CriticalValue(
+    Scene([COLUMN], [Clamp(COLUMN.at_start)], loads=[LOAD]),
+    "load.force_x",
+    -2.0,
+    ["rod.length", "rod.height"],
+)
+
 OBJECTIVES = {
     "integral": Integral(X),
     "integral of everything": Integral(
@@ -102,6 +114,7 @@ OBJECTIVES = {
     "product in the same coordinates": Integral(X) * Terminal(X * V) - AtTimes(V, 0.1),
     "function of objectives": np.sqrt(1.0 + Terminal(X) ** 2) * np.exp(-Integral(V)) + 3.0,
     "shared": (Integral(X) - 2.0) * (Integral(X) - 2.0),
+    "critical value": BUCKLING,
     "own function": np.log(2.0 + Integral(apply(lambda x, y: x / (2 + y * y), X, V)) ** 2),
 }
 

@@ -12,7 +12,7 @@ the load then falls as a root of the change, and has no derivative.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, final
 
@@ -28,13 +28,14 @@ from ancfdae.statics.softness import softest
 
 Kind: TypeAlias = Literal["limit point", "bifurcation"]
 
-# The range of p is searched in so many steps; what is left of one is what Newton's method bears.
-_STEPS, _HALVINGS, _ITERATIONS = 8, 8, 25
+# The range of p is searched in so many steps. The one that loses stability is halved so often until
+# Newton's method starts, and again where that fails.
+_STEPS, _HALVINGS, _ITERATIONS = 8, (9, 13, 17, 21), 25
 # A step that needs more attempted steps of the load has met a critical point.
 _ATTEMPTS = 16
 # Newton's method goes on, once p changes by less than this part of the width, while changes halve;
-# farther than so many widths it has left.
-_CONVERGED, _FAR = 1e-6, 64.0
+# farther than so many widths it has left. Signs of stiffness are seen to this part of p.
+_CONVERGED, _FAR, _SEEN = 1e-6, 64.0, 1e-6
 # Part of what the parameter changes in tau over a motion as large as the system, below which tau,
 # and its change with a variable, are none; ratio of two stiffnesses that vanish together.
 _NONE, _DOUBLE = 1e-7, 1.01
@@ -129,12 +130,7 @@ def find_critical(system: MechanicalSystem, k: int, to: float) -> CriticalLoad:
     if not start.outcome.success or start.outcome.stable_to is not None:
         rule, repair = "needs a stable equilibrium to start from", "Start at another value."
         raise InvalidInput("critical_load", rule, str(start.outcome), repair)
-    search = _Search(system, k, *_last_stable(system, k, to, start))
-    found = search.bifurcation() or search.limit_point()
-    if found is None:
-        rule = f"{system.design_names[k]!r}: stiffness is lost beyond {search.p:g}"
-        raise NoCriticalPoint(f"{rule}, but Newton's method finds no critical point there.")
-    point, kind = found
+    point, kind = _first_critical(system, k, to, start)
     motion = point.motion[0] * point.size
     motion = motion * np.sign(motion[np.argmax(np.abs(motion))])
     names = tuple(x for j, x in enumerate(system.design_names) if j != k)
@@ -153,53 +149,82 @@ def _moved(system: MechanicalSystem, k: int, p: float) -> MechanicalSystem:
     return system.with_values(b)
 
 
-def _last_stable(
+def _first_critical(
+    system: MechanicalSystem, k: int, to: float, start: Equilibrium
+) -> tuple[HeldPoint, Kind]:
+    """Start Newton's method nearer and nearer to the loss of stability until it converges to it."""
+    for p, lost, at in _losses(system, k, to, start):
+        search = _Search(system, k, p, lost, at)
+        found = None if search.double else search.bifurcation() or search.limit_point()
+        if found is not None:
+            return found
+    name = system.design_names[k]
+    if search.double:
+        raise InvalidInput(
+            "critical_load",
+            "one motion must lose its stiffness, not two at once",
+            f"two beyond {name} = {p:g}",
+            "Hold one of them, or make their stiffness differ, as that of a square section.",
+        )
+    rule = f"{name!r}: stiffness is lost beyond {p:g}"
+    raise NoCriticalPoint(f"{rule}, but Newton's method finds no critical point there.")
+
+
+def _losses(
     system: MechanicalSystem, k: int, to: float, at: Equilibrium
-) -> tuple[float, float, Equilibrium]:
-    """Return the last p with a stable equilibrium before the first loss, how near it is, and it."""
-    p, step, lost = float(system.b[k]), (to - float(system.b[k])) / _STEPS, False
-    least = 0.5**_HALVINGS * abs(step)
-    while abs(step) >= least:
-        if not lost and abs(p - to) < 0.5 * abs(step):
+) -> Iterator[tuple[float, float, Equilibrium]]:
+    """Yield p before and beyond the first loss of stability, and the equilibrium before it.
+
+    They come nearer and nearer. NoCriticalPoint if there is no loss.
+    """
+    p, lost, halvings = float(system.b[k]), np.nan, 0
+    stride = (to - p) / _STEPS
+    while halvings < max(_HALVINGS):
+        if p == to:
             rule = f"{system.design_names[k]!r}: every equilibrium up to {to:g} is stable."
             raise NoCriticalPoint(rule)
-        moved = _moved(system, k, p + step)
-        ahead = uninterrupted(find_equilibrium(moved, start=at, max_steps=_ATTEMPTS))
-        end = ahead.outcome
-        if end.success and end.stable_to is None and not end.downhill:
-            p, at = p + step, ahead
-        else:
-            lost = True
-        step = step / 2 if lost else step
-    return p, abs(step), at
+        on = p + stride if abs(to - p) > 1.5 * abs(stride) else to
+        ahead = on if np.isnan(lost) else (p + lost) / 2
+        stable = _followed(system, k, ahead, at)
+        p, lost, at = (p, ahead, at) if stable is None else (ahead, lost, stable)
+        halvings += not np.isnan(lost)
+        if halvings in _HALVINGS:
+            # What was too far away may be stable all the same.
+            stable = _followed(system, k, lost, at)
+            if stable is None:
+                yield p, lost, at
+            else:
+                p, lost, at, halvings = lost, np.nan, stable, 0
+
+
+def _followed(system: MechanicalSystem, k: int, p: float, at: Equilibrium) -> Equilibrium | None:
+    """Return the equilibrium at p to which a path of stable ones leads from another; or None."""
+    moved = _moved(system, k, p)
+    ahead = uninterrupted(find_equilibrium(moved, start=at, max_steps=_ATTEMPTS))
+    end = ahead.outcome
+    return ahead if end.success and end.stable_to is None and not end.downhill else None
 
 
 @final
 class _Search:
-    """Newton's method in a and p from the last stable equilibrium, `width` before the loss."""
+    """Newton's method in a and p from the last stable equilibrium, for a point up to `lost`."""
 
     def __init__(
-        self, system: MechanicalSystem, k: int, p: float, width: float, at: Equilibrium
+        self, system: MechanicalSystem, k: int, p: float, lost: float, at: Equilibrium
     ) -> None:
-        self.p, self._k, self._width, self._at = p, k, width, at
+        self.p, self._k, self._lost, self._at = p, k, lost, at
         self._system = _moved(system, k, p)
         soft = softest(Balance(self._system, 0.0, at.q, at.lam), 1.0, at.q, at.lam)
-        if len(soft.kappa) > 1 and soft.kappa[1] < _DOUBLE * soft.kappa[0]:
-            raise InvalidInput(
-                "critical_load",
-                "one motion must lose its stiffness, not two at once",
-                f"two beyond {system.design_names[k]} = {p:g}",
-                "Hold one of them, or make their stiffness differ, as that of a square section.",
-            )
+        self.double = len(soft.kappa) > 1 and soft.kappa[1] < _DOUBLE * soft.kappa[0]
         self._i = int(np.argmax(np.abs(soft.motions[:, 0]) * np.sqrt(system.weights)))
 
     def bifurcation(self) -> tuple[HeldPoint, Kind] | None:
         """Solve tau_a = tau_p = 0; None where tau does not vanish there."""
 
-        def correction(x: HeldPoint) -> Array:
-            return _solved(_hessian(x, self._k), np.array([x.tau_a, x.tau_b[self._k]]))
+        def equations(x: HeldPoint) -> tuple[Array, Array]:
+            return _hessian(x, self._k), np.array([x.tau_a, x.tau_b[self._k]])
 
-        point = self._newton(correction)
+        point = self._newton(equations)
         if point is None or not abs(point.tau) <= _NONE * _force(point, self._k):
             return None
         return point, "bifurcation"
@@ -207,31 +232,40 @@ class _Search:
     def limit_point(self) -> tuple[HeldPoint, Kind] | None:
         """Solve tau = tau_a = 0; None where that leads to no limit point."""
 
-        def correction(x: HeldPoint) -> Array:
+        def equations(x: HeldPoint) -> tuple[Array, Array]:
             tau_aa, tau_ab = x.in_a
             matrix = np.array([[x.tau_a, x.tau_b[self._k]], [tau_aa, tau_ab[self._k]]])
-            return _solved(matrix, np.array([x.tau, x.tau_a]))
+            return matrix, np.array([x.tau, x.tau_a])
 
-        point = self._newton(correction)
+        point = self._newton(equations)
         return None if point is None else (point, "limit point")
 
-    def _newton(self, correction: Callable[[HeldPoint], Array]) -> HeldPoint | None:
-        p, last = self.p, np.inf
+    def _newton(self, equations: Callable[[HeldPoint], tuple[Array, Array]]) -> HeldPoint | None:
+        """Return a solution between the stable place and the lost one; None if it finds none."""
+        p, last, width = self.p, np.inf, abs(self._lost - self.p)
         a, q, lam = self._at.q[self._i], self._at.q, self._at.lam
         for _ in range(_ITERATIONS):
             point = _held(self._system, self._k, p, self._i, a, q, lam)
             if point is None:
                 return None
-            da, dp = correction(point)
-            if abs(dp) >= 0.5 * last and last <= _CONVERGED * self._width:
-                return point
+            change = _solved(*equations(point), np.array([point.size, width]))
+            if change is None:
+                return None
+            da, dp = change
+            if abs(dp) >= 0.5 * last and last <= _CONVERGED * width:
+                return point if self._is_between(p) else None
             a, p, last = a - da, p - dp, abs(dp)
-            if not abs(p - self.p) <= _FAR * self._width:
+            if not abs(p - self.p) <= _FAR * width:
                 return None
             # The guess of the next solution.
             q = point.q - da * point.motion[0] - dp * point.paths[0][:, self._k]
             lam = point.lam - da * point.motion[1] - dp * point.paths[1][:, self._k]
         return None
+
+    def _is_between(self, p: float) -> bool:
+        """Whether p is where stability was lost, to the digits with which that can be seen."""
+        ends, seen = sorted((self.p, self._lost)), _SEEN * abs(p)
+        return ends[0] - seen <= p <= ends[1] + seen
 
 
 def _held(
@@ -251,9 +285,15 @@ def _force(x: HeldPoint, k: int) -> float:
     return float(np.abs(x.in_a[1][k] * x.system.b[k]) * x.size)
 
 
-def _solved(matrix: Array, right: Array) -> Array:
-    """Solve; what a singular matrix does not tell stays zero."""
-    return np.asarray(np.linalg.lstsq(matrix, right)[0])
+def _solved(matrix: Array, right: Array, scale: Array) -> Array | None:
+    """Solve for unknowns as large as a scale; None where a singular matrix has no solution."""
+    scaled = matrix * scale
+    rows = np.max(np.abs(scaled), axis=1)
+    rows[rows == 0] = 1.0
+    scaled, right = scaled / rows[:, None], right / rows
+    change = np.linalg.lstsq(scaled, right)[0]
+    left = np.linalg.norm(right - scaled @ change)
+    return scale * change if left <= _CONVERGED * np.linalg.norm(right) else None
 
 
 def _gradient(x: HeldPoint, k: int, kind: Kind) -> Array:

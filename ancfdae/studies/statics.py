@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import final
 
 import numpy as np
@@ -201,9 +201,15 @@ class CriticalValue(Objective):
         names = np.array(self.system.design_names)[others]
         columns = [system.design_names.index(name) for name in names]
         b[others] = system.b[columns].real
-        found = find_critical(self.system.with_values(b), self.index, float(self.to))
+        found = _critical(self, tuple(b))
         slopes[columns] = found.gradient
         return found.value, slopes
+
+
+@lru_cache(maxsize=4)
+def _critical(sought: CriticalValue, b: tuple[float, ...]) -> CriticalLoad:
+    """Search once for value and partials, and for all directions of a complex step."""
+    return find_critical(sought.system.with_values(np.array(b)), sought.index, float(sought.to))
 
 
 def _require_start_of(system: MechanicalSystem, start: Equilibrium) -> None:

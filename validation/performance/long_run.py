@@ -5,6 +5,7 @@ import signal
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,32 +94,32 @@ def _figures(run: _Long) -> list[Row]:
 
 
 def _run(run: _Long, interrupted: bool) -> _Taken:
-    pressed = list[float]()
+    clock, pressed = stopwatch(wall=True), list[float]()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "tip.npy"
         half_way = run.steps // run.every // 2
-        ctrl_c = threading.Thread(target=_interrupt, args=(file, half_way, pressed))
+        ctrl_c = threading.Thread(target=_interrupt, args=(file, half_way, clock, pressed))
         if interrupted:
             # A shell's background jobs start deaf to it.
             signal.signal(signal.SIGINT, signal.default_int_handler)
             ctrl_c.start()
-        clock = stopwatch(wall=True)
+        begin = clock()
         with suppress(Interrupted):
             end, kept = run.steps * _STEP, run.every
             observations(run.scene, run.observed, end, HHT(_STEP), keep=kept, file=file)
-        taken, answered = clock(), time.perf_counter()
+        end_of_call = clock()
         written = int(np.sum(np.isfinite(np.load(file)).all(axis=1)))
-    answer = answered - pressed[0] if pressed else 0.0
-    return _Taken(taken, answer, largest_memory(), written)
+    answer = end_of_call - pressed[0] if pressed else 0.0
+    return _Taken(end_of_call - begin, answer, largest_memory(), written)
 
 
-def _interrupt(file: Path, row: int, pressed: list[float]) -> None:
-    """Press Ctrl-C when a row is in the file."""
+def _interrupt(file: Path, row: int, clock: Callable[[], float], pressed: list[float]) -> None:
+    """Press Ctrl-C when a row is in the file, and note when."""
     found = False
     while not found:
         time.sleep(0.02)
         # Until the file has its full size it cannot be read.
         with suppress(OSError, ValueError, EOFError):
             found = bool(np.isfinite(np.load(file, mmap_mode="r")[row]).all())
-    pressed.append(time.perf_counter())
+    pressed.append(clock())
     _thread.interrupt_main()
