@@ -13,7 +13,7 @@ from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.reference import Reference
 from ancfdae.errors import InconsistentStart
 from ancfdae.model.scene import Scene
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import Pattern
 
 
@@ -53,9 +53,16 @@ class AssembledStart:
         return q, self.reference.velocities(q, None)
 
     def _closed(self) -> tuple[Array, Array]:
+        assembly = self._assembly
         if not self.scene.project_start:
-            self._assembly.require_closed()
-        return self._assembly.q, self._assembly.v
+            assembly.require_closed()
+            if np.iscomplexobj(assembly.q):
+                # A complex step of the design is a step along its derivative.
+                along = assembly.q.imag / STEP
+                joint = assembly.follows(self._declared(None), along, 1.0)
+                moved = [x for x, b in zip(self.mapping.names, self.b, strict=True) if b.imag]
+                self._require_followed(joint, ", ".join(moved))
+        return assembly.q, assembly.v
 
     @cached_property
     def along(self) -> dict[int, tuple[Array, Array]]:
@@ -108,13 +115,17 @@ class AssembledStart:
         declared = self._declared(i)
         along = self._assembly.along(declared)
         joint = self._assembly.follows(declared, along[0], float(self.b[i].real))
-        if joint is None:
-            return along
-        if self.scene.project_start:
+        if joint is not None and self.scene.project_start:
             return self._assembly.strained_along(declared)
-        raise InconsistentStart(
-            f"design variable {self.mapping.names[i]!r}",
-            "rigid motions of the bodies must follow it",
-            f"joint {joint!r}, which they leave open",
-            "Set project_start=True to strain the bodies, or choose another variable.",
-        )
+        self._require_followed(joint, self.mapping.names[i])
+        return along
+
+    @staticmethod
+    def _require_followed(joint: str | None, variable: str) -> None:
+        if joint is not None:
+            raise InconsistentStart(
+                f"design variable {variable!r}",
+                "rigid motions of the bodies must follow it",
+                f"joint {joint!r}, which they leave open",
+                "Set project_start=True to strain the bodies, or choose another variable.",
+            )
