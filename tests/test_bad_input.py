@@ -646,6 +646,8 @@ def test_projected_start_satisfies_the_constraints_to_round_off(monkeypatch):
         Pin(rod.at_end, crank.at_start),
         # Nearer to the first one than it is on the rod: the bodies cannot but be strained.
         Pin(rod.at(0.8), ground=(0.75, 0.0)),
+        # Along the crank, which hangs on a rod that stands.
+        Guide(crank.at_end, (0, 1), Uniform(0.5)),
     ]
     motions = [RigidMotion("rod", 2.0, (0.25, 0.0)), RigidMotion("crank", -1.0, (0.0, 0.0))]
     rods = Scene([rod, crank], joints, (0.0, -9.81), motions, project_start=True)

@@ -26,6 +26,7 @@ from ancfdae import (
     InconsistentStart,
     InvalidInput,
     Material,
+    MovingBase,
     Pin,
     Point,
     PointForce,
@@ -458,6 +459,59 @@ def test_what_does_not_close_is_refused_in_words():
             differentiate(scene, STEP, HHT(STEP), design=["right.ground_x"], method=method)
     strained = replace(scene, project_start=True).with_values({"right.ground_x": 1.001})
     assert simulate(strained, STEP, HHT(STEP)).outcome.success
+
+
+def clamped_crank(base_speed, crank_speed):
+    """A turning crank, and a rocker on a moving base: rates that no rigid motion has."""
+    crank = Beam("crank", (0.0, 0.0), (0.3, 0.0), 1, STRIP, SOFT, rigid=True)
+    coupler = Beam("coupler", (0.3, 0.0), (1.0, 0.6), 2, STRIP, SOFT)
+    rocker = Beam("rocker", (1.0, 0.6), (0.9, 0.0), 2, STRIP, SOFT)
+    joints = [
+        Pin(crank.at_start),
+        Drive(crank.at_start, Uniform(crank_speed)),
+        Pin(crank.at_end, coupler.at_start),
+        Pin(coupler.at_end, rocker.at_start),
+        MovingBase(rocker.at_end, (0, 1), Uniform(base_speed)),
+    ]
+    return Scene([crank, coupler, rocker], joints, project_start=True)
+
+
+def shaken_strut():
+    """A rod between two points of a table that moves: rates that a rigid motion has."""
+    table = RigidBody("table", (0.0, 0.0), mass=3.0, inertia=1.0)
+    rod = Beam("rod", (-0.5, 0.1), (0.5, 0.3), 2, STRIP, SOFT)
+    joints = [
+        MovingBase(table.at(0.0, 0.0), (0, 1), Uniform(0.2)),
+        Pin(rod.at_start, table.at(-0.5, 0.1)),
+        Pin(rod.at_end, table.at(0.5, 0.3)),
+    ]
+    return Scene([rod], joints, bodies=[table], project_start=True)
+
+
+@pytest.mark.parametrize(
+    ("scene", "design"),
+    [
+        (clamped_crank(0.3, 0.0), ["crank.length", "coupler.length"]),
+        (clamped_crank(0.0, 2.0), ["crank.length", "coupler.length"]),
+        (shaken_strut(), ["rod.length", "rod.turn"]),
+    ],
+    ids=["base", "crank", "strut"],
+)
+def test_a_start_that_strains_at_neighbouring_designs_is_continuous_and_differentiable(
+    scene, design
+):
+    system = assemble(scene, design)
+    start, start_b = system.start(), system.start_b()
+    step = 1e-6
+    for i, along in enumerate(np.eye(len(design))):
+        ahead, behind = (system.with_values(system.b + x * along).start() for x in (step, -step))
+        complex_step = system.with_values(system.b + 1e-40j * along).start()
+        for k in (0, 1):
+            # Slopes of starts are below 2, curvatures below 100, round-off of 1e-15/step.
+            assert np.max(np.abs(ahead[k] - start[k])) < 2 * step
+            slope = (ahead[k] - behind[k]) / (2 * step)
+            np.testing.assert_allclose(slope, start_b[k][:, i], rtol=0, atol=1e-8)
+            np.testing.assert_allclose(complex_step[k].imag / 1e-40, start_b[k][:, i], atol=1e-13)
 
 
 def test_a_mechanism_at_a_point_where_it_branches_is_refused():

@@ -56,12 +56,16 @@ class AssembledStart:
         assembly = self._assembly
         if not self.scene.project_start:
             assembly.require_closed()
-            if np.iscomplexobj(assembly.q):
-                # A complex step of the design is a step along its derivative.
-                along = assembly.q.imag / STEP
-                joint = assembly.follows(self._declared(None), along, 1.0)
-                moved = [x for x, b in zip(self.mapping.names, self.b, strict=True) if b.imag]
-                self._require_followed(joint, ", ".join(moved))
+        if not np.iscomplexobj(assembly.q):
+            return assembly.q, assembly.v
+        # A complex step of the design is a step along its derivative.
+        declared = self._declared(None)
+        joint = assembly.follows(declared, assembly.q.imag / STEP, 1.0)
+        if joint is not None and self.scene.project_start:
+            along_q, along_v = assembly.strained_along(declared)
+            return assembly.q.real + 1j * STEP * along_q, assembly.v.real + 1j * STEP * along_v
+        moved = [x for x, b in zip(self.mapping.names, self.b, strict=True) if b.imag]
+        self._require_followed(joint, ", ".join(moved))
         return assembly.q, assembly.v
 
     @cached_property

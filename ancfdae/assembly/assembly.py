@@ -51,6 +51,9 @@ _CLOSED = 1e-11
 _NOISE = 1e-12
 # delta: what moving by the size of the mechanism counts beside joints that stay open by as much.
 _SOFT = 1e-3
+# Parts of the velocities that rates left open are, and rates of motions over those that they close,
+# beyond which rigid motions do not follow. Neighbours of a design are on the same side of both.
+_OPEN_RATE, _FAST = 1e-3, 30.0
 
 #: Unknowns of a problem: a motion of all free bodies, and multipliers sigma and rho.
 _Unknowns = tuple[Array, Array, Array]
@@ -143,11 +146,10 @@ class Assembly:
         At values nearby bodies come as near to the joints as they can, and are strained.
         """
         none = np.zeros(0)
-        y, rates = (
-            (unknowns[0].real, none, none) for unknowns in (self._positions, self._velocities)
-        )
-        inverses = LeastNorm(self._position_matrix(y)), LeastNorm(self._velocity_matrix(1))
-        return self._followed(moved, y, rates, inverses)
+        y = self._positions[0].real, none, none
+        x, sigma, rho = self._velocities
+        inverses = LeastNorm(self._position_matrix(y)), self._velocity_inverse
+        return self._followed(moved, y, (x.real, sigma.real, rho.real), inverses)
 
     def _followed(
         self,
@@ -311,7 +313,7 @@ class Assembly:
 
     @cached_property
     def _velocities(self) -> _Unknowns:
-        y = self._rates._start(self._soft)
+        y = self._rates._start(self._soft_rates)
         declared, motion, q = self._declared, self._motion(self._positions[0]), self.q
         if self._stands:
             return y
@@ -325,8 +327,31 @@ class Assembly:
         return self._rates._equations(declared, q, self._rigid(q), y, rate)
 
     @cached_property
+    def _soft_rates(self) -> bool:
+        """Whether rigid motions only come as near to the rates of the joints as they can.
+
+        That is so where they leave rates open, and where bodies that are strained would have to
+        move fast to close them, as at a dead centre.
+        """
+        if not (self._moves and self._strains):
+            return False
+        constraints, x = self._declared.constraints, self._positions[0].real
+        q, none = self.q.real, self._rates._start(False)
+        v = self._moving(self._declared, self._motion(x), q, none[0]).real
+        rate = (self._weights * constraints.constraint(0.0, q, v).real)[: self._rows]
+        F = self._rates._equations(self._declared, q, self._rigid(q), none, rate).real
+        s = -LeastNorm(self._velocity_matrix(3)).solve(F)[: len(none[0])]
+        J = self._rates._jacobian(q, self._rigid(q))
+        B = constraints.structure.pattern.csr(constraints.constraint_q(0.0, q).real)
+        terms = (self._weights * (abs(B) @ np.abs(v)))[: self._rows]
+        most = np.max(np.abs(rate), initial=0.0)
+        left = np.max(np.abs(rate + J @ s), initial=0.0)
+        is_open = left > _OPEN_RATE * (most + np.max(terms, initial=0.0))
+        return bool(is_open or (self._soft and np.max(np.abs(s), initial=0.0) > _FAST * most))
+
+    @cached_property
     def _velocity_inverse(self) -> LeastNorm:
-        return LeastNorm(self._velocity_matrix(1 if self._soft else 3))
+        return LeastNorm(self._velocity_matrix(1 if self._soft_rates else 3))
 
     def _velocity_matrix(self, count: int) -> scipy.sparse.csr_array:
         """Return the matrix of all three equations, or where joints stay open of one."""
