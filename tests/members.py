@@ -14,7 +14,8 @@ from ancfdae.equations.held import (
     jerk_side,
     velocity_side,
 )
-from ancfdae.equations.system import Direction, constraint_q_along, reaction
+from ancfdae.equations.motion import Direction
+from ancfdae.equations.system import constraint_q_along, reaction
 
 __all__ = [
     "acceleration_side",

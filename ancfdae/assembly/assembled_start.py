@@ -6,7 +6,8 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.assembly import Assembly, Declared
+from ancfdae.assembly.assembly import Assembly
+from ancfdae.assembly.closing import Closing, Declared
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
@@ -101,11 +102,10 @@ class AssembledStart:
         extent = np.linalg.norm(np.ptp(places, axis=0)) + max(body.size for body in bodies)
         # A power of two, so that a small change of the design leaves it as it is.
         size = 2.0 ** np.round(np.log2(extent))
-        declared = self._declared(None)
-        strains = scene.project_start
         # Equations of rigid bodies come after those of the joints.
         rows = sum(joint.rows for joint in self.joints.structure.joints[: len(scene.joints)])
-        return Assembly(motions, self.pattern, rows, free, declared, size, self._moves, strains)
+        closing = Closing(motions, self._declared(None), self.pattern, rows, free, size)
+        return Assembly(closing, self._moves, scene.project_start)
 
     def _declared(self, i: int | None) -> Declared:
         """Return what is declared, moved in design variable i by an imaginary step."""

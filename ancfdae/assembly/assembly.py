@@ -20,20 +20,18 @@ angular velocities, so that Phi_q v = nu.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
 import numpy as np
 import scipy
 
-from ancfdae.assembly.constraints import JointConstraints
+from ancfdae.assembly.closing import SOFT, Closing, Declared, Unknowns
 from ancfdae.assembly.rigid_motions import RigidMotions
 from ancfdae.errors import InconsistentStart
-from ancfdae.numerics.arrays import STEP, Array, only
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.least_norm import LeastNorm
-from ancfdae.numerics.patterns import Pattern
 
 _ITERATIONS = 60
 # A step that turns a body by more than this is shortened: Newton's method shall find the assembly
@@ -49,74 +47,36 @@ _FREE = 1e-6
 _CLOSED = 1e-11
 # Round-off of a derivative times the value of the variable, dimensionless.
 _NOISE = 1e-12
-# delta: what moving by the size of the mechanism counts beside joints that stay open by as much.
-_SOFT = 1e-3
 # Parts of the velocities that rates left open are, and rates of motions over those that they close,
 # beyond which rigid motions do not follow. Neighbours of a design are on the same side of both.
 _OPEN_RATE, _FAST = 1e-3, 30.0
 
-#: Unknowns of a problem: a motion of all free bodies, and multipliers sigma and rho.
-_Unknowns = tuple[Array, Array, Array]
-
 
 @final
-@dataclass(frozen=True)
-class Declared:
-    """What a scene declares at a value of its design: joints, coordinates, and velocities.
-
-    `velocities` gives v for the coordinates q and the turns x that brought the bodies there.
-    """
-
-    constraints: JointConstraints
-    Z: Array
-    velocities: Callable[[Array, Array], Array]
-
-
-@final
+@dataclass(frozen=True, eq=False)
 class Assembly:
-    """The assembled start of a scene.
+    """The assembled start of a scene, by the equations of its positions.
 
-    The pattern is that of the system's tangents, which constraints place their curvature on. The
-    first `rows` equations change with rigid motions, the others say that bodies are rigid. `free`,
-    (n_bodies, n_x), tells which numbers of the motions may change: not the turns of a body that
-    leads. `size` is that of the mechanism, for the units: a power of two, so that it does not move
-    with the design. Bodies follow where it `moves`; otherwise the start is as declared, and a
-    violated joint is for others to refuse. Joints may stay open where the consistent start
-    `strains` the bodies.
+    Bodies follow where it `moves`; otherwise the start is as declared, and a violated joint is for
+    others to refuse. Joints may stay open where the consistent start `strains` the bodies.
     """
 
-    def __init__(
-        self,
-        motions: RigidMotions,
-        pattern: Pattern,
-        rows: int,
-        free: Array,
-        declared: Declared,
-        size: float,
-        moves: bool,
-        strains: bool,
-    ) -> None:
-        self._motions, self._pattern, self._declared = motions, pattern, declared
-        self._rows = rows
-        self._moves, self._strains, self._size = moves, strains, size
-        self._free, d = np.flatnonzero(free), declared.Z.shape[1]
-        is_shift = np.broadcast_to(np.arange(motions.n_x) < d, free.shape).ravel()
-        self._shift = is_shift[self._free]
-        self._units = np.where(self._shift, self._size, 1.0)
+    closing: Closing
+    moves: bool
+    strains: bool
 
     @cached_property
-    def _freedom(self) -> scipy.sparse.csr_array:
-        """Free motions in their units, as columns of all."""
-        place = self._free, np.arange(len(self._free))
-        shape = self._motions.none.size, len(self._free)
-        return scipy.sparse.csr_array((self._units, place), shape=shape)
+    def _rates(self) -> Closing:
+        """Equations of velocities: a body that leads keeps its orientation, but may turn."""
+        return replace(self.closing, free=np.ones(self._motions.none.shape, dtype=bool))
 
-    @cached_property
-    def _rates(self) -> Assembly:
-        """The same for velocities: a body that leads keeps its orientation, but may turn."""
-        free = np.ones(self._motions.none.shape, dtype=bool)
-        known = self._declared, self._size, self._moves, self._strains
-        return Assembly(self._motions, self._pattern, self._rows, free, *known)
+    @property
+    def _declared(self) -> Declared:
+        return self.closing.declared
+
+    @property
+    def _motions(self) -> RigidMotions:
+        return self.closing.motions
 
     # -- the start -----------------------------------------------------------------------------
 
@@ -125,14 +85,14 @@ class Assembly:
         """Coordinates, shape (n_q,)."""
         if self._stands:
             return self._declared.Z.ravel()
-        return self._placed(self._declared, self._positions[0])
+        return self.closing.placed(self._declared, self._positions[0])
 
     @cached_property
     def v(self) -> Array:
         """Velocities, shape (n_q,)."""
         if self._stands:
             return self._declared.velocities(self.q, self._motions.none)
-        motion = self._motion(self._positions[0])
+        motion = self.closing.motion(self._positions[0])
         return self._moving(self._declared, motion, self.q, self._velocities[0])
 
     def along(self, moved: Declared) -> tuple[Array, Array]:
@@ -148,48 +108,43 @@ class Assembly:
         none = np.zeros(0)
         y = self._positions[0].real, none, none
         x, sigma, rho = self._velocities
-        inverses = LeastNorm(self._position_matrix(y)), self._velocity_inverse
+        inverses = LeastNorm(self.closing.matrix_at(y)), self._velocity_inverse
         return self._followed(moved, y, (x.real, sigma.real, rho.real), inverses)
 
     def _followed(
         self,
         moved: Declared,
-        y: _Unknowns,
-        rates: _Unknowns,
+        y: Unknowns,
+        rates: Unknowns,
         inverses: tuple[LeastNorm, LeastNorm],
     ) -> tuple[Array, Array]:
         """Differentiate q and v by one more step of Newton's method each."""
-        x = y[0] - 1j * inverses[0].solve(self._position_equations(moved, y).imag)[: len(y[0])]
-        q, motion = self._placed(moved, x), self._motion(x)
+        x = y[0] - 1j * inverses[0].solve(self.closing.at(moved, y).imag)[: len(y[0])]
+        q, motion = self.closing.placed(moved, x), self.closing.motion(x)
         F = self._velocity_equations(moved, q, self._moving(moved, motion, q, rates[0]), rates)
         s = rates[0] - 1j * inverses[1].solve(F.imag)[: len(rates[0])]
         return q.imag / STEP, self._moving(moved, motion, q, s).imag / STEP
 
-    def left(self, q: Array, moved: Declared | None = None) -> Array:
-        """Return Phi in units of the size of the mechanism."""
-        declared = self._declared if moved is None else moved
-        return self._weights * declared.constraints.constraint(0.0, q)
-
     # -- positions -----------------------------------------------------------------------------
 
     @cached_property
-    def _positions(self) -> _Unknowns:
+    def _positions(self) -> Unknowns:
         """Newton's method from the declared places; a complex part needs two more steps."""
-        y = self._start(self._soft)
+        y = self.closing.start(self._soft)
         if self._stands:
             return y
-        if not self._moves:
+        if not self.moves:
             # What is declared stands; a perturbation follows it.
-            F = self._position_equations(self._declared, y)
-            return _plus(y, -1j * LeastNorm(self._position_matrix(y)).solve(F.imag))
-        closing = self._search(True) if self._soft else self._nearest
-        if closing is not None and (self._soft or self._fits(closing)):
-            return closing
+            F = self.closing.at(self._declared, y)
+            return _plus(y, -1j * LeastNorm(self.closing.matrix_at(y)).solve(F.imag))
+        nearest = self._search(True) if self._soft else self._nearest
+        if nearest is not None and (self._soft or self._fits(nearest)):
+            return nearest
         closed = [] if self._soft else self._from_elsewhere()
         if closed:
             return min(closed, key=self._turned)
-        if closing is not None:
-            return closing
+        if nearest is not None:
+            return nearest
         raise InconsistentStart(
             "assembly",
             "rigid motions of the bodies must close all joints",
@@ -198,12 +153,13 @@ class Assembly:
             "turn them with turn=..., so that joints nearly meet.",
         )
 
-    def _from_elsewhere(self) -> list[_Unknowns]:
+    def _from_elsewhere(self) -> list[Unknowns]:
         """Newton's method from bodies turned at random, the same each time; what fits."""
         generator, unknowns = np.random.default_rng(0), []
+        turns = ~self.closing.shift
         for _ in range(_RESTARTS):
-            x, sigma, rho = self._start(False)
-            x[~self._shift] = generator.uniform(-_FARTHEST, _FARTHEST, np.sum(~self._shift))
+            x, sigma, rho = self.closing.start(False)
+            x[turns] = generator.uniform(-_FARTHEST, _FARTHEST, np.sum(turns))
             unknowns.append(self._search(False, (self._nearer(x), sigma, rho)))
         return [y for y in unknowns if y is not None and self._fits(y)]
 
@@ -211,55 +167,51 @@ class Assembly:
         """Damped steps of Gauss and Newton towards closed joints, where Newton's goes anywhere."""
         none, Z = np.zeros(0), self._declared.Z.real
         for _ in range(_DAMPED_STEPS):
-            motion = self._motion(x)
+            motion = self.closing.motion(x)
             q, T = self._motions.place(Z, motion).ravel(), self._motions.tangent(Z, motion)
             flat = scipy.sparse.csr_array((len(x), len(x)))
-            matrix = self._matrix(self._jacobian(q, T), [flat])
-            F = self._position_equations(self._declared, (x, none, none)).real
-            dx = -LeastNorm(matrix).solve(F - _SOFT * x)
-            turn = np.max(np.abs(dx[~self._shift]), initial=0.0)
+            matrix = self.closing.matrix(self.closing.jacobian(q, T), [flat])
+            F = self.closing.at(self._declared, (x, none, none)).real
+            dx = -LeastNorm(matrix).solve(F - SOFT * x)
+            turn = np.max(np.abs(dx[~self.closing.shift]), initial=0.0)
             x = x + dx * min(1.0, _LONGEST_TURN / max(turn, _LONGEST_TURN))
         return x
 
-    def _fits(self, y: _Unknowns) -> bool:
+    def _fits(self, y: Unknowns) -> bool:
         """Whether joints are closed, and drives on the side of their angle."""
-        q = self._placed(self._declared, y[0])
+        q = self.closing.placed(self._declared, y[0])
         return self._open(y[0]) <= _CLOSED and self._declared.constraints.opposite(q, 0.0) is None
 
-    def _turned(self, y: _Unknowns) -> float:
-        return float(np.sum(y[0].real[~self._shift] ** 2))
+    def _turned(self, y: Unknowns) -> float:
+        return float(np.sum(y[0].real[~self.closing.shift] ** 2))
 
     @property
     def _stands(self) -> bool:
         """Whether the start is as declared, to the last digit."""
         declared = self._declared
         moved = np.iscomplexobj(declared.Z) or declared.constraints.is_complex
-        return not (moved or self._moves)
+        return not (moved or self.moves)
 
     @cached_property
     def _soft(self) -> bool:
         """Whether bodies only come as near to their joints as rigid motions can."""
-        if not (self._moves and self._strains):
+        if not (self.moves and self.strains):
             return False
         return self._nearest is None or self._open(self._nearest[0]) > _CLOSED
 
     @cached_property
-    def _nearest(self) -> _Unknowns | None:
+    def _nearest(self) -> Unknowns | None:
         """Closed joints, or what Newton's method takes for them."""
         return self._search(False)
 
-    def _start(self, soft: bool) -> _Unknowns:
-        rows = np.zeros(0 if soft else self._rows)
-        return np.zeros(len(self._free)), rows, rows
-
-    def _search(self, soft: bool, start: _Unknowns | None = None) -> _Unknowns | None:
+    def _search(self, soft: bool, start: Unknowns | None = None) -> Unknowns | None:
         """Newton's method, None if it does not settle."""
-        y, settled = self._start(soft) if start is None else start, 0
+        y, settled = self.closing.start(soft) if start is None else start, 0
         for _ in range(_ITERATIONS):
-            F = self._position_equations(self._declared, y)
-            dy = -LeastNorm(self._position_matrix(y)).solve(F)
+            F = self.closing.at(self._declared, y)
+            dy = -LeastNorm(self.closing.matrix_at(y)).solve(F)
             dx = np.abs(dy[: len(y[0])].real)
-            size, turn = np.max(dx, initial=0.0), np.max(dx[~self._shift], initial=0.0)
+            size, turn = np.max(dx, initial=0.0), np.max(dx[~self.closing.shift], initial=0.0)
             dy = dy * min(1.0, _LONGEST_TURN / max(turn, _LONGEST_TURN))
             y = _plus(y, dy)
             # The error left is the square of the last step.
@@ -268,39 +220,10 @@ class Assembly:
                 return y
         return None
 
-    def _position_equations(self, declared: Declared, y: _Unknowns) -> Array:
-        """F of the module description, with the bodies of `declared` moved by x."""
-        x, sigma, rho = y
-        motion, q = self._motion(x), self._placed(declared, x)
-        T = self._motions.tangent(declared.Z, motion)
-        Phi = self.left(q, declared)[: self._rows]
-        return self._equations(declared, q, T, (x, sigma, rho), Phi)
-
-    def _position_matrix(self, y: _Unknowns) -> scipy.sparse.csr_array:
-        """F_(x, sigma, rho)."""
-        x, sigma, rho = (part.real for part in y)
-        Z, motion = self._declared.Z.real, self._motion(x)
-        q = self._motions.place(Z, motion).ravel()
-        T = self._motions.tangent(Z, motion)
-        Phi = self.left(q).real[: self._rows]
-        loads = (sigma, Phi, rho) if len(sigma) == len(Phi) else (Phi,)
-        moving = self._motions.matrix(T) @ self._freedom
-
-        def bend(multipliers: Array) -> scipy.sparse.csr_array:
-            """(J^T s)_x with s held: curvature of the joints, and of the turns."""
-            lam, constraints = self._spread(multipliers), self._declared.constraints
-            values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
-            force = constraints.reaction(0.0, q, lam).real
-            turns = self._motions.blocks(self._motions.curvature(Z, motion, force))
-            of_joints = moving.T @ (self._pattern.csr(values) @ moving)
-            return of_joints + self._freedom.T @ turns @ self._freedom
-
-        return self._matrix(self._jacobian(q, T), [bend(s) for s in loads])
-
     @cached_property
     def _position_inverse(self) -> LeastNorm:
-        inverse = LeastNorm(self._position_matrix(self._positions))
-        if np.any(inverse.leaves_open(len(self._free)) > _FREE):
+        inverse = LeastNorm(self.closing.matrix_at(self._positions))
+        if np.any(inverse.leaves_open(len(self._positions[0])) > _FREE):
             raise InconsistentStart(
                 "assembly",
                 "must be the only one nearby",
@@ -312,19 +235,19 @@ class Assembly:
     # -- velocities ----------------------------------------------------------------------------
 
     @cached_property
-    def _velocities(self) -> _Unknowns:
-        y = self._rates._start(self._soft_rates)
-        declared, motion, q = self._declared, self._motion(self._positions[0]), self.q
+    def _velocities(self) -> Unknowns:
+        y = self._rates.start(self._soft_rates)
+        declared, motion, q = self._declared, self.closing.motion(self._positions[0]), self.q
         if self._stands:
             return y
         for _ in range(3 if q.dtype.kind == "c" else 1):
             F = self._velocity_equations(declared, q, self._moving(declared, motion, q, y[0]), y)
-            y = _plus(y, -self._velocity_inverse.solve(F if self._moves else 1j * F.imag))
+            y = _plus(y, -self._velocity_inverse.solve(F if self.moves else 1j * F.imag))
         return y
 
-    def _velocity_equations(self, declared: Declared, q: Array, v: Array, y: _Unknowns) -> Array:
-        rate = (self._weights * declared.constraints.constraint(0.0, q, v))[: self._rows]
-        return self._rates._equations(declared, q, self._rigid(q), y, rate)
+    def _velocity_equations(self, declared: Declared, q: Array, v: Array, y: Unknowns) -> Array:
+        rate = self._rates.left(declared, q, v)
+        return self._rates.equations(declared, q, self._rigid(q), y, rate)
 
     @cached_property
     def _soft_rates(self) -> bool:
@@ -333,17 +256,17 @@ class Assembly:
         That is so where they leave rates open, and where bodies that are strained would have to
         move fast to close them, as at a dead centre.
         """
-        if not (self._moves and self._strains):
+        if not (self.moves and self.strains):
             return False
         constraints, x = self._declared.constraints, self._positions[0].real
-        q, none = self.q.real, self._rates._start(False)
-        v = self._moving(self._declared, self._motion(x), q, none[0]).real
-        rate = (self._weights * constraints.constraint(0.0, q, v).real)[: self._rows]
-        F = self._rates._equations(self._declared, q, self._rigid(q), none, rate).real
+        q, none = self.q.real, self._rates.start(False)
+        v = self._moving(self._declared, self.closing.motion(x), q, none[0]).real
+        rate = self._rates.left(self._declared, q, v).real
+        F = self._rates.equations(self._declared, q, self._rigid(q), none, rate).real
         s = -LeastNorm(self._velocity_matrix(3)).solve(F)[: len(none[0])]
-        J = self._rates._jacobian(q, self._rigid(q))
+        J = self._rates.jacobian(q, self._rigid(q))
         B = constraints.structure.pattern.csr(constraints.constraint_q(0.0, q).real)
-        terms = (self._weights * (abs(B) @ np.abs(v)))[: self._rows]
+        terms = (self._rates.weights * (abs(B) @ np.abs(v)))[: self._rates.rows]
         most = np.max(np.abs(rate), initial=0.0)
         left = np.max(np.abs(rate + J @ s), initial=0.0)
         is_open = left > _OPEN_RATE * (most + np.max(terms, initial=0.0))
@@ -356,91 +279,25 @@ class Assembly:
     def _velocity_matrix(self, count: int) -> scipy.sparse.csr_array:
         """Return the matrix of all three equations, or where joints stay open of one."""
         q = self.q.real
-        J = self._rates._jacobian(q, self._rigid(q))
-        return self._rates._matrix(J, [scipy.sparse.csr_array((J.shape[1], J.shape[1]))] * count)
+        J = self._rates.jacobian(q, self._rigid(q))
+        return self._rates.matrix(J, [scipy.sparse.csr_array((J.shape[1], J.shape[1]))] * count)
 
     def _moving(self, declared: Declared, motion: Array, q: Array, s: Array) -> Array:
         """Velocities as declared, with rigid motions at rates s added."""
         v = declared.velocities(q, motion)
-        added: Array = self._motions.matrix(self._rigid(q)) @ self._rates._motion(s).ravel()
+        added: Array = self._motions.matrix(self._rigid(q)) @ self._rates.motion(s).ravel()
         return v + added
 
     def _rigid(self, q: Array) -> Array:
         """Rigid velocities of all bodies at q."""
         return self._motions.tangent(q.reshape(self._declared.Z.shape), self._motions.none)
 
-    # -- both ----------------------------------------------------------------------------------
-
-    def _motion(self, x: Array) -> Array:
-        """Return the motion of all bodies, (n_bodies, n_x), from what is free of it."""
-        none = self._motions.none
-        motion = none.astype(x.dtype).ravel()
-        motion[self._free] = self._units * x
-        return motion.reshape(none.shape)
-
-    def _placed(self, declared: Declared, x: Array) -> Array:
-        return self._motions.place(declared.Z, self._motion(x)).ravel()
-
-    def _equations(
-        self, declared: Declared, q: Array, T: Array, y: _Unknowns, left: Array
-    ) -> Array:
-        """(F_1, F_2, F_3), with `left` for what is left of the joints' equations."""
-
-        def work(multipliers: Array) -> Array:
-            force = declared.constraints.reaction(0.0, q, self._spread(multipliers))
-            return np.asarray(self._units * self._motions.collect(T, force).ravel()[self._free])
-
-        x, sigma, rho = y
-        shift = self._shift
-        if len(sigma) < len(left):
-            return work(left) + _SOFT * x
-        F_1, F_2 = np.where(shift, 0.0, x) + work(sigma), work(left)
-        return np.concatenate([F_1, F_2, x[shift] + work(rho)[shift]])
-
-    def _spread(self, multipliers: Array) -> Array:
-        """Return the multipliers of all equations, in their units, from those that may act."""
-        lam = np.zeros(len(self._weights), dtype=multipliers.dtype)
-        lam[: self._rows] = self._weights[: self._rows] * multipliers
-        return lam
-
-    def _jacobian(self, q: Array, T: Array) -> scipy.sparse.csr_array:
-        """J, dimensionless, shape (n_rows, n_free)."""
-        constraints = self._declared.constraints
-        B = constraints.structure.pattern.csr(constraints.constraint_q(0.0, q).real)[: self._rows]
-        rows = scipy.sparse.diags_array(self._weights[: self._rows])
-        return (rows @ B @ (self._motions.matrix(T) @ self._freedom)).tocsr()
-
-    def _matrix(
-        self, J: scipy.sparse.csr_array, bends: Sequence[scipy.sparse.csr_array]
-    ) -> scipy.sparse.csr_array:
-        (m, n), shift = J.shape, self._shift
-        if len(bends) == 1:
-            return (J.T @ J + bends[0] + _SOFT * scipy.sparse.eye_array(n)).tocsr()
-        one, none = np.where(shift, 0.0, 1.0), scipy.sparse.csr_array((n, m))
-        on_1, on_2, on_3 = bends
-        rows = np.flatnonzero(shift)
-        blocks = [
-            [scipy.sparse.diags_array(one) + on_1, J.T, none],
-            [J.T @ J + on_2, none, none],
-            [(scipy.sparse.eye_array(n) + on_3).tocsr()[rows], none[rows], J.T.tocsr()[rows]],
-        ]
-        return scipy.sparse.block_array(blocks).tocsr()
-
-    @cached_property
-    def _weights(self) -> Array:
-        """One over the size for equations of lengths, which displacements change; else one."""
-        Z = self._declared.Z.real
-        constraints = self._declared.constraints
-        B = constraints.constraint_q(0.0, Z.ravel()).real
-        T = self._motions.tangent(Z, self._motions.none)
-        by_shifts, by_any = self._motions.reach(constraints.structure.pattern, B, T).T
-        # Of a slope that is long in its own units nothing but round-off moves with the body.
-        is_length = by_shifts > 1e-9 * by_any
-        return np.where(is_length, 1.0 / self._size, 1.0)
+    # -- what stays open -----------------------------------------------------------------------
 
     def _gaps(self, x: Array) -> Array:
         """Return what a motion leaves of every equation."""
-        return np.asarray(np.abs(self.left(self._placed(self._declared, x)).real))
+        q = self.closing.placed(self._declared, x)
+        return np.asarray(np.abs(self.closing.all_left(self._declared, q).real))
 
     def _open(self, x: Array) -> float:
         return float(np.max(self._gaps(x), initial=0.0))
@@ -454,7 +311,7 @@ class Assembly:
     def require_closed(self) -> None:
         """Refuse joints that rigid motions leave open."""
         left = self._gaps(self._positions[0])
-        if self._moves and np.max(left, initial=0.0) > _CLOSED:
+        if self.moves and np.max(left, initial=0.0) > _CLOSED:
             joint, gap = self.names[int(np.argmax(left))], float(np.max(left))
             raise InconsistentStart(
                 "assembly",
@@ -471,16 +328,16 @@ class Assembly:
         `q_b` is the derivative of the start along the declaration `moved`, `value` that of the
         variable.
         """
-        declared = self._placed(moved, self._positions[0])
-        held = np.max(np.abs(self.left(declared, moved).imag), initial=0.0) / STEP
-        left = np.abs(self.left(self.q.real + 1j * STEP * q_b, moved).imag) / STEP
+        declared = self.closing.placed(moved, self._positions[0])
+        held = np.max(np.abs(self.closing.all_left(moved, declared).imag), initial=0.0) / STEP
+        left = np.abs(self.closing.all_left(moved, self.q.real + 1j * STEP * q_b).imag) / STEP
         # Round-off is that of terms that cancel, and of moving coordinates. Coefficients that
         # change are seen along a direction of no special kind.
         q = self.q.real
         along = np.cos(np.arange(len(q))) * np.max(np.abs(q))
-        terms = self._weights * moved.constraints.constraint(0.0, q, along).imag / STEP
+        terms = self.closing.weights * moved.constraints.constraint(0.0, q, along).imag / STEP
         size = held + np.max(np.abs(terms), initial=0.0)
-        size += np.max(np.abs(declared.imag), initial=0.0) / STEP / self._size
+        size += np.max(np.abs(declared.imag), initial=0.0) / STEP / self.closing.size
         # A variable that moves nothing leaves round-off of its own share of the mechanism.
         noise = _NOISE / abs(value) if value else 0.0
         if np.max(left, initial=0.0) <= _FREE * size + noise:
@@ -488,6 +345,6 @@ class Assembly:
         return self.names[int(np.argmax(left))]
 
 
-def _plus(y: _Unknowns, dy: Array) -> _Unknowns:
+def _plus(y: Unknowns, dy: Array) -> Unknowns:
     n, m = len(y[0]), len(y[1])
     return y[0] + dy[:n], y[1] + dy[n : n + m], y[2] + dy[n + m :]

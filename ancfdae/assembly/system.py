@@ -28,7 +28,7 @@ from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.turning import TurningForces
 from ancfdae.assembly.works import Works
 from ancfdae.equations import DesignPartials, Direction, Linearisation, PlannedSystem, Traits
-from ancfdae.equations.system import States
+from ancfdae.equations.motion import States
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.errors.text import listed
 from ancfdae.kernels import Plan

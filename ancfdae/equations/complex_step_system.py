@@ -42,9 +42,9 @@ from typing import Self, TypeAlias, cast, final
 import numpy as np
 
 from ancfdae.equations.analytic import Reach, require_analytic
-from ancfdae.equations.motion import Motion, require_perturbation
+from ancfdae.equations.motion import Direction, Motion, require_perturbation
 from ancfdae.equations.rows import RowCalls
-from ancfdae.equations.system import Direction, MechanicalSystem
+from ancfdae.equations.system import MechanicalSystem
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.contour import derivative

@@ -16,7 +16,8 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.equations.system import Direction, MechanicalSystem
+from ancfdae.equations.motion import Direction
+from ancfdae.equations.system import MechanicalSystem
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.extrapolation import real_derivative

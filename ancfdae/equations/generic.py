@@ -15,8 +15,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations.motion import Motion
-from ancfdae.equations.system import Direction, MechanicalSystem, Traits
+from ancfdae.equations.motion import Direction, Motion
+from ancfdae.equations.system import MechanicalSystem, Traits
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 

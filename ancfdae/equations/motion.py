@@ -1,8 +1,8 @@
-"""States with their rates as one value that can be moved, for derivatives along motions."""
+"""States with their rates as one value that can be moved, and directions of them."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -12,6 +12,18 @@ from ancfdae.numerics.arrays import Array
 # Imaginary parts that exceed both, the first relative to the real parts, are too large
 # for a complex step. Real parts may pass through zero, so a relative limit alone is not enough.
 _RELATIVE, _ABSOLUTE = 1e-12, 1e-20
+
+
+#: (q, v, a, lam) at an instant, or their derivatives.
+States: TypeAlias = tuple[Array, Array, Array, Array]
+
+
+class Direction(NamedTuple):
+    """A direction of (t, q, v): along the motion it is (1, v, a)."""
+
+    t: float
+    q: Array
+    v: Array
 
 
 class Motion(NamedTuple):

@@ -8,8 +8,8 @@ import numpy as np
 
 from ancfdae.equations.derived import coordinate_sizes, design_sizes
 from ancfdae.equations.generic import Sizes
-from ancfdae.equations.motion import Motion
-from ancfdae.equations.system import Direction, MechanicalSystem, reaction
+from ancfdae.equations.motion import Direction, Motion
+from ancfdae.equations.system import MechanicalSystem, reaction
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 

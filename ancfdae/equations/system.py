@@ -36,27 +36,17 @@ import abc
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import NamedTuple, TypeAlias, final
+from typing import final
 
 import numpy as np
 
 from ancfdae.equations.complex_steps import ComplexSteps
+from ancfdae.equations.motion import Direction, States
 from ancfdae.equations.naming import Naming
 from ancfdae.errors import InvalidInput, require_array, require_finite, require_flag
 from ancfdae.kernels import Plan
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
-
-#: (q, v, a, lam) at an instant, or their derivatives.
-States: TypeAlias = tuple[Array, Array, Array, Array]
-
-
-class Direction(NamedTuple):
-    """A direction of (t, q, v): along the motion it is (1, v, a)."""
-
-    t: float
-    q: Array
-    v: Array
 
 
 @final

@@ -1,0 +1,183 @@
+"""Equations that close joints by motions of the bodies: F of `assembly.py`, and its matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias, final
+
+import numpy as np
+import scipy
+
+from ancfdae.assembly.constraints import JointConstraints
+from ancfdae.assembly.rigid_motions import RigidMotions
+from ancfdae.numerics.arrays import Array, only
+from ancfdae.numerics.patterns import Pattern
+
+#: delta: what moving by the size of the mechanism counts beside joints that stay open by as much.
+SOFT = 1e-3
+
+#: Unknowns of a problem: a motion of all free bodies, and multipliers sigma and rho.
+Unknowns: TypeAlias = tuple[Array, Array, Array]
+
+
+@final
+@dataclass(frozen=True)
+class Declared:
+    """What a scene declares at a value of its design: joints, coordinates, and velocities.
+
+    `velocities` gives v for the coordinates q and the turns x that brought the bodies there.
+    """
+
+    constraints: JointConstraints
+    Z: Array
+    velocities: Callable[[Array, Array], Array]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Closing:
+    """The equations in positions or in velocities, which are alike.
+
+    The pattern is that of the system's tangents, which constraints place their curvature on. The
+    first `rows` equations change with rigid motions, the others say that bodies are rigid. `free`,
+    (n_bodies, n_x), tells which numbers of the motions may change: not the turns of a body that
+    leads. `size` is that of the mechanism, for the units: a power of two, so that it does not move
+    with the design.
+    """
+
+    motions: RigidMotions
+    declared: Declared
+    pattern: Pattern
+    rows: int
+    free: Array
+    size: float
+
+    @cached_property
+    def _places(self) -> Array:
+        return np.flatnonzero(self.free)
+
+    @cached_property
+    def shift(self) -> Array:
+        """Which of the free numbers are displacements."""
+        d = self.declared.Z.shape[1]
+        is_shift = np.broadcast_to(np.arange(self.motions.n_x) < d, self.free.shape)
+        return is_shift.ravel()[self._places]
+
+    @cached_property
+    def _units(self) -> Array:
+        return np.where(self.shift, self.size, 1.0)
+
+    @cached_property
+    def _freedom(self) -> scipy.sparse.csr_array:
+        """Free motions in their units, as columns of all."""
+        place = self._places, np.arange(len(self._places))
+        shape = self.motions.none.size, len(self._places)
+        return scipy.sparse.csr_array((self._units, place), shape=shape)
+
+    @cached_property
+    def weights(self) -> Array:
+        """One over the size for equations of lengths, which displacements change; else one."""
+        Z, constraints = self.declared.Z.real, self.declared.constraints
+        B = constraints.constraint_q(0.0, Z.ravel()).real
+        T = self.motions.tangent(Z, self.motions.none)
+        by_shifts, by_any = self.motions.reach(constraints.structure.pattern, B, T).T
+        # Of a slope that is long in its own units nothing but round-off moves with the body.
+        is_length = by_shifts > 1e-9 * by_any
+        return np.where(is_length, 1.0 / self.size, 1.0)
+
+    def start(self, soft: bool) -> Unknowns:
+        """Return no motion, without multipliers where joints may stay open."""
+        rows = np.zeros(0 if soft else self.rows)
+        return np.zeros(len(self._places)), rows, rows
+
+    def motion(self, x: Array) -> Array:
+        """Return the motion of all bodies, (n_bodies, n_x), from what is free of it."""
+        none = self.motions.none
+        motion = none.astype(x.dtype).ravel()
+        motion[self._places] = self._units * x
+        return motion.reshape(none.shape)
+
+    def placed(self, declared: Declared, x: Array) -> Array:
+        """Return the coordinates of the bodies of `declared` moved by x."""
+        return self.motions.place(declared.Z, self.motion(x)).ravel()
+
+    def all_left(self, declared: Declared, *motion: Array) -> Array:
+        """Return Phi or its rate in units of the size of the mechanism."""
+        return self.weights * declared.constraints.constraint(0.0, *motion)
+
+    def left(self, declared: Declared, *motion: Array) -> Array:
+        """Return the same of the equations that change with rigid motions."""
+        return self.all_left(declared, *motion)[: self.rows]
+
+    def at(self, declared: Declared, y: Unknowns) -> Array:
+        """F with the bodies of `declared` moved by x."""
+        motion, q = self.motion(y[0]), self.placed(declared, y[0])
+        T = self.motions.tangent(declared.Z, motion)
+        return self.equations(declared, q, T, y, self.left(declared, q))
+
+    def equations(self, declared: Declared, q: Array, T: Array, y: Unknowns, left: Array) -> Array:
+        """(F_1, F_2, F_3), with `left` for what is left of the joints' equations."""
+
+        def work(multipliers: Array) -> Array:
+            force = declared.constraints.reaction(0.0, q, self._spread(multipliers))
+            return np.asarray(self._units * self.motions.collect(T, force).ravel()[self._places])
+
+        x, sigma, rho = y
+        shift = self.shift
+        if len(sigma) < len(left):
+            return work(left) + SOFT * x
+        F_1, F_2 = np.where(shift, 0.0, x) + work(sigma), work(left)
+        return np.concatenate([F_1, F_2, x[shift] + work(rho)[shift]])
+
+    def _spread(self, multipliers: Array) -> Array:
+        """Return the multipliers of all equations, in their units, from those that may act."""
+        lam = np.zeros(len(self.weights), dtype=multipliers.dtype)
+        lam[: self.rows] = self.weights[: self.rows] * multipliers
+        return lam
+
+    def jacobian(self, q: Array, T: Array) -> scipy.sparse.csr_array:
+        """J, dimensionless, shape (n_rows, n_free)."""
+        constraints = self.declared.constraints
+        B = constraints.structure.pattern.csr(constraints.constraint_q(0.0, q).real)[: self.rows]
+        rows = scipy.sparse.diags_array(self.weights[: self.rows])
+        return (rows @ B @ (self.motions.matrix(T) @ self._freedom)).tocsr()
+
+    def matrix_at(self, y: Unknowns) -> scipy.sparse.csr_array:
+        """F_(x, sigma, rho) for `at`."""
+        x, sigma, rho = (part.real for part in y)
+        Z, motion, constraints = self.declared.Z.real, self.motion(x), self.declared.constraints
+        q = self.motions.place(Z, motion).ravel()
+        T = self.motions.tangent(Z, motion)
+        Phi = self.left(self.declared, q).real
+        loads = (sigma, Phi, rho) if len(sigma) == len(Phi) else (Phi,)
+        moving = self.motions.matrix(T) @ self._freedom
+
+        def bend(multipliers: Array) -> scipy.sparse.csr_array:
+            """(J^T s)_x with s held: curvature of the joints, and of the turns."""
+            lam = self._spread(multipliers)
+            values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
+            force = constraints.reaction(0.0, q, lam).real
+            turns = self.motions.blocks(self.motions.curvature(Z, motion, force))
+            of_joints = moving.T @ (self.pattern.csr(values) @ moving)
+            return of_joints + self._freedom.T @ turns @ self._freedom
+
+        return self.matrix(self.jacobian(q, T), [bend(s) for s in loads])
+
+    def matrix(
+        self, J: scipy.sparse.csr_array, bends: Sequence[scipy.sparse.csr_array]
+    ) -> scipy.sparse.csr_array:
+        """F_(x, sigma, rho), or of one equation F_x."""
+        (m, n), shift = J.shape, self.shift
+        if len(bends) == 1:
+            return (J.T @ J + bends[0] + SOFT * scipy.sparse.eye_array(n)).tocsr()
+        one, none = np.where(shift, 0.0, 1.0), scipy.sparse.csr_array((n, m))
+        on_1, on_2, on_3 = bends
+        rows = np.flatnonzero(shift)
+        blocks = [
+            [scipy.sparse.diags_array(one) + on_1, J.T, none],
+            [J.T @ J + on_2, none, none],
+            [(scipy.sparse.eye_array(n) + on_3).tocsr()[rows], none[rows], J.T.tocsr()[rows]],
+        ]
+        return scipy.sparse.block_array(blocks).tocsr()
