@@ -174,7 +174,7 @@ class AncfSystem(PlannedSystem):
         if np.iscomplexobj(self.b) or self._turning is not None:
             return None
         steady, rows = self._loads.timed()
-        inertia, weights = self._inertia, self.weights
+        inertia, weights, factors = self._inertia, self.weights, self._constraints.factors
         return Plan(
             *self._elastic.tangent_places,
             inertia.csr,
@@ -185,7 +185,7 @@ class AncfSystem(PlannedSystem):
             1 / weights,
             self._constraints.plan,
             self.constraint_pattern.rows_of(np.zeros(self.constraint_pattern.size)),
-            self._constraints.factors.table,
+            factors.over if factors.driven else None,
             self._loads.factors,
             self._loads.plans(),
             self._loads.turning,

@@ -145,21 +145,18 @@ class CompiledSteps:
             self._small = True
         elif why == INDEFINITE:
             self._kernel.add_band()
-        self._count(counts)
-        if taken:
-            # Copies: a node that is kept must not keep the rows of a whole part.
-            q, v, A, lam = (row[taken - 1].copy() for row in rows)
-            return taken, Node(float(ends[taken - 1]), q, v, a, lam, A, motion)
-        again = why in (NEEDS_GAUSS, INDEFINITE)
-        return self.march(before, h, ends, rows) if again else (0, before)
-
-    def _count(self, counts: tuple[int, int, int]) -> None:
         iterations, factorisations, round_off_steps = counts
         recorder = self._recorder
         recorder.iterations += iterations
         recorder.residuals += iterations
         recorder.factorisations += factorisations
         recorder.round_off_steps += round_off_steps
+        if taken:
+            # Copies: a node that is kept must not keep the rows of a whole part.
+            q, v, A, lam = (row[taken - 1].copy() for row in rows)
+            return taken, Node(float(ends[taken - 1]), q, v, a, lam, A, motion)
+        again = why in (NEEDS_GAUSS, INDEFINITE)
+        return self.march(before, h, ends, rows) if again else (0, before)
 
     def _joint_factors(self, starts: Array, ends: Array, h: Array) -> Array:
         """Factors at ends and beginnings of steps, and where they are small at Gauss points."""
