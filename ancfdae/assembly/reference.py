@@ -39,8 +39,7 @@ class Reference:
         """Design variables that the reference configuration or the start depends on."""
         moving = np.any(self._naming.lengths_b != 0, axis=0)
         for body in self._scene.members:
-            _, numbers_b = self._mapping.numbers(body.name, self._b)
-            moving |= np.any(numbers_b[self._skipped(body) :] != 0, axis=0)
+            moving |= np.any(self._placed(body)[1] != 0, axis=0)
         return np.flatnonzero(moving).tolist()
 
     @cached_property
@@ -96,7 +95,7 @@ class Reference:
 
     def _vectors(self, body: BeamBody | RigidBody) -> Array:
         """Vectors of a body in the reference configuration, shape (count, d)."""
-        numbers = self._placed(body)
+        numbers, _ = self._placed(body)
         place, turn = body.split_placement(numbers)
         X = self._unturned(body)
         X = X.astype(np.result_type(X, numbers, self._lengths)) @ rotation(turn, body.dimension).T
@@ -123,20 +122,16 @@ class Reference:
         first = self._naming.layout.body(point.beam).first_vector
         return vector.weights @ other[vector.vectors - first]
 
-    @staticmethod
-    def _skipped(body: BeamBody | RigidBody) -> int:
-        """Numbers of a body that come before those of its placement."""
-        return len(body.parameters()) if isinstance(body, RigidBody) else 0
-
-    def _placed(self, body: BeamBody | RigidBody) -> Array:
-        """Return the numbers of a body from those of its placement on."""
-        numbers, _ = self._mapping.numbers(body.name, self._b)
-        return numbers[self._skipped(body) :]
+    def _placed(self, body: BeamBody | RigidBody) -> tuple[Array, Array]:
+        """Return the numbers of a body from those of its placement on, and their derivatives."""
+        first = len(body.parameters()) if isinstance(body, RigidBody) else 0
+        numbers, numbers_b = self._mapping.numbers(body.name, self._b)
+        return numbers[first:], numbers_b[first:]
 
     def _rigid_velocity(self, body: BeamBody | RigidBody, start: RigidMotion, X: Array) -> Array:
         """Velocity v + omega x (r - about) of positions and omega x slope of slopes."""
         d = X.shape[-1]
-        numbers = self._placed(body)[len(body.placement()) :]
+        numbers = self._placed(body)[0][len(body.placement()) :]
         spin, about, velocity = start.split(numbers)
         omega = np.tensordot(np.atleast_1d(spin), generators(d), 1)
         arms, positions = X.astype(np.result_type(X, numbers)), self._positions(body)

@@ -63,7 +63,8 @@ class Replay(RunInParts):
         # The last step of the part hands on to a step of the size of the next.
         matrix = step_matrices(Steps(h[first : last + 1], alpha))[: last - first]
         steps = Steps(h[first:last], alpha)
-        nodes = Nodes(self._problem, run, steps, self._ahead(node, first))
+        begin = rescaled(node, self._steps.ratio(first)) if first else node
+        nodes = Nodes(self._problem, run, steps, begin)
         gradient, on, _ = linear_passes.pull_back_part(nodes, seeds, on, matrix)
         return gradient, on
 
@@ -75,10 +76,6 @@ class Replay(RunInParts):
     def no_covectors(self) -> Array:
         """Six for each coordinate."""
         return np.zeros((6, self._problem.system.n_q))
-
-    def _ahead(self, node: Node, n: int) -> Node:
-        """Return a node for the size of the step that begins there."""
-        return rescaled(node, self._steps.ratio(n)) if n else node
 
 
 def through_start(
