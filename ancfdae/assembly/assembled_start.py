@@ -34,7 +34,11 @@ class AssembledStart:
     @cached_property
     def state(self) -> tuple[Array, Array]:
         """The start q, v; raises InconsistentStart where joints stay open that nothing projects."""
-        q, v = self._as_declared() if self._stands else self._closed()
+        if self._stands:
+            q = self.reference.Z.ravel()
+            v = self.reference.velocities(q, None)
+        else:
+            q, v = self._closed()
         self.joints.refuse_opposite(q, 0.0)
         return q, v
 
@@ -48,10 +52,6 @@ class AssembledStart:
     def _stands(self) -> bool:
         """Whether the start is as declared, to the last digit."""
         return not (self._moves or np.iscomplexobj(self.reference.Z) or self.joints.is_complex)
-
-    def _as_declared(self) -> tuple[Array, Array]:
-        q = self.reference.Z.ravel()
-        return q, self.reference.velocities(q, None)
 
     def _closed(self) -> tuple[Array, Array]:
         assembly = self._assembly

@@ -151,14 +151,6 @@ class JointConstraints:
             return np.repeat(self._tangent[None], len(q), axis=0)
         return constraints(self.plan, Constraints.VALUES, self.factors.over(t), None, q)
 
-    def constraints_b(self, q: Array, t: Array) -> Array:
-        """Phi_b, shape (k, n_lam, n_b)."""
-        return self._totals(t, (q,), None, None)
-
-    def constraint_forces_b(self, q: Array, lam: Array, t: Array) -> Array:
-        """(Phi_q^T lam)_b, shape (k, n_q, n_b)."""
-        return self._totals(t, (q,), None, (lam, None))
-
     def pull_back(self, q: Array, lam: Array, t: Array, mu: Array, zeta: Array) -> Array:
         """Sum over instants of (Phi_q^T lam)_b^T mu + Phi_b^T zeta, shape (n_b,)."""
         # Design partials of the derivative of lam . Phi along mu, and of zeta . Phi.
@@ -187,12 +179,6 @@ class JointConstraints:
 
     # -- rates and their total derivatives, one instant ------------------------------------------
 
-    def constraint_total(
-        self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None
-    ) -> Array:
-        """Total design derivative of `constraint`; partial, with the motion held, without b."""
-        return self._total(t, motion, motion_b, None)
-
     def force_along_total(
         self,
         t: float,
@@ -205,10 +191,10 @@ class JointConstraints:
         States are q, dq and lam. What the rate is at rest belongs to time.
         """
         (q, dq, lam), (q_b, dq_b, lam_b) = states, states_b
-        total = self._total(t, (q, dq), (q_b, dq_b), (lam, lam_b))
+        total = self.total(t, (q, dq), (q_b, dq_b), (lam, lam_b))
         if share == 1 or not self.factors.driven:
             return total
-        return total - (1 - share) * self._total(t, (q, 0 * dq), (q_b, 0 * dq_b), (lam, lam_b))
+        return total - (1 - share) * self.total(t, (q, 0 * dq), (q_b, 0 * dq_b), (lam, lam_b))
 
     def force_along_pull_back(
         self, t: float, states: tuple[Array, Array, Array], share: float, mu: Array
@@ -229,27 +215,30 @@ class JointConstraints:
         on_l, on_c = constraint_gradient(self.plan, factors, weights, *motion)
         return self._partials.contract(on_l.imag / STEP, on_c.imag / STEP, t)
 
-    def _total(
+    def total(
         self,
         t: float,
         motion: Sequence[Array],
         motion_b: Sequence[Array] | None,
-        multipliers: tuple[Array, Array] | None,
+        multipliers: tuple[Array, Array] | None = None,
     ) -> Array:
-        """Differentiate Phi, or Phi_q^T lam, or its rate, along the design at one instant."""
+        """Total design derivative of Phi, or of Phi_q^T lam, or of its rate, at one instant.
+
+        Without derivatives of the motion it is partial: the motion is held.
+        """
         states = tuple(x[None] for x in motion)
         rows = None if motion_b is None else tuple(x.T[None] for x in motion_b)
         loads = None if multipliers is None else (multipliers[0][None], multipliers[1].T[None])
-        return only(self._totals(np.array([t]), states, rows, loads))
+        return only(self.totals(np.array([t]), states, rows, loads))
 
-    def _totals(
+    def totals(
         self,
         t: Array,
         motion: tuple[Array, ...],
-        motion_b: tuple[Array, ...] | None,
-        multipliers: tuple[Array, Array | None] | None,
+        motion_b: tuple[Array, ...] | None = None,
+        multipliers: tuple[Array, Array | None] | None = None,
     ) -> Array:
-        """Differentiate them at many instants, (k, n, n_b); derivatives given are rows."""
+        """Return `total` at many instants, (k, n, n_b); derivatives given are rows."""
         orders, (lam, lam_b) = len(motion), multipliers or (None, None)
         if motion_b is None and not self.active:
             n = self.structure.n_lam if lam is None else motion[0].shape[1]

@@ -29,7 +29,8 @@ class ElasticForces:
     """Generalised elastic forces Q_s and their partials.
 
     States are given as rows of an array (k, n_q), one per instant. The pattern is that of the
-    system's matrices and must hold the entries of every element.
+    system's matrices and must hold the entries of every element; `tangent_places` are the elements,
+    and where their tangents stand on it.
     """
 
     def __init__(
@@ -49,6 +50,7 @@ class ElasticForces:
         at = self._coordinates
         index = pattern.index(at[:, :, None], at[:, None]).reshape(n, size**2)
         self._index = index.astype(np.int32)
+        self.tangent_places = self._elements, self._index
         pairs = np.concatenate([block.stiffness_pairs, block.damping_pairs])
         self._stiff = len(block.stiffness_pairs)
         self._pair_element = mapping.elements[pairs]
@@ -64,11 +66,6 @@ class ElasticForces:
     def damped(self) -> bool:
         """Whether forces depend on velocities."""
         return self._block.tau is not None
-
-    @property
-    def tangent_places(self) -> tuple[Block, Array]:
-        """The elements, and the places of their tangents on the pattern."""
-        return self._elements, self._index
 
     def round_off(self, q: Array, weights: Array) -> float:
         """Size of the round-off in Q_s near a configuration, one instant.

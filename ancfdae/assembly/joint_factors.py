@@ -1,6 +1,6 @@
 """What time and the design change in the coefficients of all joints."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final
@@ -32,11 +32,6 @@ class JointFactors:
     def active(self) -> set[int]:
         """Design variables that change a factor."""
         return {int(i) for slot in self._slots for i in np.flatnonzero(np.any(slot.item.p_b, 0))}
-
-    @property
-    def table(self) -> Callable[[Array, int], Array] | None:
-        """What gives the factors at many instants; None where nothing is driven."""
-        return self.over if self.driven else None
 
     def at(self, t: float, orders: int = 1) -> Array:
         """Return the factors at one instant, of so many orders at least."""

@@ -58,6 +58,8 @@ class LoadForces:
         self._moving = [
             MovingLoad(item, item.plan(pattern)) for item in inputs if not item.load.constant
         ]
+        # Whether a load depends on positions or velocities.
+        self.moving = len(self._moving) > 0
         self._steady = np.zeros(self._n_q)
         self._timed: list[tuple[LoadInput, Array]] = []
         zero = np.zeros((1, self._n_q))
@@ -70,11 +72,6 @@ class LoadForces:
                 self._steady = self._steady + row
             else:
                 self._timed.append((item, row))
-
-    @property
-    def moving(self) -> bool:
-        """Whether a load depends on positions or velocities."""
-        return len(self._moving) > 0
 
     def plans(self) -> tuple[tuple[LoadPlan, bool], ...]:
         """Return what a kernel takes of the loads that move, and whether they use velocities."""

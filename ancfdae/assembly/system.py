@@ -174,7 +174,7 @@ class AncfSystem(PlannedSystem):
         if np.iscomplexobj(self.b) or self._turning is not None:
             return None
         steady, rows = self._loads.timed()
-        inertia, weights = self._inertia, self.weights
+        inertia, weights, factors = self._inertia, self.weights, self._constraints.factors
         return Plan(
             *self._elastic.tangent_places,
             inertia.csr,
@@ -185,7 +185,7 @@ class AncfSystem(PlannedSystem):
             1 / weights,
             self._constraints.plan,
             self.constraint_pattern.rows_of(np.zeros(self.constraint_pattern.size)),
-            self._constraints.factors.table,
+            factors.over if factors.driven else None,
             self._loads.factors,
             self._loads.plans(),
             self._loads.turning,
@@ -291,7 +291,7 @@ class AncfSystem(PlannedSystem):
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:
         """Total design derivative of Phi and its time derivatives."""
-        return self._constraints.constraint_total(t, motion, motion_b)
+        return self._constraints.total(t, motion, motion_b)
 
     # -- the residual f = M a + Phi_q^T lam - Q ----------------------------------------------------
 
@@ -311,12 +311,15 @@ class AncfSystem(PlannedSystem):
         """Design partials of f (eqs. 24, 25) and Phi."""
         f_b = self._inertia.times_b(a)
         if v is not None:
-            f_b = f_b - self._forces_b(q, v, t)
+            Q_b = self._elastic.force_b(q, v) + self._inertia.gravity_b
+            if self._scene.loads:
+                Q_b = Q_b + self._loads.force_b(q, v, t)
+            f_b = f_b - Q_b
             if self._turning is not None:
                 f_b = f_b + self._turning.partials(q, v)
         if self._constraints.active:
-            f_b = f_b + self._constraints.constraint_forces_b(q, lam, t)
-        return DesignPartials(f_b, self._constraints.constraints_b(q, t))
+            f_b = f_b + self._constraints.totals(t, (q,), multipliers=(lam, None))
+        return DesignPartials(f_b, self._constraints.totals(t, (q,)))
 
     def pull_back(
         self,
@@ -393,7 +396,3 @@ class AncfSystem(PlannedSystem):
         if self._scene.loads:
             self._loads.subtract_tangents(q, v, t, K, D)
         return K, D
-
-    def _forces_b(self, q: Array, v: Array, t: Array) -> Array:
-        Q_b = self._elastic.force_b(q, v) + self._inertia.gravity_b
-        return Q_b + self._loads.force_b(q, v, t) if self._scene.loads else Q_b

@@ -7,6 +7,7 @@ matrices are as ever.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TypeAlias, final
 
 import numpy as np
@@ -63,11 +64,11 @@ class Prepared:
 
 
 @final
+@dataclass(frozen=True)
 class CompiledPasses:
     """Takes computed steps of a pass over a run, as many as are factorised."""
 
-    def __init__(self, prepared: Prepared) -> None:
-        self._kernel = prepared
+    kernel: Prepared
 
     @classmethod
     def of(
@@ -81,7 +82,7 @@ class CompiledPasses:
 
     def packet(self, h: Array, t: Array, states: tuple[Array, ...], matrices: Array) -> Packet:
         """Return what kernels take of steps with these states q, v and lam after them."""
-        plan = self._kernel.plan
+        plan = self.kernel.plan
         of_joints = plan.joint_factors(t, 1)[0] if plan.joint_factors else np.ones((1, 1))
         q, v, lam, of_joints, of_loads = (
             np.ascontiguousarray(x) for x in (*states, of_joints, plan.load_factors(t))
@@ -90,20 +91,20 @@ class CompiledPasses:
 
     def forward(self, steps: Packet, right: Array, z: Array, states: Array, lam_b: Array) -> int:
         """Take steps of direct differentiation; see `differentiate_steps`."""
-        arrays = self._kernel.arrays
+        arrays = self.kernel.arrays
         taken, why = differentiate_steps(arrays, steps, right, z, states, lam_b)
         if why != INDEFINITE:
             return taken
-        self._kernel.add_band()
+        self.kernel.add_band()
         rest = slice(taken, None)
         return taken + self.forward(_part(steps, rest), right[rest], z, states[rest], lam_b[rest])
 
     def backward(self, steps: Packet, seeds: OnStates, on: Array, mu: Array, zeta: Array) -> int:
         """Take transposed steps back from the last; see `pull_back_steps`."""
-        taken, why = pull_back_steps(self._kernel.arrays, steps, seeds, on, mu, zeta)
+        taken, why = pull_back_steps(self.kernel.arrays, steps, seeds, on, mu, zeta)
         if why != INDEFINITE:
             return taken
-        self._kernel.add_band()
+        self.kernel.add_band()
         rest = slice(len(mu) - taken)
         q, v, lam = (x if x is None else x[rest] for x in seeds)
         return taken + self.backward(_part(steps, rest), (q, v, lam), on, mu[rest], zeta[rest])
@@ -134,7 +135,9 @@ class CompiledSteps:
         """Take as many steps as go; states are written to rows of q, v, A and lam."""
         t, q, v, a, lam, A, motion = before
         starts = np.concatenate([[t], ends[:-1]])
-        tables = self._joint_factors(starts, ends, h), self._load_factors(starts, ends)
+        of_loads = self._kernel.plan.load_factors
+        loads = np.stack([of_loads(ends), of_loads(starts)], axis=1)
+        tables = self._joint_factors(starts, ends, h), loads
         taken, why, motion, a, counts = march(
             self._kernel.arrays, (q, v, a, lam, A), motion, h, *tables, _PATIENCE, rows
         )
@@ -142,21 +145,18 @@ class CompiledSteps:
             self._small = True
         elif why == INDEFINITE:
             self._kernel.add_band()
-        self._count(counts)
-        if taken:
-            # Copies: a node that is kept must not keep the rows of a whole part.
-            q, v, A, lam = (row[taken - 1].copy() for row in rows)
-            return taken, Node(float(ends[taken - 1]), q, v, a, lam, A, motion)
-        again = why in (NEEDS_GAUSS, INDEFINITE)
-        return self.march(before, h, ends, rows) if again else (0, before)
-
-    def _count(self, counts: tuple[int, int, int]) -> None:
         iterations, factorisations, round_off_steps = counts
         recorder = self._recorder
         recorder.iterations += iterations
         recorder.residuals += iterations
         recorder.factorisations += factorisations
         recorder.round_off_steps += round_off_steps
+        if taken:
+            # Copies: a node that is kept must not keep the rows of a whole part.
+            q, v, A, lam = (row[taken - 1].copy() for row in rows)
+            return taken, Node(float(ends[taken - 1]), q, v, a, lam, A, motion)
+        again = why in (NEEDS_GAUSS, INDEFINITE)
+        return self.march(before, h, ends, rows) if again else (0, before)
 
     def _joint_factors(self, starts: Array, ends: Array, h: Array) -> Array:
         """Factors at ends and beginnings of steps, and where they are small at Gauss points."""
@@ -170,7 +170,3 @@ class CompiledSteps:
         values, rates = of(t.ravel(), 1)[0], of(t[:, 2:].ravel(), 2)[1]
         tables = [x.reshape(len(h), -1, x.shape[1]) for x in (values, rates)]
         return np.concatenate(tables, axis=1)
-
-    def _load_factors(self, starts: Array, ends: Array) -> Array:
-        of = self._kernel.plan.load_factors
-        return np.stack([of(ends), of(starts)], axis=1)

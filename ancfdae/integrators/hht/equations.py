@@ -93,11 +93,6 @@ class Steps:
     h: Array
     alpha: float
 
-    @property
-    def first(self) -> Coefficients:
-        """Coefficients of the first step."""
-        return self.of(1)
-
     def of(self, n: int) -> Coefficients:
         """Coefficients of the step that ends at instant n."""
         return Coefficients(float(self.h[n - 1]), self.alpha)

@@ -186,7 +186,7 @@ def _advance(nodes: Nodes, start: NodeSensitivity, states: Array, lam_b: Array) 
     matrices = nodes.problem.matrices
     compiled = CompiledPasses.of(system, matrices, all_steps.alpha)
     z = np.zeros((4, n_b, n_q))  # q~_b, v~_b, A~_b, a_b of a step
-    z[:3] = _predicted(all_steps.first, start)
+    z[:3] = _predicted(all_steps.of(1), start)
     matrix = step_matrices(all_steps)
     known = 2 * n_b * (n_q + system.n_lam)
     for steps in _chunks(system, n_t, known, linearised=not compiled or bool(maybe_small.any())):
@@ -257,7 +257,7 @@ def pull_back(
     """
     on, matrix = np.zeros((6, nodes.problem.system.n_q)), step_matrices(nodes.steps)
     gradient, on, change = pull_back_part(nodes, seeds, on, matrix, defects, progress)
-    return gradient, start_covectors(nodes.steps.first, on), change
+    return gradient, start_covectors(nodes.steps.of(1), on), change
 
 
 def pull_back_part(

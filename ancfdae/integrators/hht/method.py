@@ -103,7 +103,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     ) -> tuple[list[Array], Verdict]:
         steps, derivative = self.steps_of(run), problem.derivative
         assert derivative is not None
-        first = RecurrenceStart.of(problem, steps.first)
+        first = RecurrenceStart.of(problem, steps.of(1))
         nodes = Nodes(problem, run, steps, first.node)
         derivatives = linear_passes.differentiate(nodes, first.sensitivity(derivative), progress)
         derivatives[0][1][0] = derivative.v_b  # A solution reports the consistent start.
@@ -150,7 +150,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         """Return what a pass over a run begins with."""
         # The length of a run of one instant scales nothing.
         steps, problem = self.steps_of(solution), Problem.of(system, float(solution.t[-1]) or 1.0)
-        first = RecurrenceStart.of(problem, steps.first)
+        first = RecurrenceStart.of(problem, steps.of(1))
         return first, Nodes(problem, solution, steps, first.node)
 
     def steps_of(self, solution: Solution) -> Steps:

@@ -36,7 +36,7 @@ class Replay(RunInParts):
 
     def __init__(self, problem: Problem, steps: Steps, t: Array, newton: tuple[float, int]) -> None:
         self._problem, self._steps, self.t, self._newton = problem, steps, t, newton
-        self._first = RecurrenceStart.of(problem, steps.first)
+        self._first = RecurrenceStart.of(problem, steps.of(1))
         self.taken = 0
 
     def start(self) -> Node:
@@ -69,7 +69,7 @@ class Replay(RunInParts):
 
     def close(self, on: Array, seeds: Seeds, gradient: Array) -> Array:
         """Pull back through the start of the recurrence."""
-        back = linear_passes.start_covectors(self._steps.first, on)
+        back = linear_passes.start_covectors(self._steps.of(1), on)
         return through_start(self._problem, self._first, back, seeds, gradient)
 
     def no_covectors(self) -> Array:

@@ -126,7 +126,7 @@ class Nodes:
     def maybe_small(self) -> Array:
         """Return for every instant whether the step that ends there may be small, shape (n_t,)."""
         root = np.sqrt(self.problem.system.weights)
-        h, beta = self.steps.h, self.steps.first.beta
+        h, beta = self.steps.h, self.steps.of(1).beta
         # A run that diverged overflows; its motion is not small.
         with np.errstate(over="ignore"):
             q, A = (np.linalg.norm(root * x.real, axis=1) for x in (self.run.q, self.run.a))

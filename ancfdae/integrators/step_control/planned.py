@@ -165,22 +165,23 @@ class GivenSteps(_KnownSteps):
 
 
 @final
+@dataclass(frozen=True, eq=False)
 class StepPlan(Controller):
     """Sizes and ends of all steps, of the one that begins at instant n at place n."""
 
-    def __init__(self, sizes: Array, ends: Array) -> None:
-        self._sizes, self._ends = sizes, ends
+    all_sizes: Array
+    ends: Array
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
         """Return the step as it is known."""
-        if n == len(self._ends):
+        if n == len(self.ends):
             return Verdict.FINISHED
-        return float(self._sizes[n]), float(self._ends[n])
+        return float(self.all_sizes[n]), float(self.ends[n])
 
     def known(self, n: int) -> tuple[Array, Array]:
         """Return the next steps."""
         packet = slice(n, n + _PACKET)
-        return self._sizes[packet], self._ends[packet]
+        return self.all_sizes[packet], self.ends[packet]
 
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
         """Go on if the step was solved."""

@@ -1,7 +1,7 @@
 """ANCF elements: shape functions, invariant matrices, batched elastic forces; one a file."""
 
 from ancfdae.model.elements.cable import CABLE_2D, CABLE_3D
-from ancfdae.model.elements.continuum import BEAM_2D, BEAM_3D
+from ancfdae.model.elements.continuum import BEAM_2D, BEAM_3D, default_element
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
@@ -16,10 +16,5 @@ from ancfdae.model.elements.energy import (
     StrainEnergy,
 )
 
-#: Every element, the default one of a dimension before others of it.
+#: Every element.
 ALL_ELEMENTS: tuple[BeamElement, ...] = (BEAM_2D, BEAM_3D, CABLE_2D, CABLE_3D)
-
-
-def default_element(dimension: int) -> BeamElement:
-    """Return the beam of a dimension."""
-    return next(each for each in ALL_ELEMENTS if each.d == dimension)

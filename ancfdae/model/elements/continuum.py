@@ -157,3 +157,8 @@ BEAM_2D = ContinuumBeam("BEAM_2D", 2)
 # Spatial fully parameterised beam, 24 coordinates (Yakoub & Shabana 2001), with the node vectors
 # X = [r_1, r_x1, r_y1, r_z1, r_2, r_x2, r_y2, r_z2].
 BEAM_3D = ContinuumBeam("BEAM_3D", 3)
+
+
+def default_element(dimension: int) -> ContinuumBeam:
+    """Return the beam of a dimension."""
+    return BEAM_2D if dimension == 2 else BEAM_3D

@@ -51,17 +51,9 @@ class ObjectivePartials:
     sum_n (q[n] . q_b[n] + v[n] . v_b[n] + lam[n] . lam_b[n]) + b, plus that through the states of
     the integrals taken beside the motion, where these were integrated without sensitivities.
 
-    Attributes
-    ----------
-    value : float
-    q, v : array, shape (k, n_q), or None
-        Row n is the derivative in the state at instant n, quadrature weights included; None if
-        the objective does not depend on the argument.
-    lam : array, shape (k, n_lam), or None
-    b : array, shape (n_b,)
-        Derivative in the design variables with the states of the instants held.
-    densities : tuple of (float, Density)
-        Weights and partials of the integrals taken beside the motion.
+    Row n of q, v and lam is the derivative in the state at instant n, quadrature weights included;
+    None if the objective does not depend on it. b, (n_b,), is that in the design variables with the
+    states of the instants held, `densities` are weights and partials of these integrals.
     """
 
     value: float

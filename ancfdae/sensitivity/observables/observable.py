@@ -64,15 +64,10 @@ class LeafGradient:
 @final
 @dataclass(frozen=True)
 class ObservablePartials:
-    """Value and partials of an observable at every instant.
+    """Value, (k,), and partials of an observable at every instant.
 
-    Attributes
-    ----------
-    value : array, shape (k,)
-    q, v, lam : array, shape (k, n), or None
-        None where the observable does not depend on the argument.
-    b : array, shape (k, n_b)
-        Partials in the design variables with the states held.
+    Those in states, (k, n), are None where it does not depend on them; those in the design
+    variables, (k, n_b), hold the states.
     """
 
     value: Array
@@ -161,15 +156,10 @@ class Observable(Expression["Observable"]):
 
 
 class Leaf(Observable):
-    """An observable that is not made of others; immutable and compared by value.
+    """An observable that is not made of others; immutable and compared by value."""
 
-    Attributes
-    ----------
-    remembers : bool
-        Whether its value depends on the instants before, as a count of turns does. It is then
-        piecewise constant.
-    """
-
+    #: Whether its value depends on the instants before, as a count of turns does. It is then
+    #: piecewise constant.
     remembers: ClassVar[bool] = False
 
     @abc.abstractmethod

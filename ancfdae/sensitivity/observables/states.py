@@ -27,17 +27,10 @@ class Named(Protocol):
 @final
 @dataclass(frozen=True)
 class States:
-    """States of a system at a sequence of instants, real or complex.
+    """States of a system at a sequence of instants, as rows, real or complex.
 
-    Attributes
-    ----------
-    t : array, shape (k,)
-    q, v : array, shape (k, n_q)
-    lam : array, shape (k, n_lam)
-    degree : int
-        Degree of the polynomials between the instants, see `TimeGrid`.
-    past : mapping of Leaf to float
-        Of a part of a run: the values of leaves that remember at its first instant.
+    `degree` is that of the polynomials between the instants (`TimeGrid`). Of a part of a run `past`
+    holds, by leaf, the values at its first instant of leaves that remember.
     """
 
     t: Array
