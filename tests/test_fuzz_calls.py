@@ -101,12 +101,40 @@ GOOD: dict[str, list[Any]] = {
     "variable": [DesignVariable("h", {"rod.height": 2.0})],
     "of": ["gradient"],
     "target_error": [0.1],
+    "rates": [[0.0, 1.0]],
+    "parameter": ["load.force_x"],
+    "to": [-1e7],
+    "size": [0.01],
+    "tolerance": [0.1],
 }
 RESPONSES = ancfdae.Responses(SYSTEM, {"tip": OBJECTIVE}, 0.05, STEP)
 FIT = Misfit([TIP], [0.02], [[1.0]]).fit(SYSTEM, 0.05, STEP)
 MODES = ancfdae.modes(SYSTEM)
 TRADE = ancfdae.tradeoff(SYSTEM, OBJECTIVE, 0.05, [STEP], reference=HHT(0.005))
 DERIVED = ancfdae.differentiate(SYSTEM, 0.05, STEP)
+PRESSED = replace(
+    SCENE, gravity=(0.0, 0.0), loads=[ancfdae.PointForce(ROD.at_end, (0.0, 0.0), name="load")]
+)
+CRITICAL = ancfdae.critical_load(PRESSED, "load.force_x", -1e7)
+TURNING = replace(SCENE, frame=ancfdae.TurningFrame(1.0), gravity=(0.0, 0.0))
+
+
+def campbell(rates: Any, count: Any) -> ancfdae.Campbell:
+    return ancfdae.campbell(TURNING, rates, count)
+
+
+def critical_load(parameter: Any, to: Any, design: Any = None) -> ancfdae.CriticalLoad:
+    return ancfdae.critical_load(PRESSED, parameter, to, design=design)
+
+
+def within(t_end: Any, observables: Any, tolerance: Any, at_times: Any = None) -> ancfdae.Observed:
+    return simulate(SCENE, t_end, tolerance=tolerance, observables=observables, at=at_times)
+
+
+def gradient_within(objective: Any, tolerance: Any, design: Any) -> ancfdae.Gradient:
+    return ancfdae.gradient(SCENE, objective, 0.05, tolerance=tolerance, design=design)
+
+
 CALLS = [
     *(ancfdae.simulate, ancfdae.differentiate, ancfdae.gradient, ancfdae.gradients),
     *(ancfdae.observe, ancfdae.evaluate, ancfdae.modes, ancfdae.equilibrium),
@@ -117,6 +145,7 @@ CALLS = [
     *(RESPONSES.values, RESPONSES.constraint, RESPONSES.__getitem__, FIT.residuals, Misfit),
     *(MODES.shape_b, SCENE.with_values, SCENE.beam, SCENE.member, SCENE.numbers, SCENE.value),
     *(TRADE.pareto, TRADE.recommend, plotting.snapshots, plotting.history),
+    *(campbell, critical_load, CRITICAL.branch, within, gradient_within),
 ]
 
 
@@ -157,6 +186,11 @@ VALID: dict[str, Callable[[Any], bool]] = {
     "at": lambda x: x is None or isinstance(x, Configuration | Equilibrium | Solution),
     "start": lambda x: x is None or isinstance(x, Equilibrium),
     "max_steps": number,
+    "rates": lambda x: np.ndim(x) == 1 and len(x) > 0,
+    "parameter": lambda x: isinstance(x, str | DesignVariable),
+    "to": lambda x: number(x) or number(-x),
+    "size": lambda x: number(x) or number(-x),
+    "tolerance": number,
 }
 
 
@@ -251,6 +285,12 @@ def with_junk(call: Callable[..., Any], **junk: Any) -> tuple[Any, dict[str, Any
 @example(with_junk(Misfit, data="a.b"))
 @example(with_junk(TRADE.pareto, of=np.zeros(3)))
 @example(with_junk(TRADE.plot, path=""))
+@example(with_junk(campbell, rates=0.5))
+@example(with_junk(campbell, rates=[]))
+@example(with_junk(CRITICAL.branch, size="x"))
+@example(with_junk(CRITICAL.branch, size=0))
+@example(with_junk(critical_load, to=float("nan")))
+@example(with_junk(within, observables=np.zeros(3)))
 @example(with_junk(plotting.snapshots, scene=SCENE, solution=-2))
 def test_calls_answer_or_refuse(call: tuple[Callable[..., Any], dict[str, Any], set[str]]) -> None:
     function, given, spoiled = call

@@ -25,6 +25,7 @@ from ancfdae import (
     Material,
     MissingPackage,
     Pin,
+    Radau,
     Rectangle,
     Scene,
     Terminal,
@@ -139,6 +140,12 @@ def test_continuous_adjoint_takes_the_instants_of_any_integrator():
             errors.append(np.max(np.abs(found.gradient - exact)) / np.max(np.abs(exact)))
         # First order at least where instants are not evenly spaced: 4 times as many, with a margin.
         assert errors[1] < errors[0] / 3 < 1e-4
+    steps = [
+        gradient(system, objective, 1.0, Radau(h), method=ContinuousAdjoint()).gradient
+        for h in (2.0**-5, 2.0**-7)
+    ]
+    errors = [np.max(np.abs(x - exact)) / np.max(np.abs(exact)) for x in steps]
+    assert errors[1] < errors[0] / 3 < 1e-2
 
 
 def test_refusals():

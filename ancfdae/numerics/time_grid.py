@@ -25,6 +25,8 @@ from ancfdae.numerics.arrays import Array
 LOBATTO_DEGREE = 8
 # Part of the length of a run within which instants are one.
 _SAME = 1e-9
+# Part of the largest weight below which one is round-off of zero.
+_NONE = 1e-12
 
 
 def next_end(breakpoints: Iterable[float], t: float, t_end: float) -> float:
@@ -64,6 +66,8 @@ class TimeGrid:
                 panels = np.arange(first, last, min(self.degree, last - first))[:, None]
                 rows = panels + np.arange(min(self.degree, last - first) + 1)
                 np.add.at(w, rows, _panel_weights(self.t[rows]))
+        # Radau's quadrature has no weight at the start of a step: not even round-off.
+        w[np.abs(w) < _NONE * np.max(np.abs(w))] = 0.0
         return w
 
     def interpolation(self, time: float) -> tuple[slice, Array]:

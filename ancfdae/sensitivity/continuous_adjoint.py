@@ -194,7 +194,12 @@ class _BackwardRun:
     def _density(self, rows: Array | None, n: int) -> Array:
         if rows is None:
             return np.zeros((len(self._w), n))
-        return np.asarray(rows / self._w[:, None])
+        density = rows / np.where(self._w == 0, 1.0, self._w)[:, None]
+        if self._w[0] == 0:
+            # Radau's quadrature does not see the start: the line through the next two instants.
+            t = self._solution.t
+            density[0] = density[1] + (t[0] - t[1]) / (t[2] - t[1]) * (density[2] - density[1])
+        return density
 
     def _end(self) -> tuple[_Adjoint, Array, Array]:
         """Adjoint variables at t_2 with epsilon and gamma (eqs. 38-41)."""

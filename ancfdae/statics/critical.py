@@ -19,7 +19,7 @@ from typing import Literal, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import AncfdaeError, InvalidInput, uninterrupted
+from ancfdae.errors import AncfdaeError, InvalidInput, require_finite, uninterrupted
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.equilibrium import Equilibrium, find_equilibrium, resting
@@ -94,9 +94,15 @@ class CriticalLoad:
 
         Raises
         ------
+        InvalidInput
+            If the size is zero or no finite number.
         NoCriticalPoint
             If Newton's method does not converge; a smaller size may.
         """
+        require_finite("size", size)
+        if size == 0:
+            repair = "A small part of how far the motion shall go."
+            raise InvalidInput("size", "must not be zero", size, repair)
         step = size * float(self.motion[self._point.i])
         point, k = self._point, self._p
         tau_aa, tau_ab = point.in_a

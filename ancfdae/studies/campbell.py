@@ -104,9 +104,10 @@ def campbell(
     """
     frame = _frame_of(scene)
     require_count("count", count, "Ask for one or more modes.")
-    rates = require_array("rates", rates, (len(rates),))
-    if not np.all(np.diff(rates) > 0):
-        raise InvalidInput("rates", "must ascend", rates.tolist(), "Sort them.")
+    rates = require_array("rates", rates)
+    if rates.ndim != 1 or not len(rates) or not np.all(np.diff(rates) > 0):
+        rule = "must be a sequence that ascends"
+        raise InvalidInput("rates", rule, rates.tolist(), "For example [0, 50, 100].")
     variables, equilibria, lines = (_RATE, *design), list[Equilibrium](), list[_Lines]()
     for rate in rates.tolist():
         turned = replace(scene, frame=replace(frame, rate=rate))

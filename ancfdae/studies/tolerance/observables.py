@@ -112,7 +112,8 @@ def _checked(
 ) -> Sequence[Observable]:
     """Refuse what is no observable of the system, and none."""
     repair = "For example observables=[position(rod.at_end, 0)]."
-    wanted = require_each("observables", observables or (), (Observable,), repair)
+    named = () if observables is None else observables
+    wanted = require_each("observables", named, (Observable,), repair)
     if not wanted:
         raise InvalidInput("observables", "must be named for a tolerance", "none", repair)
     for each in wanted:
