@@ -10,6 +10,7 @@ from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind
 from ancfdae.modes.solver import coincident, solve
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.statics import motions_in_words
 
 
@@ -20,13 +21,14 @@ def modes_about(
     highest: bool,
     damped: bool | None,
     pull_back: PullBack | None,
+    saddle: SaddlePoint | None,
 ) -> Modes:
     """Return modes about a configuration; InvalidInput if it does not fit, or without inertia.
 
     Velocity forces count if `damped`, by default if there are any. `pull_back` takes derivatives in
     q, lam and b back to the design; without it they go forward, along those of the configuration.
     """
-    small = Linearised.of(system, at, damped)
+    small = Linearised.of(system, at, damped, saddle)
     pairs = solve(small, count, highest)
     mu = small.multipliers(pairs.z, pairs.X)
     groups = coincident(pairs)

@@ -5,8 +5,13 @@ With N a basis of the null space of Phi_q, orthonormal in M, motions x = N y sat
     y'' + D_N y' + K_N y = 0,     D_N = N^T D N,  K_N = N^T K N
 """
 
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
 import numpy as np
 import scipy
+from scipy.linalg import lapack
 
 from ancfdae.errors import InvalidInput
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
@@ -15,11 +20,15 @@ from ancfdae.numerics.arrays import Array
 
 def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array]:
     """Return z = -s^2 in increasing order of its real part, and the shapes as columns."""
-    N, K = _reduced(small, small.K)
-    first = len(K) - count if highest else 0
+    first = small.n_free - count if highest else 0
     if small.symmetric:
-        z, Y = scipy.linalg.eigh((K + K.T) / 2, subset_by_index=[first, first + count - 1])
-        return z, N @ Y
+        within = _Within(small)
+        L = _cholesky(within.matrix(small.M))
+        K, _ = lapack.dsygst(within.matrix(small.K), L, lower=True)
+        last = [first, first + count - 1]
+        z, Y = scipy.linalg.eigh(K, subset_by_index=last, check_finite=False)
+        return z, within.motions(lapack.dtrtrs(L, Y, lower=True, trans=1)[0])
+    N, K = _reduced(small, small.K)
     z, Y = scipy.linalg.eig(K)
     chosen = np.lexsort((z.imag, z.real))[first : first + count]
     return z[chosen], N @ Y[:, chosen]
@@ -51,25 +60,66 @@ def damped(small: Linearised, rigid: Array) -> tuple[Array, Array]:
     return s, N @ (S @ W[p:])
 
 
-def _reduced(small: Linearised, values: Array) -> tuple[Array, Array]:
-    """Return N and the matrix in its coordinates."""
-    system = small.system
-    scale = 1 / np.sqrt(system.weights)
-    N = np.diag(scale)
-    if system.n_lam:
-        rows = system.constraint_pattern.dense(small.Phi_q) * scale
-        Q, _ = scipy.linalg.qr(rows.T / np.linalg.norm(rows, axis=1))
-        N = scale[:, None] * Q[:, system.n_lam :]
-    try:
-        L = scipy.linalg.cholesky(N.T @ small.times(small.M, N), lower=True)
-    except scipy.linalg.LinAlgError as error:
+@final
+@dataclass(frozen=True)
+class _Within:
+    """Motions that keep the constraints, in a basis orthonormal in the weights.
+
+    It is the last columns of the Q of Phi_q^T = Q R, which stays a product of reflections: few
+    constraints then cost little.
+    """
+
+    small: Linearised
+
+    @cached_property
+    def _scale(self) -> Array:
+        return np.asarray(1 / np.sqrt(self.small.system.weights))
+
+    @cached_property
+    def _reflections(self) -> tuple[Array, Array]:
+        rows = self.small.system.constraint_pattern.dense(self.small.Phi_q) * self._scale
+        reflections, sizes, _, _ = lapack.dgeqrf(rows.T / np.linalg.norm(rows, axis=1))
+        return reflections, sizes
+
+    def _turned(self, x: Array, side: str, transposed: str) -> Array:
+        """Return the product with Q from the left or right."""
+        if not self.small.system.n_lam:
+            return x
+        args = side, transposed, *self._reflections
+        turned: Array = lapack.dormqr(*args, x, 64 * len(x), overwrite_c=True)[0]
+        return turned
+
+    def matrix(self, values: Array) -> Array:
+        """Return M, or K where it is symmetric, in this basis."""
+        system = self.small.system
+        # Transposed it lies in memory as LAPACK wants it.
+        scaled = (self._scale[:, None] * system.pattern.dense(values) * self._scale).T
+        turned = self._turned(self._turned(scaled, "L", "T"), "R", "N")
+        return turned[system.n_lam :, system.n_lam :]
+
+    def motions(self, Y: Array) -> Array:
+        """Return the coordinates of motions given in this basis, as columns."""
+        held = np.zeros((self.small.system.n_lam, Y.shape[1]))
+        return self._scale[:, None] * self._turned(np.concatenate([held, Y]), "L", "N")
+
+
+def _cholesky(M: Array) -> Array:
+    L, failed = lapack.dpotrf(M, lower=True)
+    if failed:
         raise InvalidInput(
             "mass matrix",
             "must give inertia to every motion that the joints leave",
             "a motion without inertia",
             "Give every coordinate inertia.",
-        ) from error
-    N = scipy.linalg.solve_triangular(L, N.T, lower=True).T
+        )
+    return np.asarray(L)
+
+
+def _reduced(small: Linearised, values: Array) -> tuple[Array, Array]:
+    """Return N and the matrix in its coordinates."""
+    within = _Within(small)
+    L = _cholesky(within.matrix(small.M))
+    N = within.motions(lapack.dtrtrs(L, np.eye(len(L)), lower=True, trans=1)[0])
     return N, N.T @ small.times(values, N)
 
 

@@ -49,10 +49,19 @@ class Linearised:
     D: Array | None
     K: Array
     Phi_q: Array
+    saddle: SaddlePoint
 
     @staticmethod
-    def of(system: MechanicalSystem, at: Configuration, damped: bool | None) -> Linearised:
+    def of(
+        system: MechanicalSystem,
+        at: Configuration,
+        damped: bool | None,
+        saddle: SaddlePoint | None = None,
+    ) -> Linearised:
         """Linearise about a configuration; velocity forces count by default if there are any.
+
+        Saddle-point matrices that are not given are made; RedundantConstraints if Phi_q has
+        dependent rows.
 
         InvalidInput if the configuration does not fit the system or a matrix is not finite.
         """
@@ -77,7 +86,8 @@ class Linearised:
             )
         q_b = np.zeros((system.n_q, system.n_b)) if at.q_b is None else at.q_b
         lam_b = np.zeros((system.n_lam, system.n_b)) if at.lam_b is None else at.lam_b
-        return Linearised(system, at, q_b, lam_b, matrices[0], D, *matrices[1:])
+        saddle = saddle or saddle_point(system, at.t, at.q)
+        return Linearised(system, at, q_b, lam_b, matrices[0], D, *matrices[1:], saddle)
 
     @property
     def n_free(self) -> int:
@@ -123,11 +133,6 @@ class Linearised:
         return self.system.pattern.dot(values, x)
 
     # -- solving -------------------------------------------------------------------------------
-
-    @cached_property
-    def saddle(self) -> SaddlePoint:
-        """Saddle-point matrices with Phi_q; RedundantConstraints if it has dependent rows."""
-        return saddle_point(self.system, self.at.t, self.at.q)
 
     @cached_property
     def mass_factors(self) -> Factorization:

@@ -6,6 +6,7 @@ neither units nor stiff waves of the section matter.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -60,9 +61,9 @@ def coincident(pairs: Eigenpairs) -> list[list[int]]:
     for one.
     """
     near = _near(pairs.z, pairs.noise)
-    joined = np.abs(np.diff(pairs.z)) <= near[:-1] + near[1:]
-    groups = np.split(np.arange(len(pairs.z)), np.flatnonzero(~joined) + 1)
-    return [group.tolist() for group in groups if len(group)]
+    apart = np.abs(np.diff(pairs.z)) > near[:-1] + near[1:]
+    ends = [0, *(np.flatnonzero(apart) + 1).tolist(), len(pairs.z)]
+    return [list(range(*pair)) for pair in itertools.pairwise(ends) if pair[0] < pair[1]]
 
 
 def _near(z: Array, noise: Array) -> Array:

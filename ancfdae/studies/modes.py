@@ -21,7 +21,7 @@ from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.modes import Configuration, Modes, StepSuggestion, modes_about, suggestion
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import Factorization
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.sensitivity.adjoint import Adjoint, Direct
 from ancfdae.statics import Equilibrium, Tangent
 from ancfdae.studies.calls import as_system
@@ -67,10 +67,9 @@ def modes(
         require_kind("method", method, (Direct, Adjoint), "Direct() or Adjoint().")
     system = as_system(model, design)
     where = place(system, at)
-    if system.n_b and isinstance(method, Adjoint):
-        at, pull_back = where.configuration(False), where.pull_back
-        return modes_about(system, at, count, highest, damped, pull_back)
-    return modes_about(system, where.configuration(system.n_b > 0), count, highest, damped, None)
+    back = where.pull_back if system.n_b and isinstance(method, Adjoint) else None
+    configuration = where.configuration(system.n_b > 0 and back is None)
+    return modes_about(system, configuration, count, highest, damped, back, where.matrices)
 
 
 def suggest_step(
@@ -105,7 +104,9 @@ At: TypeAlias = Configuration | Equilibrium | None
 
 
 class DesignedConfiguration(abc.ABC):
-    """A configuration that depends on the design."""
+    """A configuration that depends on the design; its saddle-point matrices where it has some."""
+
+    matrices: SaddlePoint | None = None
 
     @abc.abstractmethod
     def configuration(self, differentiated: bool) -> Configuration:
@@ -185,8 +186,8 @@ class _Start(DesignedConfiguration):
 
     def __init__(self, system: MechanicalSystem) -> None:
         self._system = system
-        self._matrices = saddle_point(system, 0.0)
-        self._state = consistent_start(system, self._matrices, 0.0)
+        self.matrices: SaddlePoint = saddle_point(system, 0.0)
+        self._state = consistent_start(system, self.matrices, 0.0)
         self._q, self._rest = self._state.q, np.zeros(system.n_q)
         force = system.force(0.0, self._q, self._rest)
         self._a, self._lam = solve(self._factors, force, np.zeros(system.n_lam))
@@ -194,13 +195,13 @@ class _Start(DesignedConfiguration):
     @cached_property
     def _factors(self) -> Factorization:
         system = self._system
-        return self._matrices.factor(system.mass(self._q), system.constraint_q(0.0, self._q))
+        return self.matrices.factor(system.mass(self._q), system.constraint_q(0.0, self._q))
 
     def configuration(self, differentiated: bool) -> Configuration:
         if not differentiated:
             return Configuration(self._q, self._lam)
         system, q, a = self._system, self._q, self._a
-        q_b = start_sensitivity(system, self._matrices, self._state).q_b
+        q_b = start_sensitivity(system, self.matrices, self._state).q_b
         held = np.zeros_like(q_b)
         force = force_total(system, 0.0, q, self._rest, q_b, held)
         force = force - held_total(system, 0.0, q, a, self._lam, q_b)
@@ -220,4 +221,4 @@ class _Start(DesignedConfiguration):
         on_b = on_b - system.pull_back(at, states, (m[None], none[None]))
         on_b = on_b - held_pull_back(system, 0.0, q, rest, z, a)
         on = Covectors(on_q, rest, rest, none, on_b)
-        return pull_back_start(system, self._matrices, self._state, on)
+        return pull_back_start(system, self.matrices, self._state, on)
