@@ -49,7 +49,7 @@ _CLOSED = 1e-11
 _NOISE = 1e-12
 # Parts of the velocities that rates left open are, and rates of motions over those that they close,
 # beyond which rigid motions do not follow. Neighbours of a design are on the same side of both.
-_OPEN_RATE, _FAST = 1e-3, 30.0
+_OPEN_RATE, _FAST = 1e-3, 10.0
 
 
 @final
