@@ -67,6 +67,18 @@ def arch(n=32, R=100.0):
     return Scene([beam], [Clamp(beam.at_start), Pin(beam.at_end)], loads=[load])
 
 
+def sine_arch(rise, n=8):
+    """A shallow arch of span 1 between pins, a load in its middle."""
+    x = np.linspace(0, 1, n + 1)
+    slope = rise * np.pi * np.cos(np.pi * x)
+    tangents = np.stack([np.ones(n + 1), slope], axis=1) / np.sqrt(1 + slope[:, None] ** 2)
+    frames = np.stack([tangents, tangents @ [[0, 1], [-1, 0]]], axis=1)
+    nodes = np.stack([x, rise * np.sin(np.pi * x)], axis=1)
+    beam = CurvedBeam("arch", nodes, frames, Rectangle(0.01, 0.02), Material(7850, E, 0.3))
+    load = PointForce(beam.at(0.5), (0.0, 0.0), name="load")
+    return Scene([beam], [Pin(beam.at_start), Pin(beam.at_end)], loads=[load])
+
+
 SPAN = DesignVariable("span", {"top.length": 1, "pin(top@1).ground_x": 1})
 
 
@@ -221,6 +233,26 @@ def test_what_has_no_critical_load_says_so():
 def test_a_variable_that_parts_the_paths_has_no_derivative():
     with pytest.raises(InvalidInput, match="a change of which parts them"):
         critical_load(column(4), "load.force_x", -1000.0, design=["rod.height", "load.force_y"])
+
+
+@pytest.mark.parametrize(("rise", "kind"), [(0.01, "limit point"), (0.02, "bifurcation")])
+def test_stability_is_lost_there_and_not_before(rise, kind):
+    # Seen by equilibria alone, each followed from the last: flat arches snap, others sway first.
+    scene = sine_arch(rise)
+    found = critical_load(scene, "load.force_y", -2e4)
+    assert found.kind == kind
+
+    def stable(part):
+        at = equilibrium(scene)
+        for share in np.linspace(0, part, 9)[1:]:
+            at = equilibrium(scene.with_values({"load.force_y": share * found.value}), start=at)
+            end = at.outcome
+            if not end.success or end.stable_to is not None or end.downhill:
+                return False
+        return True
+
+    assert stable(0.99)
+    assert not stable(1.01)
 
 
 def test_two_motions_at_once_are_refused():
