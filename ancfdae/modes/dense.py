@@ -11,7 +11,6 @@ from typing import final
 
 import numpy as np
 import scipy
-from scipy.linalg import lapack
 
 from ancfdae.errors import InvalidInput
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
@@ -24,10 +23,10 @@ def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array
     if small.symmetric:
         within = _Within(small)
         L = _cholesky(within.matrix(small.M))
-        K, _ = lapack.dsygst(within.matrix(small.K), L, lower=True)
+        K, _ = scipy.linalg.lapack.dsygst(within.matrix(small.K), L, lower=True)
         last = [first, first + count - 1]
         z, Y = scipy.linalg.eigh(K, subset_by_index=last, check_finite=False)
-        return z, within.motions(lapack.dtrtrs(L, Y, lower=True, trans=1)[0])
+        return z, within.motions(scipy.linalg.lapack.dtrtrs(L, Y, lower=True, trans=1)[0])
     N, K = _reduced(small, small.K)
     z, Y = scipy.linalg.eig(K)
     chosen = np.lexsort((z.imag, z.real))[first : first + count]
@@ -78,7 +77,7 @@ class _Within:
     @cached_property
     def _reflections(self) -> tuple[Array, Array]:
         rows = self.small.system.constraint_pattern.dense(self.small.Phi_q) * self._scale
-        reflections, sizes, _, _ = lapack.dgeqrf(rows.T / np.linalg.norm(rows, axis=1))
+        reflections, sizes, _, _ = scipy.linalg.lapack.dgeqrf(rows.T / np.linalg.norm(rows, axis=1))
         return reflections, sizes
 
     def _turned(self, x: Array, side: str, transposed: str) -> Array:
@@ -86,7 +85,7 @@ class _Within:
         if not self.small.system.n_lam:
             return x
         args = side, transposed, *self._reflections
-        turned: Array = lapack.dormqr(*args, x, 64 * len(x), overwrite_c=True)[0]
+        turned: Array = scipy.linalg.lapack.dormqr(*args, x, 64 * len(x), overwrite_c=True)[0]
         return turned
 
     def matrix(self, values: Array) -> Array:
@@ -104,7 +103,7 @@ class _Within:
 
 
 def _cholesky(M: Array) -> Array:
-    L, failed = lapack.dpotrf(M, lower=True)
+    L, failed = scipy.linalg.lapack.dpotrf(M, lower=True)
     if failed:
         raise InvalidInput(
             "mass matrix",
@@ -119,7 +118,7 @@ def _reduced(small: Linearised, values: Array) -> tuple[Array, Array]:
     """Return N and the matrix in its coordinates."""
     within = _Within(small)
     L = _cholesky(within.matrix(small.M))
-    N = within.motions(lapack.dtrtrs(L, np.eye(len(L)), lower=True, trans=1)[0])
+    N = within.motions(scipy.linalg.lapack.dtrtrs(L, np.eye(len(L)), lower=True, trans=1)[0])
     return N, N.T @ small.times(values, N)
 
 
