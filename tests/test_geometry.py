@@ -461,6 +461,15 @@ def test_what_does_not_close_is_refused_in_words():
     assert simulate(strained, STEP, HHT(STEP)).outcome.success
 
 
+def test_a_search_that_does_not_converge_names_the_joint_that_is_open(monkeypatch):
+    monkeypatch.setattr("ancfdae.assembly.assembly._ITERATIONS", 1)
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, STRIP, SOFT)
+    far = Pin(rod.at_end, ground=(0.0, 1.5), name="far")
+    scene = Scene([rod], [Pin(rod.at_start), far], project_start=True)
+    with pytest.raises(InconsistentStart, match="as declared, joint 'far' is open by 0.75 of"):
+        simulate(scene, STEP, HHT(STEP))
+
+
 def clamped_crank(base_speed, crank_speed):
     """A turning crank, and a rocker on a moving base: rates that no rigid motion has."""
     crank = Beam("crank", (0.0, 0.0), (0.3, 0.0), 1, STRIP, SOFT, rigid=True)

@@ -145,10 +145,12 @@ class Assembly:
             return min(closed, key=self._turned)
         if nearest is not None:
             return nearest
+        joint, gap = self._widest(self.closing.start(False)[0])
         raise InconsistentStart(
             "assembly",
             "rigid motions of the bodies must close all joints",
-            f"no convergence in {_ITERATIONS} iterations, nor from {_RESTARTS} other starts",
+            f"no convergence in {_ITERATIONS} iterations, nor from {_RESTARTS} other starts; as "
+            f"declared, joint {joint!r} is open by {gap:.3g} of the mechanism's size",
             "Change the design less, or declare the bodies nearer to where they fit together: "
             "turn them with turn=..., so that joints nearly meet.",
         )
@@ -302,6 +304,11 @@ class Assembly:
     def _open(self, x: Array) -> float:
         return float(np.max(self._gaps(x), initial=0.0))
 
+    def _widest(self, x: Array) -> tuple[str, float]:
+        """Return the joint that a motion leaves open by most, and by how much."""
+        gaps = self._gaps(x)
+        return self.names[int(np.argmax(gaps))], float(np.max(gaps))
+
     @property
     def names(self) -> tuple[str, ...]:
         """Joint of every equation."""
@@ -310,9 +317,8 @@ class Assembly:
 
     def require_closed(self) -> None:
         """Refuse joints that rigid motions leave open."""
-        left = self._gaps(self._positions[0])
-        if self.moves and np.max(left, initial=0.0) > _CLOSED:
-            joint, gap = self.names[int(np.argmax(left))], float(np.max(left))
+        if self.moves and self._open(self._positions[0]) > _CLOSED:
+            joint, gap = self._widest(self._positions[0])
             raise InconsistentStart(
                 "assembly",
                 "rigid motions of the bodies must close all joints",
