@@ -13,24 +13,34 @@ import numpy as np
 import scipy
 
 from ancfdae.errors import InvalidInput
-from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
+from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.rigid import undamped_part
 from ancfdae.numerics.arrays import Array
 
 
 def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array]:
-    """Return z = -s^2 in increasing order of its real part, and the shapes as columns."""
+    """Return z = -s^2 of symmetric K in increasing order, and the shapes as columns."""
     first = small.n_free - count if highest else 0
-    if small.symmetric:
-        within = _Within(small)
-        L = _cholesky(within.matrix(small.M))
-        K, _ = scipy.linalg.lapack.dsygst(within.matrix(small.K), L, lower=True)
-        last = [first, first + count - 1]
-        z, Y = scipy.linalg.eigh(K, subset_by_index=last, check_finite=False)
-        return z, within.motions(scipy.linalg.lapack.dtrtrs(L, Y, lower=True, trans=1)[0])
+    within = _Within(small)
+    L = _cholesky(within.matrix(small.M))
+    K, _ = scipy.linalg.lapack.dsygst(within.matrix(small.K), L, lower=True)
+    last = [first, first + count - 1]
+    z, Y = scipy.linalg.eigh(K, subset_by_index=last, check_finite=False)
+    return z, within.motions(scipy.linalg.lapack.dtrtrs(L, Y, lower=True, trans=1)[0])
+
+
+def asymmetric(small: Linearised, rigid: Array) -> tuple[Array, Array]:
+    """Return z = -s^2 of all but the rigid motions R, which are orthonormal in M, and the shapes.
+
+    With P what is orthogonal to R they are those of P^T K_N P; the shapes R a + P w have
+
+        z a = R^T K_N P w
+    """
     N, K = _reduced(small, small.K)
-    z, Y = scipy.linalg.eig(K)
-    chosen = np.lexsort((z.imag, z.real))[first : first + count]
-    return z[chosen], N @ Y[:, chosen]
+    R = N.T @ small.times(small.M, rigid)
+    P = _complement(R)
+    z, W = scipy.linalg.eig(P.T @ K @ P)
+    return z, N @ (P @ W + R @ ((R.T @ K @ P @ W) / z))
 
 
 def damped(small: Linearised, rigid: Array) -> tuple[Array, Array]:
@@ -49,7 +59,7 @@ def damped(small: Linearised, rigid: Array) -> tuple[Array, Array]:
     N, K = _reduced(small, small.K)
     D = N.T @ small.times(small.D, N)
     R = N.T @ small.times(small.M, rigid)
-    P, S = _complement(R), _complement(_undamped_part(small, N, rigid, R))
+    P, S = _complement(R), _complement(N.T @ small.times(small.M, undamped_part(small, rigid)))
     p = P.shape[1]
     force = -np.hstack([K @ P, D @ S])
     J = np.vstack([np.hstack([np.zeros((p, p)), P.T @ S]), S.T @ force])
@@ -120,18 +130,6 @@ def _reduced(small: Linearised, values: Array) -> tuple[Array, Array]:
     L = _cholesky(within.matrix(small.M))
     N = within.motions(scipy.linalg.lapack.dtrtrs(L, np.eye(len(L)), lower=True, trans=1)[0])
     return N, N.T @ small.times(values, N)
-
-
-def _undamped_part(small: Linearised, N: Array, rigid: Array, R: Array) -> Array:
-    """Return the rigid motions that meet no damping."""
-    assert small.D is not None
-    sizes = np.abs(N).T @ small.times(np.abs(small.D), np.abs(rigid))
-    force = N.T @ small.times(small.D, rigid)
-    _, left, Vt = scipy.linalg.svd(force)
-    still = np.zeros(R.shape[1], dtype=bool)
-    still[: len(left)] = left <= ROUND_OFF * EPS * scipy.linalg.norm(sizes)
-    part: Array = R @ Vt[still].T
-    return part
 
 
 def _complement(R: Array) -> Array:

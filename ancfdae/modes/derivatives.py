@@ -86,7 +86,7 @@ def left_vectors(small: Linearised, pairs: Eigenpairs, mu: Array, group: list[in
         return np.concatenate([X, mu[:, group]])
     right = np.zeros((n + small.system.n_lam, len(group)), dtype=X.dtype)
     right[:n] = np.conj(small.times(small.M, X))
-    Y = small.factor_beside(pairs.z[group[0]]).solve_transposed(right)
+    Y = small.factor_beside(pairs.z[group[0]])[0].solve_transposed(right)
     return np.asarray(Y / np.max(np.abs(Y), axis=0))
 
 

@@ -19,7 +19,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, reaction
-from ancfdae.equations.saddle_points import saddle_point
+from ancfdae.equations.saddle_points import largest_entry, saddle_point
 from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.kernels import norm
 from ancfdae.modes.configuration import Configuration
@@ -86,7 +86,9 @@ class Linearised:
             )
         q_b = np.zeros((system.n_q, system.n_b)) if at.q_b is None else at.q_b
         lam_b = np.zeros((system.n_lam, system.n_b)) if at.lam_b is None else at.lam_b
-        saddle = saddle or saddle_point(system, at.t, at.q)
+        # Without exchanges of rows any scale will do.
+        if saddle is None or D is not None or not system.traits.symmetric:
+            saddle = saddle_point(system, at.t, at.q, matrices[1])
         return Linearised(system, at, q_b, lam_b, matrices[0], D, *matrices[1:], saddle)
 
     @property
@@ -132,6 +134,11 @@ class Linearised:
         """Product of M, D or K with a vector or columns."""
         return self.system.pattern.dot(values, x)
 
+    def squares(self, X: Array) -> Array:
+        """Return x^H M x of the columns of X."""
+        squares: Array = np.real(np.einsum("ij,ij->j", np.conj(X), self.times(self.M, X)))
+        return squares
+
     # -- solving -------------------------------------------------------------------------------
 
     @cached_property
@@ -139,25 +146,26 @@ class Linearised:
         """The mass with the constraints, factorised."""
         return self.saddle.factor(self.M, self.Phi_q)
 
-    def factor_beside(self, z: complex) -> Factorization:
-        """Factorise F(z) for inverse iteration; beside z if it is singular to the last bit."""
+    def factor_beside(self, z: complex) -> tuple[Factorization, bool]:
+        """Factorise F(z) for inverse iteration; beside z if it is singular to the last bit.
+
+        Tells whether z is such a z.
+        """
         F = self.matrix(z)
         try:
-            return self.saddle.factor(F, self.Phi_q)
+            return self.saddle.factor(F, self.Phi_q), False
         except SingularMatrix:
             i = np.arange(self.system.n_q)
             moved = F.copy()
             moved[self.system.pattern.index(i, i)] += (
                 ROUND_OFF * EPS * self.size * self.system.weights
             )
-            return self.saddle.factor(moved, self.Phi_q)
+            return self.saddle.factor(moved, self.Phi_q), True
 
     @cached_property
     def size(self) -> float:
         """Largest entry of K in the norm of the weights."""
-        pattern, root = self.system.pattern, np.sqrt(self.system.weights)
-        entries = np.abs(self.K) / (root[pattern.rows] * root[pattern.columns])
-        return float(np.max(entries)) or 1.0
+        return largest_entry(self.system, self.K) or 1.0
 
     def solve(self, factors: Factorization, force: Array) -> Array:
         """Return x of a saddle-point solve that keeps Phi_q x = 0; vector or columns."""

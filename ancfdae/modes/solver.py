@@ -17,6 +17,7 @@ from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.modes import dense, sparse
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.modes.precise import ALLOWED, NoModes, lost, precise_modes, refuse_lost
+from ancfdae.modes.rigid import floor, rigid_motions, with_zeros
 from ancfdae.numerics.arrays import Array
 
 # Up to this many independent motions dense matrices are faster; damped ones have twice as many
@@ -96,25 +97,42 @@ def solve(small: Linearised, count: int, highest: bool) -> Eigenpairs:
 
 
 def _undamped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
-    method = dense if _is_small(small, count) else sparse
-    z, X = method.undamped(small, count, highest)
-    change = np.zeros(len(z))
     if not small.symmetric:
-        z, X, change = _each_sharpened(small, z, X)
-    elif not highest:
+        return _asymmetric(small, count, highest)
+    z, X = (dense if _is_small(small, count) else sparse).undamped(small, count, highest)
+    change = np.zeros(len(z))
+    if not highest:
         z, X, change = _sharpened(small, z, X)
-    order = np.argsort(-z.real if highest else z.real, kind="stable")
+        z, X = with_zeros(small, z, X)
+    order = np.argsort(-z if highest else z, kind="stable")
     pairs = _finished(small, z[order], X[:, order])
     left = _left(small, pairs, change[order])
-    if not small.symmetric:
-        refuse_lost(pairs.z, left)
     missing = lost(pairs.z, left)
-    if highest or not small.symmetric or not len(missing) or _freed(pairs.z, left, missing):
+    if highest or not len(missing) or _freed(pairs.z, left, missing):
         return pairs
     z, X, noise = precise_modes(small, pairs.X)
     pairs = _finished(small, z, X, noise)
     refuse_lost(pairs.z, pairs.noise)
     return pairs
+
+
+def _asymmetric(small: Linearised, count: int, highest: bool) -> Eigenpairs:
+    rigid = rigid_motions(small)
+    if _is_small(small, count):
+        z, X = dense.asymmetric(small, rigid)
+    else:
+        z, X = sparse.undamped(small, count, highest, rigid)
+    order = np.lexsort((z.imag, -z.real if highest else z.real))[:count]
+    z, X, change = _with_rigid(rigid, *_each_sharpened(small, z[order], X[:, order]))
+    order = np.argsort(-z.real if highest else z.real, kind="stable")[:count]
+    pairs = _finished(small, z[order], X[:, order])
+    refuse_lost(pairs.z, _left(small, pairs, change[order]))
+    return pairs
+
+
+def _with_rigid(rigid: Array, z: Array, X: Array, change: Array) -> tuple[Array, Array, Array]:
+    none = np.zeros(rigid.shape[1])
+    return np.append(none, z), np.hstack([rigid, X]), np.append(none, change)
 
 
 def _freed(z: Array, noise: Array, missing: Array) -> bool:
@@ -132,25 +150,21 @@ def _freed(z: Array, noise: Array, missing: Array) -> bool:
 
 
 def _damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
-    rigid = _rigid(replace(small, D=None))
+    rigid = rigid_motions(small)
     if _is_small(small, count):
         s, X = dense.damped(small, rigid)
     else:
-        # Rigid motions, found already, are met again.
         more = count + (0 if highest else rigid.shape[1])
         around = _undamped(replace(small, D=None), more, highest)
         size = float(np.sqrt(np.max(np.abs(around.z))))
-        s, X = sparse.damped(small, more, size, highest)
-        moving = np.abs(s) ** 2 > ROUND_OFF * _noise(small, s, X) * np.abs(s)
-        s, X = s[moving], X[:, moving]
+        s, X = sparse.damped(small, count, size, highest, rigid)
     order = np.argsort(-np.abs(s) if highest else _rank(small, s, X), kind="stable")[:count]
     if not highest:
         # Before they are sharpened some grow by round-off, which would take the place of others.
         order = np.union1d(order, np.argsort(np.abs(s), kind="stable")[:count])
     s, X, change = _each_sharpened(small, s[order], X[:, order])
     if not highest:
-        none = np.zeros(rigid.shape[1])
-        s, X, change = np.append(none, s), np.hstack([rigid, X]), np.append(none, change)
+        s, X, change = _with_rigid(rigid, s, X, change)
         order = np.argsort(_rank(small, s, X), kind="stable")
         s, X, change = s[order], X[:, order], change[order]
     pairs = _finished(small, s, X)
@@ -178,16 +192,6 @@ def _is_small(small: Linearised, count: int) -> bool:
     return small.n_free <= max(size, 3 * count + _ROOM)
 
 
-def _rigid(small: Linearised) -> Array:
-    """Return the motions without stiffness, orthonormal in M."""
-    count = 1
-    while True:
-        pairs = _undamped(small, min(count, small.n_free), False)
-        if np.any(pairs.z.real > 0) or count >= small.n_free:
-            return np.asarray(pairs.X[:, pairs.z == 0].real)
-        count *= 4
-
-
 def _rank(small: Linearised, s: Array, X: Array) -> Array:
     """Order of exponents: growing ones, fastest first, then by size."""
     growing = s.real > ROUND_OFF * _noise(small, s, X)
@@ -201,7 +205,7 @@ def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Arr
     Returns what the last sweep changed in z, too.
 
     Dense eigenvalues are good to round-off of the largest one, which in a thin beam is far above
-    the lowest.
+    the lowest; those of Ritz's method to that of the largest here, which would hide a rigid motion.
     """
     change = np.full(len(z), np.inf)
     for _ in range(_SWEEPS):
@@ -213,11 +217,11 @@ def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Arr
         except SingularMatrix:
             return z, X, change
         Z = small.solve(factors, small.times(small.M, X))
-        Z = Z / np.sqrt(_squares(small, Z))
+        Z = Z / np.sqrt(small.squares(Z))
         K, M = (Z.T @ small.times(values, Z) for values in (small.K, small.M))
-        last = z
-        z, Y = scipy.linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
-        X, change = Z @ Y, np.abs(z - last)
+        X = Z @ scipy.linalg.eigh((K + K.T) / 2, (M + M.T) / 2)[1]
+        last, z = z, np.einsum("ij,ij->j", X, small.times(small.K, X)) / small.squares(X)
+        change = np.abs(z - last)
     return z, X, change
 
 
@@ -231,12 +235,12 @@ def _each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array
     z, X, change = z.astype(complex), X.astype(complex), np.zeros(len(z))
     for j in range(len(z)):
         for _ in range(_SWEEPS):
-            x, factors = X[:, j], small.factor_beside(z[j])
+            x, (factors, exact) = X[:, j], small.factor_beside(z[j])
             y = small.solve(factors, small.slope_times(z[j], x))
             if not np.any(y):  # A double root: F'(z) x vanishes.
                 break
             along = np.conj(small.times(small.M, y))
-            step = (along @ x) / (along @ y)
+            step = 0.0 if exact else (along @ x) / (along @ y)
             z[j], change[j] = z[j] - step, np.abs(step)
             X[:, j] = y / np.sqrt(np.real(along @ y))
     return z if small.D is None else _quotients(small, z, X), X, change
@@ -250,7 +254,7 @@ def _quotients(small: Linearised, s: Array, X: Array) -> Array:
     round-off of the products, and what does not grow is not taken for what does.
     """
     assert small.D is not None
-    m = _squares(small, X)
+    m = small.squares(X)
     d, k = (np.einsum("ij,ij->j", np.conj(X), small.times(A, X)) for A in (small.D, small.K))
     violation = small.system.constraint_pattern.dot(small.Phi_q, X)
     k = k + 2 * np.real(np.einsum("ij,ij->j", np.conj(small.multipliers(s, X)), violation))
@@ -261,7 +265,7 @@ def _quotients(small: Linearised, s: Array, X: Array) -> Array:
 
 def _finished(small: Linearised, z: Array, X: Array, noise: Array | None = None) -> Eigenpairs:
     """Name zero what is zero to round-off; norm and sign of the shapes."""
-    X = X / np.sqrt(_squares(small, X))
+    X = X / np.sqrt(small.squares(X))
     pivot = X[largest_entries(small, X), np.arange(X.shape[1])]
     X = X * (np.abs(pivot) / pivot)
     noise = _noise(small, z, X) if noise is None else noise
@@ -284,16 +288,10 @@ def largest_entries(small: Linearised, X: Array) -> Array:
     return np.asarray(np.argmax(size >= (1 - 1e-3) * np.max(size, axis=0), axis=0))
 
 
-def _squares(small: Linearised, X: Array) -> Array:
-    """Return x^H M x of the columns of X."""
-    squares: Array = np.real(np.einsum("ij,ij->j", np.conj(X), small.times(small.M, X)))
-    return squares
-
-
 def _noise(small: Linearised, z: Array, X: Array) -> Array:
     """Round-off in z: that of the terms of x^H F(z) x, over x^H F'(z) x."""
-    X = X / np.sqrt(_squares(small, X))
-    size, noise = np.abs(z), small.round_off(small.K, X)
+    X = X / np.sqrt(small.squares(X))
+    size, noise = np.abs(z), floor(small, X)
     if small.D is None:
         return noise + size * EPS
     noise = noise + size * small.round_off(small.D, X) + size**2 * EPS

@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.rigid import undamped_part
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
 
@@ -31,17 +32,22 @@ _SHIFTS = 6
 _MORE = 2
 
 
-def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array]:
-    """Return z = -s^2 in increasing order of its real part, and the shapes as columns."""
+def undamped(
+    small: Linearised, count: int, highest: bool, known: Array | None = None
+) -> tuple[Array, Array]:
+    """Return z = -s^2 in increasing order of its real part, and the shapes as columns.
+
+    Known vectors, orthonormal in M, are left out where K is not symmetric.
+    """
     if highest:
-        z, X = _highest(small, count, 0.0)
+        z, X = _highest(small, count, 0.0, known)
         return _completed(small, -z, X, lambda X: _highest(small, _MORE, 0.0, X), -1)
     shift = -_NEAR_ZERO * largest(small)
-    z, _ = _near(small, shift, count, _ROUGH)
+    z, _ = _near(small, shift, count, _ROUGH, known)
     for _ in range(_SHIFTS):
         # Below all of them: a growing motion may lie below the shift.
         shift = -1.5 * float(np.max(np.abs(z)))
-        z, X = _near(small, shift, count, 0.0)
+        z, X = _near(small, shift, count, 0.0, known)
         if np.min(z.real) > shift:
             break
     return _completed(small, z, X, lambda X: _near(small, shift, _MORE, 0.0, X), 1)
@@ -72,8 +78,12 @@ def largest(small: Linearised) -> float:
     return float(abs(z[0]))
 
 
-def damped(small: Linearised, count: int, size: float, highest: bool) -> tuple[Array, Array]:
+def damped(
+    small: Linearised, count: int, size: float, highest: bool, rigid: Array
+) -> tuple[Array, Array]:
     """Return exponents with Im s >= 0, nearest to zero or farthest, and their shapes.
+
+    Those of rigid motions are left out, as in `dense.damped`.
 
     With u = v / size the first-order form maps [x, u] to
 
@@ -84,9 +94,11 @@ def damped(small: Linearised, count: int, size: float, highest: bool) -> tuple[A
     """
     n, root = small.system.n_q, np.sqrt(small.system.weights)
     advance, factors = (_outwards if highest else _inwards)(small, size)
+    drifting = undamped_part(small, rigid)
 
     def step(y: Array) -> Array:
         x, u = advance(y[:n] / root, y[n:] / root)
+        x, u = _beside(small, x, rigid), _beside(small, u, drifting)
         return np.concatenate([root * x, root * u])
 
     start = root * _start(small, factors)
@@ -160,9 +172,15 @@ def _inverse(
 
     def solve(force: Array) -> Array:
         x = small.solve(factors, force)
-        return x if known is None else x - known @ (known.T @ small.times(small.M, x))
+        return x if known is None else _beside(small, x, known)
 
     return _operator(small.system.n_q, solve)
+
+
+def _beside(small: Linearised, x: Array, known: Array) -> Array:
+    """Return the part that is orthogonal in M to known vectors."""
+    part: Array = x - known @ (known.T @ small.times(small.M, x))
+    return part
 
 
 def _start(small: Linearised, factors: Factorization) -> Array:

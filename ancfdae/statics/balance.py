@@ -145,7 +145,10 @@ class Balance:
     @cached_property
     def matrices(self) -> SaddlePoint:
         """Saddle-point matrices."""
-        return saddle_point(self.system, self.t, self.q_0)
+        K = None
+        if not self.system.traits.symmetric:
+            K = self.tangent(1.0, self.q_0, self.lam_0).real
+        return saddle_point(self.system, self.t, self.q_0, K)
 
     def Phi_q(self, q: Array) -> Array:
         """Return the constraint Jacobian, values on its pattern."""

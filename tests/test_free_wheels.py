@@ -1,0 +1,109 @@
+"""Modes beside motions that nothing holds: a wheel that turns freely is a point mass.
+
+Its terms are nothing beside those of the beam that carries it: what is rigid must not be decided by
+round-off of the others, nor by units.
+"""
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    Beam,
+    Bushing,
+    Clamp,
+    FollowerForce,
+    JointFriction,
+    Material,
+    MotionKind,
+    Pin,
+    PointMass,
+    Rectangle,
+    RigidBody,
+    Scene,
+    Spherical,
+    modes,
+    suggest_step,
+)
+
+# Units of length, mass and time in their SI units, inverted.
+UNITS = [(1.0, 1.0, 1.0), (1e3, 1e-3, 1.0), (1e3, 1.0, 1e3), (0.3, 1.0, 1e-3), (1.0, 3.0, 7.0)]
+WHEEL = 0.2  # kg
+
+
+def arm(d, elements, units, *, wheel=True, damped=False, follower=False, hung=False):
+    """A clamped arm with a wheel, or with its mass, at the end; a block that hangs in springs."""
+    m, kg, s = units
+    zero = (0.0,) * (d - 2)
+    newton, pascal = kg * m / s**2, kg / (m * s**2)
+    rubber = Material(1200 * kg / m**3, 5e7 * pascal, 0.35, 1e-4 * s if damped else 0.0)
+    end = (0.6 * m, 0.1 * m, *zero)
+    beam = Beam("arm", (0.0, 0.0, *zero), end, elements, Rectangle(0.01 * m, 0.013 * m), rubber)
+    inertia = 1e-4 * kg * m**2 * np.array([1.0, 1.1, 1.2])
+    of_plane = {"inertia": inertia[0] if d == 2 else tuple(inertia)}
+    bodies, joints, loads = [], [Clamp(beam.at_start)], []
+    if wheel:
+        body = RigidBody("wheel", end, mass=WHEEL * kg, **of_plane)
+        bodies.append(body)
+        joint = Pin if d == 2 else Spherical
+        joints.append(joint(beam.at_end, body.at(*(0.0,) * d)))
+    else:
+        bodies.append(PointMass(beam.at_end, WHEEL * kg))
+    if follower:
+        loads.append(FollowerForce(beam.at_end, (0.0, 0.01 * newton, *zero)))
+    if hung:
+        body = RigidBody("block", (0.3 * m, 0.5 * m, *zero), mass=0.3 * kg, **of_plane)
+        bodies.append(body)
+        stiffness = np.array([10.0, 20.0, 30.0])[:d] * kg / s**2
+        loads.append(Bushing(body.at(*(0.0,) * d), tuple(stiffness), other=beam.at(0.5)))
+    return Scene([beam], joints, bodies=bodies, loads=loads)
+
+
+def all_exponents(scene, count):
+    return modes(scene, count).exponents
+
+
+@pytest.mark.parametrize("units", UNITS)
+@pytest.mark.parametrize("follower", [False, True])
+@pytest.mark.parametrize("damped", [False, True])
+@pytest.mark.parametrize(("d", "elements"), [(2, 4), (2, 40), (3, 4), (3, 12)])
+def test_a_free_wheel_is_a_point_mass(d, elements, damped, follower, units):
+    free = 1 if d == 2 else 3
+    given = {"damped": damped, "follower": follower}
+    found = modes(arm(d, elements, units, **given), 4 + free)
+    assert found.kinds[:free] == (MotionKind.RIGID,) * free
+    expected = modes(arm(d, elements, UNITS[0], wheel=False, **given), 4).exponents
+    np.testing.assert_allclose(found.exponents[free : free + 4] * units[2], expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("units", UNITS)
+@pytest.mark.parametrize("damped", [False, True])
+@pytest.mark.parametrize("d", [2, 3])
+def test_what_hangs_in_springs_turns_freely(d, damped, units):
+    free = 2 if d == 2 else 6
+    found = modes(arm(d, 4, units, damped=damped, hung=True), free + 3)
+    assert found.kinds[:free] == (MotionKind.RIGID,) * free
+    expected = modes(arm(d, 4, UNITS[0], wheel=False, damped=damped, hung=True), free + 3)
+    slow = [s for s in expected.exponents if s.imag][:3]
+    np.testing.assert_allclose(found.exponents[free : free + 3] * units[2], slow, rtol=1e-8)
+
+
+@pytest.mark.parametrize("units", UNITS)
+def test_friction_in_its_bearing_is_all_that_a_wheel_loses(units):
+    m, kg, s = units
+    scene = arm(2, 4, units, damped=True)
+    viscous = 1e-6 * kg * m**2 / s
+    bearing = JointFriction(scene.bodies[0].at(0.0, 0.0), coulomb=0.0, smooth_speed=1.0 / s,
+                            viscous=viscous, name="bearing")  # fmt: skip
+    with_friction = Scene(scene.beams, scene.joints, bodies=scene.bodies, loads=[bearing])
+    found = modes(with_friction, 4)
+    decay = [e.real for e, kind in zip(found.exponents, found.kinds, strict=True)
+             if kind is MotionKind.DECAYING]  # fmt: skip
+    np.testing.assert_allclose(np.array(decay) * s, [-1e-6 / 1e-4], rtol=1e-8)
+
+
+def test_a_step_counts_no_motion_that_nothing_holds():
+    for scene, expected in ((arm(3, 4, u), arm(3, 4, u, wheel=False)) for u in UNITS):
+        found, other = (suggest_step(x, follow=3) for x in (scene, expected))
+        np.testing.assert_allclose(
+            [found.step, found.slowest], [other.step, other.slowest], rtol=1e-9
+        )
