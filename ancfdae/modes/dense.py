@@ -32,15 +32,13 @@ def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array
 def asymmetric(small: Linearised, rigid: Array) -> tuple[Array, Array]:
     """Return z = -s^2 of all but the rigid motions R, which are orthonormal in M, and the shapes.
 
-    With P what is orthogonal to R they are those of P^T K_N P; the shapes R a + P w have
-
-        z a = R^T K_N P w
+    With P what is orthogonal to R they are those of P^T K_N P. The shapes lack their part in R,
+    which inverse iteration adds.
     """
     N, K = _reduced(small, small.K)
-    R = N.T @ small.times(small.M, rigid)
-    P = _complement(R)
+    P = _complement(N.T @ small.times(small.M, rigid))
     z, W = scipy.linalg.eig(P.T @ K @ P)
-    return z, N @ (P @ W + R @ ((R.T @ K @ P @ W) / z))
+    return z, N @ (P @ W)
 
 
 def damped(small: Linearised, rigid: Array) -> tuple[Array, Array]:
