@@ -271,7 +271,7 @@ def test_nothing_is_nothing():
     assert kernels.norm(np.zeros(0), np.zeros(0)) == 0
     empty, zero = np.zeros(0), np.zeros(1, dtype=np.int32)
     assert kernels.csr_rows(zero, zero[:0], empty, np.ones(3)).shape == (0,)
-    lu, pivots, info = kernels.band_factor(empty, empty, empty, empty.astype(int), 0, 0)
+    lu, pivots, _, info = kernels.band_factor(empty, empty, empty, empty.astype(int), 0, 0)
     assert (lu.shape, info) == ((0, 1), 0)
     assert kernels.band_solve(lu, pivots, 0, [], empty, np.zeros((2, 0)), False).shape == (2, 0)
 
@@ -402,13 +402,14 @@ class Band:
 @pytest.mark.parametrize("right_dtype", DTYPES)
 def test_banded_solutions(dtypes, right_dtype):
     band, dtype = Band(*dtypes), np.result_type(*dtypes)
-    lu, pivots, info = band.factor()
+    lu, pivots, of_B, info = band.factor()
     assert info == 0
+    scale = band.scale * np.where(np.arange(8) < 6, 1, of_B)
     right = numbers(np.random.default_rng(5), (3, 8), right_dtype)
     for transposed in (False, True):
         expected = np.linalg.solve(band.dense.T if transposed else band.dense, right.T).T
         for other in (right, right[1], *odd_layouts(right)):
-            x = kernels.band_solve(lu, pivots, 4, band.order, band.scale, other, transposed)
+            x = kernels.band_solve(lu, pivots, 4, band.order, scale, other, transposed)
             # Times the condition of the matrix, which is 30.
             assert np.allclose(
                 x, expected if other.ndim == 2 else expected[1], rtol=1e-11, atol=1e-11
@@ -416,18 +417,30 @@ def test_banded_solutions(dtypes, right_dtype):
             assert x.dtype == np.result_type(dtype, right_dtype)
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("size", [0.0, 1.0, 1e-9, 1e15])
+def test_constraints_are_scaled_to_the_size_of_the_matrix(size, dtype):
+    band = Band(dtype, dtype)
+    band.K *= size
+    *_, of_B, _ = band.factor()
+    largest = np.max(np.abs(band.K.real * band.factors[: len(band.K)])) if size else 1.0
+    # A power of two, next to the largest entry; of complex ones both parts count.
+    assert np.frexp(of_B)[0] == 0.5
+    assert 0.5 <= of_B / largest <= 4.0
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, complex(0, np.nan)])
 def test_factors_of_what_is_not_finite_are_refused(bad):
     for name in ("K", "B"):
         band = Band(complex if isinstance(bad, complex) else float)
         getattr(band, name)[-1] = bad
-        assert band.factor()[2] == -1
+        assert band.factor()[3] == -1
 
 
 def test_zero_pivot_is_told():
     band = Band(float)
     band.K[:], band.B[:] = 0, 0
-    assert band.factor()[2] == 1
+    assert band.factor()[3] == 1
 
 
 class EnvelopeMatrix:
@@ -707,7 +720,7 @@ def _refused_in_bands():
     yield "fewer K", kernels.band_factor, (K[1:], B, factors, flat, 8, half)
     for n, width in ((-1, half), (8, -1), (2**31, half), (8, 2**30), (8.0, half), (8, None)):
         yield f"n {n} {width}", kernels.band_factor, (K, B, factors, flat, n, width)
-    lu, pivots, _ = band.factor()
+    lu, pivots, *_ = band.factor()
     right = np.ones((2, 8))
     right_call = (lu, pivots, half, order, band.scale, right, False)
     for name, at, bad in (

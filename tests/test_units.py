@@ -3,7 +3,24 @@
 import numpy as np
 import pytest
 
-from ancfdae import HHT, Beam, Material, Pin, Point, Rectangle, RigidMotion, Scene, differentiate
+from ancfdae import (
+    HHT,
+    Beam,
+    Clamp,
+    FollowerForce,
+    Material,
+    Pin,
+    Point,
+    Rectangle,
+    RigidMotion,
+    Scene,
+    SpringDamper,
+    Weld,
+    assemble,
+    differentiate,
+    position,
+    static_gradient,
+)
 
 DESIGN = ("beam.youngs_modulus", "beam.height", "beam.density", "beam.length")
 
@@ -49,6 +66,38 @@ def test_motion_reactions_and_sensitivities_scale(length, mass, time, dimension)
     np.testing.assert_allclose(*reactions, atol=1e-10 * np.max(np.abs(reactions[1])), **within)
     ours, theirs = (run.derivative(tip) * run.sensitivities.values for run in (other, base))
     np.testing.assert_allclose(ours / length, theirs, atol=1e-10 * np.max(np.abs(theirs)), **within)
+
+
+def static_derivatives(length, mass, time, elements):
+    """Value and scaled derivatives of a steel frame at rest, whose load follows it."""
+    m, kg, h = length, mass, 0.01
+    newton, bending = mass * length / time**2, 2.1e11 * h**4 / 12
+    steel = Material(7850 * kg / m**3, 2.1e11 * kg / (m * time**2), 0.3)
+    section = Rectangle(h * m, h * m)
+    post = Beam("post", (0.0, 0.0), (m, 0.0), elements, section, steel)
+    arm = Beam("arm", post.at_end, (0.0, 0.5 * m), elements, section, steel)
+    stiffness = 10 * bending * mass / time**2
+    spring = SpringDamper(
+        post.at(0.5), stiffness, 0.0, 0.3 * m, ground=(0.5 * m, -0.4 * m), name="spring"
+    )
+    load = FollowerForce(arm.at_end, (0.0, -2 * bending * newton), name="load")
+    joints = [Clamp(post.at_start), Weld(arm.at_start, post.at_end)]
+    scene = Scene([post, arm], joints, loads=[load, spring])
+    design = ["post.height", "load.force_y", "spring.stiffness"]
+    found = static_gradient(scene, position(arm.at_end, 0) / length, design=design)
+    return np.append(found.value, found.gradient * assemble(scene, design).b)
+
+
+@pytest.mark.parametrize("widest", [64, 0], ids=["band", "SuperLU"])
+@pytest.mark.parametrize("elements", [4, 20])
+@pytest.mark.parametrize("time", [1e-5, 1e-3, 1e3])
+@pytest.mark.parametrize("length", [1.0, 1e-6])
+def test_statics_under_a_follower_load_scale(monkeypatch, length, time, elements, widest):
+    """Rows were exchanged by the size of stiffnesses beside that of joints."""
+    monkeypatch.setattr("ancfdae.numerics.linear_solvers._BAND_HALF_WIDTH", widest)
+    base = static_derivatives(1.0, 1.0, 1.0, elements)
+    other = static_derivatives(length, 1.0, time, elements)
+    np.testing.assert_allclose(other, base, rtol=1e-8)
 
 
 def test_a_turned_scene_turns_its_solution():

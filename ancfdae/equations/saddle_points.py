@@ -17,28 +17,16 @@ _CLEAR = 1e-12
 _SWEEPS = 3
 
 
-def saddle_point(
-    system: MechanicalSystem, t: float, q: Array | None = None, K: Array | None = None
-) -> SaddlePoint:
+def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> SaddlePoint:
     """Check the constraints and return the system's saddle-point matrices.
 
     They are checked and scaled at q, by default the start; RedundantConstraints if dependent.
-    Where a stiffness is factorised and not a mass, such a K sets the scale: rows are exchanged by
-    the size of their entries, which must not depend on the unit of time.
     """
     values = system.constraint_q(t, system.start()[0] if q is None else q)
-    patterns, weights = (system.pattern, system.constraint_pattern), system.weights
-    if K is not None:
-        weights = weights * (largest_entry(system, K) or 1.0)
-    matrices = SaddlePoint(*patterns, weights, values, system.traits.symmetric)
+    patterns = system.pattern, system.constraint_pattern
+    matrices = SaddlePoint(*patterns, system.weights, values, system.traits.symmetric)
     refuse_redundant(system, matrices, values)
     return matrices
-
-
-def largest_entry(system: MechanicalSystem, values: Array) -> float:
-    """Return the largest entry of a matrix on the system's pattern, in the norm of the weights."""
-    pattern, root = system.pattern, np.sqrt(system.weights)
-    return float(np.max(np.abs(values) / (root[pattern.rows] * root[pattern.columns])))
 
 
 def solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:

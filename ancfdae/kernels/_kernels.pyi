@@ -199,11 +199,12 @@ def balance(inertia: Array, reaction: Array, force: Array, constraint: Array, s:
 
 def band_factor(
     K: Array, B: Array, factors: Array, flat: Array, n: int, half: int, /
-) -> tuple[Array, Array, int]:
-    """Return LU factors in band form, (n, 3 half + 1), pivots, and LAPACK's info or -1.
+) -> tuple[Array, Array, float, int]:
+    """Return LU factors in band form, (n, 3 half + 1), pivots, a scale, and LAPACK's info or -1.
 
-    Values of K, of B and of B again are multiplied with factors and written to places `flat` of
-    the band; -1 tells that a value is not finite.
+    Values of K, of B and of B again are multiplied with factors, those of B with the size of the
+    largest of K, too, which is the scale, and written to places `flat` of the band; -1 tells that
+    a value is not finite.
     """
 
 def band_solve(

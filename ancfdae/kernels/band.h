@@ -9,20 +9,30 @@ typedef void (*NAME(gbtrs_t))(char *, int *, int *, int *, int *, T *, int *, in
                               int *);
 
 /* Scale values, write them where `flat` says, and factorise. Returns LAPACK's info, or -1 where a
- * value is not finite. The values of B come twice, for B and its transpose. */
+ * value is not finite. The values of B come twice, for B and its transpose.
+ *
+ * Rows are exchanged by the size of their entries: B is multiplied with the size of the largest
+ * scaled entry of K, so that neither units of time nor the length of a step matter. It is a power
+ * of two, `of_B`, by which multipliers and constraints of right sides are scaled, too. */
 static int NAME(band_factor)(NAME(gbtrf_t) gbtrf, int n, int half, npy_intp n_K, npy_intp n_B,
                              const T *K, const T *B, const double *factors, const npy_int64 *flat,
-                             T *band, int *pivots)
+                             T *band, int *pivots, double *of_B)
 {
-    int width = 3 * half + 1, info = 0;
+    int width = 3 * half + 1, info = 0, exponent = 0;
+    double largest = 0;
     T sum = 0;
     for (npy_intp i = 0; i < n_K; i++) {
         T value = K[i] * factors[i];
+        double size = fabs(creal(value)) + fabs(cimag(value));
+        largest = size > largest ? size : largest;
         sum += value;
         band[flat[i]] = value;
     }
+    if (isfinite(largest))
+        frexp(largest, &exponent);
+    *of_B = ldexp(1, exponent);
     for (npy_intp i = 0; i < n_B; i++) {
-        T value = B[i] * factors[n_K + i];
+        T value = B[i] * (*of_B * factors[n_K + i]);
         sum += value;
         band[flat[n_K + i]] = band[flat[n_K + n_B + i]] = value;
     }

@@ -948,12 +948,14 @@ static void *lapack(void **kept, const char *name, const char *beginning)
     return *kept;
 }
 
-/* band_factor(K, B, factors, flat, n, half): the factors, (n, 3 half + 1), pivots, and info. */
+/* band_factor(K, B, factors, flat, n, half): the factors, (n, 3 half + 1), pivots, what B is scaled
+ * by, and info. */
 static PyObject *py_band_factor(PyObject *const *args)
 {
     static void *routines[2];
     int type = is_complex(args[0]) || is_complex(args[1]) ? NPY_CDOUBLE : NPY_DOUBLE, info = 0;
     npy_intp n, half;
+    double of_B = 1;
     PyArrayObject *K = NULL, *B = NULL, *factors = NULL, *flat = NULL, *lu = NULL, *pivots = NULL;
     PyObject *result = NULL;
     void *routine = lapack(&routines[type == NPY_CDOUBLE],
@@ -976,12 +978,12 @@ static PyObject *py_band_factor(PyObject *const *args)
             if (type == NPY_DOUBLE)
                 info = band_factor_real((gbtrf_t_real)routine, (int)n, (int)half, n_K, n_B,
                                         data_of(K), data_of(B), data_of(factors), data_of(flat),
-                                        to, exchanged);
+                                        to, exchanged, &of_B);
             else
                 info = band_factor_complex((gbtrf_t_complex)routine, (int)n, (int)half, n_K, n_B,
                                            data_of(K), data_of(B), data_of(factors),
-                                           data_of(flat), to, exchanged);
-            result = Py_BuildValue("OOi", lu, pivots, info);
+                                           data_of(flat), to, exchanged, &of_B);
+            result = Py_BuildValue("OOdi", lu, pivots, of_B, info);
         }
     }
     Py_XDECREF(K);

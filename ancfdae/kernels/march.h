@@ -60,7 +60,7 @@ typedef struct {
     T *Phi, *rate, *defect, *R, *x, *force, *f_q, *f_v, *sum, *matrix, *work;
     T *at_end, *within, *of_load;
     const T *c[1];
-    double *least;
+    double *least, of_B;
     int *pivots, B_known, banded;
     npy_intp counts[3]; /* iterations, factorisations, steps that round-off disturbs */
 } NAME(room);
@@ -250,7 +250,7 @@ static int NAME(banded_sum)(const NAME(plan) *p, NAME(room) *r, const step_coeff
     r->banded = 1;
     memset(r->matrix, 0, (size_t)n * (3 * (size_t)p->half + 1) * sizeof(T));
     return NAME(band_factor)(p->gbtrf, (int)n, (int)p->half, p->nnz, n_B, r->sum, B, p->factors,
-                             p->flat, r->matrix, r->pivots)
+                             p->flat, r->matrix, r->pivots, &r->of_B)
                ? NOT_SOLVED
                : 0;
 }
@@ -307,6 +307,12 @@ static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coeff
     return NAME(factor_sum)(p, r, c, r->f_q, p->velocity ? r->f_v : NULL, r->B);
 }
 
+/* Scale of an unknown of the band. */
+INLINE double NAME(band_scale)(const NAME(plan) *p, const NAME(room) *r, npy_int64 i)
+{
+    return i < p->n_q ? p->scale[i] : r->of_B * p->scale[i];
+}
+
 /* x = J^-1 right, or its transpose, for rows. */
 static void NAME(solve_rows)(const NAME(plan) *p, NAME(room) *r, char how, npy_intp rows,
                              const T *right, T *x)
@@ -318,10 +324,10 @@ static void NAME(solve_rows)(const NAME(plan) *p, NAME(room) *r, char how, npy_i
     }
     for (; rows > 0; rows--, right += n, x += n) {
         for (npy_intp i = 0; i < n; i++)
-            r->work[i] = p->scale[p->order[i]] * right[p->order[i]];
+            r->work[i] = NAME(band_scale)(p, r, p->order[i]) * right[p->order[i]];
         NAME(band_solve)(p->gbtrs, how, (int)n, (int)p->half, 1, r->matrix, r->pivots, r->work);
         for (npy_intp i = 0; i < n; i++)
-            x[p->order[i]] = p->scale[p->order[i]] * r->work[i];
+            x[p->order[i]] = NAME(band_scale)(p, r, p->order[i]) * r->work[i];
     }
 }
 

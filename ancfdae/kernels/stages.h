@@ -32,7 +32,7 @@ typedef struct {
     npy_intp half, size_K, iterations, factorisations, stuck;
     double *x, *lam, *R, *change, *B, *K, *band, *work;
     int *pivots;
-    double size;
+    double size, of_B;
 } stage_step;
 
 /* Position, velocity and acceleration of stage i, and coefficients of joints, in the room. */
@@ -147,7 +147,13 @@ static int stages_factorised(stage_step *s)
     }
     memset(s->band, 0, (size_t)n * (3 * (size_t)half + 1) * sizeof(double));
     return band_factor_real(s->gbtrf, n, half, s->size_K, STAGES * p->constraints->n_values, s->K,
-                            s->B, s->factors, s->flat, s->band, s->pivots);
+                            s->B, s->factors, s->flat, s->band, s->pivots, &s->of_B);
+}
+
+/* Scale of an unknown of the band. */
+static double stage_scale(const stage_step *s, npy_int64 i)
+{
+    return i < STAGES * s->plan->n_q ? s->scale[i] : s->of_B * s->scale[i];
 }
 
 /* Solve for the change of x and lam, and apply it; returns its size in units of force. */
@@ -157,10 +163,10 @@ static double stages_changed(stage_step *s)
     npy_intp n_q = p->n_q, n_lam = p->n_lam, n = STAGES * (n_q + n_lam);
     double of_a = 0, of_lam = 0, *A = s->room->A, *change = s->change;
     for (npy_intp e = 0; e < n; e++)
-        s->work[e] = s->scale[s->order[e]] * s->R[s->order[e]];
+        s->work[e] = stage_scale(s, s->order[e]) * s->R[s->order[e]];
     band_solve_real(s->gbtrs, 'N', (int)n, (int)s->half, 1, s->band, s->pivots, s->work);
     for (npy_intp e = 0; e < n; e++)
-        change[s->order[e]] = s->scale[s->order[e]] * s->work[e];
+        change[s->order[e]] = stage_scale(s, s->order[e]) * s->work[e];
     for (npy_intp e = 0; e < STAGES * n_q; e++)
         s->x[e] -= change[e];
     for (npy_intp e = 0; e < STAGES * n_lam; e++)

@@ -19,7 +19,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, reaction
-from ancfdae.equations.saddle_points import largest_entry, saddle_point
+from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.kernels import norm
 from ancfdae.modes.configuration import Configuration
@@ -86,9 +86,7 @@ class Linearised:
             )
         q_b = np.zeros((system.n_q, system.n_b)) if at.q_b is None else at.q_b
         lam_b = np.zeros((system.n_lam, system.n_b)) if at.lam_b is None else at.lam_b
-        # Without exchanges of rows any scale will do.
-        if saddle is None or D is not None or not system.traits.symmetric:
-            saddle = saddle_point(system, at.t, at.q, matrices[1])
+        saddle = saddle or saddle_point(system, at.t, at.q)
         return Linearised(system, at, q_b, lam_b, matrices[0], D, *matrices[1:], saddle)
 
     @property
@@ -165,7 +163,12 @@ class Linearised:
     @cached_property
     def size(self) -> float:
         """Largest entry of K in the norm of the weights."""
-        return largest_entry(self.system, self.K) or 1.0
+        return self.largest(self.K) or 1.0
+
+    def largest(self, values: Array) -> float:
+        """Return the largest entry of a matrix in the norm of the weights."""
+        pattern, root = self.system.pattern, np.sqrt(self.system.weights)
+        return float(np.max(np.abs(values) / (root[pattern.rows] * root[pattern.columns])))
 
     def solve(self, factors: Factorization, force: Array) -> Array:
         """Return x of a saddle-point solve that keeps Phi_q x = 0; vector or columns."""

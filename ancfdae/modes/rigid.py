@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ancfdae.equations.saddle_points import largest_entry
 from ancfdae.errors import SingularMatrix
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.numerics.arrays import Array
@@ -75,7 +74,7 @@ def undamped_part(small: Linearised, rigid: Array) -> Array:
     assert small.D is not None
     root = np.sqrt(small.system.weights)[:, None]
     sizes = small.times(np.abs(small.D), np.abs(rigid)) / root
-    noise = np.linalg.norm(sizes) + EPS * largest_entry(small.system, small.D)
+    noise = np.linalg.norm(sizes) + EPS * small.largest(small.D)
     rates = small.solve(small.mass_factors, small.times(small.D, rigid))
     _, left, Vt = np.linalg.svd(root * rates, full_matrices=False)
     return np.asarray(rigid @ Vt[left <= ROUND_OFF * EPS * noise].T)

@@ -13,8 +13,9 @@ coordinates are positive, those of multipliers negative. Signs do not depend on 
 scene; a pivot of the wrong sign shows that K is not positive definite.
 
 Such a matrix, and one that is not symmetric, is scaled symmetrically, coordinates by
-1/sqrt(weight) and constraints so that their scaled rows have unit length (pivoting then does not
-depend on the units either), and factorised with exchanges, as a band. Where the band is wide (trees
+1/sqrt(weight) and constraints so that their scaled rows have the size of the largest scaled entry
+of K (pivoting then depends neither on the units nor on the length of a step), and factorised with
+exchanges, as a band. Where the band is wide (trees
 and grids of bodies) SuperLU takes over, after an order of minimum degree.
 """
 
@@ -159,6 +160,11 @@ class SaddlePoint:
         """Number of unknowns."""
         return len(self.scale)
 
+    @property
+    def _n(self) -> int:
+        """Number of coordinates."""
+        return self._patterns[0].shape[0]
+
     def layout(self, band: bool) -> MatrixLayout | None:
         """Return the positions of values, in a band where requested; None if it is too wide."""
         if not self._narrow:
@@ -194,12 +200,12 @@ class SaddlePoint:
         if self._narrow:
             return self._band
         order = little_fill(*self._patterns)
-        return _SparseStorage(self.scale, order, *self._places(order))
+        return _SparseStorage(self.scale, self._n, order, *self._places(order))
 
     @cached_property
     def _band(self) -> _BandStorage:
         at = self._places(self._order)
-        return _BandStorage(self.scale, self._order, *at, self._half_width)
+        return _BandStorage(self.scale, self._n, self._order, *at, self._half_width)
 
     def _places(self, order: Array) -> tuple[Array, Array]:
         """Return rows and columns of all entries in an order: of K, of B, and of B^T."""
@@ -245,12 +251,17 @@ class _Envelope:
         return None if failed else Factorization(lambda right, _: ldl_solve(*known, right.T).T)
 
 
+def _balanced(scale: Array, n: int, of_B: float) -> Array:
+    """Return the scale of n coordinates and of multipliers where B is scaled by a number."""
+    return scale if of_B == 1.0 else np.concatenate([scale[:n], of_B * scale[n:]])
+
+
 @final
 class _BandStorage(_Storage):
     def __init__(
-        self, scale: Array, order: Array, rows: Array, columns: Array, half_width: int
+        self, scale: Array, n: int, order: Array, rows: Array, columns: Array, half_width: int
     ) -> None:
-        self._scale, self._order, self._half_width = scale, order, half_width
+        self._scale, self._n, self._order, self._half_width = scale, n, order, half_width
         # LAPACK band storage with room for fill-in: entry (i, j) at row 2 k + i - j of column j.
         self._flat = columns.astype(np.int64) * (3 * half_width)
         self._flat += 2 * half_width + rows
@@ -264,30 +275,33 @@ class _BandStorage(_Storage):
 
     def factor(self, K: Array, B: Array) -> Factorization:
         size, half_width = len(self._order), self._half_width
-        lu, pivots, info = band_factor(K, B, self._factors, self._flat, size, half_width)
+        lu, pivots, of_B, info = band_factor(K, B, self._factors, self._flat, size, half_width)
         if info > 0:
             raise SingularMatrix(f"zero pivot {info} of {size}")
         if info < 0:
             raise SingularMatrix("the saddle-point matrix is not finite")
-        known = lu, pivots, half_width, self._order, self._scale
+        known = lu, pivots, half_width, self._order, _balanced(self._scale, self._n, of_B)
         # Right-hand sides as rows of an array, one after the other in memory.
         return Factorization(lambda right, turned: band_solve(*known, right.T, turned).T)
 
 
 @final
 class _SparseStorage(_Storage):
-    def __init__(self, scale: Array, order: Array, rows: Array, columns: Array) -> None:
-        self._order, self._scale = order, scale[order]
+    def __init__(self, scale: Array, n: int, order: Array, rows: Array, columns: Array) -> None:
+        self._order, self._n, self._all = order, n, scale
         self._sorted = np.lexsort((rows, columns))
         self._rows = rows[self._sorted]
         self._first = np.searchsorted(columns[self._sorted], np.arange(len(order) + 1))
-        self._factors = self._scale[rows] * self._scale[columns]
+        numbered = scale[order]
+        self._factors = numbered[rows] * numbered[columns]
 
     def factor(self, K: Array, B: Array) -> Factorization:
         values = self._factors * np.concatenate([K, B, B])
+        of_B = 2.0 ** np.frexp(np.max(np.abs(values[: len(K)]), initial=0.0))[1]
+        values[len(K) :] *= of_B
         if not np.isfinite(values.sum()):
             raise SingularMatrix("the saddle-point matrix is not finite")
-        size = len(self._scale)
+        size = len(self._order)
         matrix = scipy.sparse.csc_array(
             (values[self._sorted], self._rows, self._first), shape=(size, size)
         )
@@ -297,14 +311,19 @@ class _SparseStorage(_Storage):
                 lu = scipy.sparse.linalg.splu(matrix, **_SUPERLU)
             except (RuntimeError, Warning) as error:
                 raise SingularMatrix(str(error)) from error
-        return Factorization(partial(self._solved, lu, values.dtype))
+        scale = _balanced(self._all, self._n, of_B)[self._order]
+        return Factorization(partial(self._solved, lu, scale, values.dtype))
 
-    def _solved(self, lu: Any, dtype: np.dtype, right: Array, transposed: bool) -> Array:
+    def _solved(
+        self, lu: Any, scale: Array, dtype: np.dtype, right: Array, transposed: bool
+    ) -> Array:
         if right.dtype.kind == "c" and dtype.kind != "c":
-            parts = (self._solved(lu, dtype, x, transposed) for x in (right.real, right.imag))
+            parts = (
+                self._solved(lu, scale, dtype, x, transposed) for x in (right.real, right.imag)
+            )
             return next(parts) + 1j * next(parts)
         # Undoes the symmetric scaling.
-        scale = self._scale if right.ndim == 1 else self._scale[:, None]
+        scale = scale if right.ndim == 1 else scale[:, None]
         scaled = np.ascontiguousarray(scale * right[self._order], dtype=dtype)
         solution = np.empty_like(scaled)
         solution[self._order] = scale * lu.solve(scaled, "T" if transposed else "N")

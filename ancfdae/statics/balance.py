@@ -145,10 +145,7 @@ class Balance:
     @cached_property
     def matrices(self) -> SaddlePoint:
         """Saddle-point matrices."""
-        K = None
-        if not self.system.traits.symmetric:
-            K = self.tangent(1.0, self.q_0, self.lam_0).real
-        return saddle_point(self.system, self.t, self.q_0, K)
+        return saddle_point(self.system, self.t, self.q_0)
 
     def Phi_q(self, q: Array) -> Array:
         """Return the constraint Jacobian, values on its pattern."""

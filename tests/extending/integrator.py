@@ -99,5 +99,5 @@ joints = [
 ]
 spring = SpringDamper(rod.at(0.6), 40.0, 2.0, 0.3, wheel.at(0.0, 0.2), name="spring")
 SCENE = Scene([rod], joints, (0, -9.81), loads=[spring], bodies=[wheel], project_start=True)
-DESIGN = ["rod.density", "rod.length", "motor.amplitude", "spring.damping", "wheel.inertia"]
+DESIGN = ["rod.density", "rod.length", "motor.amplitude", "spring.damping", "spring.stiffness"]
 OBSERVABLE, END, INTEGRATOR = position(rod.at_end, 1), 0.02, SymplecticEuler(64)
