@@ -11,6 +11,7 @@ from ancfdae import (
     Clamp,
     ComplexStepSystem,
     Configuration,
+    FollowerForce,
     InvalidInput,
     Material,
     MotionKind,
@@ -332,6 +333,18 @@ class Ziegler(ComplexStepSystem):
 
     def position_constraint(self, t, q):
         return np.zeros(0)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_column_under_a_follower_load_flutters_at_the_published_load(d):
+    """P = 20.0509 EI/L^2, Beck (1952): no equilibrium is lost there, two frequencies meet."""
+    rest = (0.0,) * (d - 2)
+    column = rod(16, (0, 0, *rest), (1, 0, *rest), 0.005, 2.1e11, 7850, 0.0)
+    for load, kind in ((20.04, MotionKind.VIBRATION), (20.06, MotionKind.GROWING)):
+        force = -load * 2.1e11 * 0.005**4 / 12
+        loads = [FollowerForce(column.at_end, (force, 0.0, *rest))]
+        scene = Scene([column], [Clamp(column.at_start)], loads=loads)
+        assert modes(scene, 2, at=equilibrium(scene)).kinds[0] is kind
 
 
 def test_frequencies_do_not_depend_on_units():
