@@ -31,6 +31,16 @@ def test_the_estimate_is_that_of_steps_as_the_last_ones(steps, warned, recwarn):
         assert "about 1.1e+05 steps" in str(recwarn[0].message)
 
 
+def test_steps_that_shrink_before_a_jump_tell_nothing(recwarn):
+    """At the hundredth step of a run that stalls behind its fortieth."""
+    progress = Progress(1.0)
+    behind = (0.3 + 1e-3 * (1 - 0.7 ** (k - 39)) for k in range(40, 300))
+    times = [0.3 * (k + 1) / 40 for k in range(40)] + list(behind)
+    taken = next(k for k, t in enumerate(times, 1) if progress.stalls(t))
+    assert taken == 200
+    assert not recwarn
+
+
 def test_steps_too_long_for_the_motion_are_told():
     with pytest.warns(StabilityWarning, match="steps are too long to follow the motion"):
         assert simulate(pendulum(), 1.0, HHT(1.0)).outcome.success

@@ -38,6 +38,9 @@ from ancfdae.numerics.time_grid import TimeGrid, next_end
 # round-off: at tight tolerances Newton's method meets it, and SUNDIALS tries shorter steps until it
 # gets on (a pendulum of IDA at 3e-13: five in a row, and the end time is reached).
 _STEPS, _SHARE = 100, 1e-12
+# Share of the advance of one quarter that the next one makes, at least, where steps are what they
+# will be.
+_SLOWER = 0.1
 # Steps of which a run warns: Explicit takes 20 s for them in a small system (5,000 a second).
 _MANY = 100_000
 
@@ -48,21 +51,26 @@ class Progress:
 
     def __init__(self, t_end: float) -> None:
         self._mark, self._least, self._taken = 0.0, _SHARE * t_end, 0
-        self._t_end, self._half, self._told = t_end, 0.0, False
+        self._t_end, self._told = t_end, False
+        self._half, self._quarter = 0.0, 0.0
 
     def stalls(self, t: float) -> bool:
         """Take note of a step to t; return whether the last hundred led nowhere.
 
         This ends runs that diverge, meet a jump too large to integrate, or integrate noise. Of the
-        first hundred the second half tells how many steps the run takes: the first ones grow.
+        first hundred the second half tells how many steps the run takes: the first ones grow. Where
+        the last quarter hardly advances the run is about to stall, and its steps tell nothing.
         """
         self._taken += 1
         if 2 * self._taken == _STEPS:
             self._half = t
+        if 4 * self._taken == 3 * _STEPS:
+            self._quarter = t
         if self._taken < _STEPS:
             return False
         stalled = t - self._mark < self._least
-        if not (stalled or self._told):
+        stalls = t - self._quarter < _SLOWER * (self._quarter - self._half)
+        if not (stalled or stalls or self._told):
             self._tell(t, (t - self._half) / (_STEPS / 2))
         self._mark, self._taken = t, 0
         return stalled
