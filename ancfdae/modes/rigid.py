@@ -58,15 +58,20 @@ def separated(small: Linearised, X: Array) -> tuple[Array, Array]:
     return Y @ V[:, kept] / np.sqrt(squares[kept]), X @ V[:, ~kept]
 
 
-def with_zeros(small: Linearised, z: Array, X: Array) -> tuple[Array, Array]:
-    """Return modes of symmetric K, rigid motions first, without parts of others and with z = 0."""
+def with_zeros(small: Linearised, z: Array, X: Array, change: Array) -> tuple[Array, Array, Array]:
+    """Return modes of symmetric K, rigid motions first, without parts of others and with z = 0.
+
+    The change of z in the last sweep goes with them.
+    """
     soft = np.abs(z) <= ROUND_OFF * (floor(small, X) + EPS * np.max(np.abs(z)))
     if not np.any(soft):
-        return z, X
+        return z, X, change
     R, rest = separated(small, X[:, soft])
     y, W = np.linalg.eigh(rest.T @ small.times(small.K, rest))
-    values = np.zeros(R.shape[1]), y, z[~soft]
-    return np.concatenate(values), np.hstack([R, rest @ W, X[:, ~soft]])
+    none, mixed = np.zeros(R.shape[1]), np.full(len(y), np.max(change[soft]))
+    values, changes = (none, y, z[~soft]), (none, mixed, change[~soft])
+    X = np.hstack([R, rest @ W, X[:, ~soft]])
+    return np.concatenate(values), X, np.concatenate(changes)
 
 
 def undamped_part(small: Linearised, rigid: Array) -> Array:

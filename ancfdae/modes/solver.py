@@ -102,8 +102,7 @@ def _undamped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     z, X = (dense if _is_small(small, count) else sparse).undamped(small, count, highest)
     change = np.zeros(len(z))
     if not highest:
-        z, X, change = _sharpened(small, z, X)
-        z, X = with_zeros(small, z, X)
+        z, X, change = with_zeros(small, *_sharpened(small, z, X))
     order = np.argsort(-z if highest else z, kind="stable")
     pairs = _finished(small, z[order], X[:, order])
     left = _left(small, pairs, change[order])

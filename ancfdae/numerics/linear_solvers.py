@@ -15,8 +15,8 @@ scene; a pivot of the wrong sign shows that K is not positive definite.
 Such a matrix, and one that is not symmetric, is scaled symmetrically, coordinates by
 1/sqrt(weight) and constraints so that their scaled rows have the size of the largest scaled entry
 of K (pivoting then depends neither on the units nor on the length of a step), and factorised with
-exchanges, as a band. Where the band is wide (trees
-and grids of bodies) SuperLU takes over, after an order of minimum degree.
+exchanges, as a band. Where the band is wide (trees and grids of bodies) SuperLU takes over, after
+an order of minimum degree.
 """
 
 from __future__ import annotations
@@ -297,10 +297,10 @@ class _SparseStorage(_Storage):
 
     def factor(self, K: Array, B: Array) -> Factorization:
         values = self._factors * np.concatenate([K, B, B])
-        of_B = 2.0 ** np.frexp(np.max(np.abs(values[: len(K)]), initial=0.0))[1]
-        values[len(K) :] *= of_B
         if not np.isfinite(values.sum()):
             raise SingularMatrix("the saddle-point matrix is not finite")
+        of_B = 2.0 ** np.frexp(np.max(np.abs(values[: len(K)]), initial=0.0))[1]
+        values[len(K) :] *= of_B
         size = len(self._order)
         matrix = scipy.sparse.csc_array(
             (values[self._sorted], self._rows, self._first), shape=(size, size)
