@@ -21,6 +21,7 @@ from ancfdae import (
     RigidBody,
     Scene,
     Spherical,
+    TorsionSpring,
     modes,
     suggest_step,
 )
@@ -105,3 +106,25 @@ def test_a_step_counts_no_motion_that_nothing_holds():
         np.testing.assert_allclose(
             [found.step, found.slowest], [other.step, other.slowest], rtol=1e-9
         )
+
+
+@pytest.mark.parametrize("damped", [False, True])
+@pytest.mark.parametrize("units", UNITS)
+def test_a_rod_that_topples_comes_before_its_wheel(units, damped):
+    m, kg, s = units
+    rod = RigidBody("rod", (0, 0.5 * m), mass=0.3 * kg, inertia=0.02 * kg * m**2)
+    wheel = RigidBody("wheel", (0, m), mass=WHEEL * kg, inertia=1e-4 * kg * m**2)
+    foot, top = rod.at(0, -0.5 * m), rod.at(0, 0.5 * m)
+    damper = TorsionSpring(foot, 0.0, 0.1 * kg * m**2 / s)
+    given = {"gravity": (0, -9.81 * m / s**2), "loads": [damper] if damped else []}
+    pins = [Pin(foot), Pin(top, wheel.at(0, 0))]
+    found = modes(Scene([], pins, bodies=[rod, wheel], **given), 4)
+    assert found.kinds[:2] == (MotionKind.GROWING, MotionKind.RIGID)
+    # (I + m l^2) s^2 + c s = (m_rod l/2 + m_wheel l) g
+    inertia, stiffness = 0.02 + 0.3 * 0.25 + WHEEL, 9.81 * (0.15 + WHEEL)
+    c = 0.1 if damped else 0.0
+    grows = (np.sqrt(c**2 + 4 * inertia * stiffness) - c) / (2 * inertia)
+    np.testing.assert_allclose(found.exponents[0].real * s, grows, rtol=1e-9)
+    # Each shape belongs to its exponent: the wheel alone turns in the second.
+    moved = np.abs(found.shapes[:6] / m ** np.array([1, 1, 0, 0, 0, 0])[:, None])
+    assert np.max(moved[:, 1]) < 1e-9 * np.max(moved[:, 0])

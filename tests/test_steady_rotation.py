@@ -10,6 +10,7 @@ from ancfdae import (
     Adjoint,
     AtRest,
     Beam,
+    Bushing,
     Circle,
     Clamp,
     ComplexStep,
@@ -315,3 +316,38 @@ def test_an_unbalanced_shaft_centres_itself_above_its_critical_speed(rate):
     # the mass of the disc, and the disc tilts.
     e = 0.01 * 0.08 / (7850 * np.pi * 0.1**2 * 0.01)
     np.testing.assert_allclose(x, e * rate**2 / (10.85**2 - rate**2), rtol=0.15)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.4])
+@pytest.mark.parametrize("first", [0.25, 10.75])
+def test_a_shaft_that_is_not_round_has_its_unstable_speeds(first, damping):
+    # A point of mass m in springs k_x, k_y and dampers c that turn (Jeffcott):
+    # (m s^2 + c s + k_x - m w^2)(m s^2 + c s + k_y - m w^2) + 4 m^2 w^2 s^2 = 0
+    m, k, rates = 2.0, np.array([200.0, 288.0, 1e4]), np.arange(first, 16.0, 0.5)
+    body = RigidBody("disc", (0, 0, 0), mass=m, inertia=(1.0, 1.0, 1.0))
+    turning = {"turn_stiffness": (4e4, 5e4, 6e4), "damping": (damping, damping, 0.0)}
+    springs = Bushing(body.at(0, 0, 0), k, **turning)
+    scene = Scene([], [], bodies=[body], loads=[springs], frame=TurningFrame(1.0))
+    diagram = campbell(scene, rates, 2)
+    for rate, found in zip(rates, diagram.exponents, strict=True):
+        x, y = (np.array([m, damping, each - m * rate**2]) for each in k[:2])
+        roots = np.roots(np.polyadd(np.polymul(x, y), [4 * m**2 * rate**2, 0, 0]))
+        vibrate = sorted(roots[roots.imag > 1e-9], key=lambda s: s.imag)
+        still = roots[abs(roots.imag) <= 1e-9].real
+        expected = vibrate if len(vibrate) == 2 else [np.max(still), *vibrate]
+        np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8)
+    lower = diagram.exponents[:, 0]
+    between = (rates > 10.0) & (rates < 12.0) if not damping else np.abs(rates - 11.0) < 0.6
+    assert np.all(lower[between].real > 0.1)
+    assert not np.any(lower[between].imag)
+    # Lines do not jump.
+    assert np.max(np.abs(np.diff(diagram.exponents**2, axis=0))) < 70.0
+    assert np.max(np.abs(np.diff(diagram.exponents[:, 1]))) < 1.5
+
+
+def test_a_pair_that_coincides_at_the_first_rate_is_not_cut():
+    # Which of the two a line followed was left to round-off.
+    diagram = campbell(shaft(), [0.0, 50.0], 4)
+    assert diagram.exponents.shape == (2, 5)
+    bending = diagram.whirl_speeds[1, np.abs(diagram.whirl[1]) > 0.9]
+    assert np.sum(bending > 0) == np.sum(bending < 0) == 2

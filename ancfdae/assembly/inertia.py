@@ -175,7 +175,7 @@ class Inertia:
         n_q, d = self._n_q, self._d
         rows, columns, values = self._entries([(x.vectors, x.m) for x in blocks])
         self._pattern, self.values = pattern, pattern.gather(rows, columns, values)
-        self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real.copy()
+        self.weights = self.values[pattern.diagonal].real.copy()
         # A direction of a rigid body may have no inertia of its own: a straight cable has none
         # across its axis, and what its integral leaves is round-off.
         directions = numbering.coordinates(numbering.frames[:, 1:])

@@ -57,9 +57,8 @@ class Generic(MechanicalSystem):
 
     def mass(self, q: Array) -> Array:
         """diag(w) e^s."""
-        diagonal = np.arange(self.n_q)
         values = np.zeros(self.pattern.size)
-        values[self.pattern.index(diagonal, diagonal)] = self.weights
+        values[self.pattern.diagonal] = self.weights
         return values * (self._grown if self.traits.constant_mass else self._grown_at(q))
 
     def mass_along(self, q: Array, dq: Array) -> Array:

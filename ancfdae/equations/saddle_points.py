@@ -89,9 +89,8 @@ def _independent(system: MechanicalSystem, matrices: SaddlePoint, B: Array) -> b
 
     This is the Schur complement of the saddle-point matrix of the weights W.
     """
-    pattern, diagonal = system.constraint_pattern, np.arange(system.n_q)
-    W = np.zeros(system.pattern.size)
-    W[system.pattern.index(diagonal, diagonal)] = system.weights
+    pattern, W = system.constraint_pattern, np.zeros(system.pattern.size)
+    W[system.pattern.diagonal] = system.weights
     length = np.sqrt(np.bincount(pattern.rows, B * B / system.weights[pattern.columns]))
     none, x = np.zeros(system.n_q), np.cos(1.0 + np.arange(system.n_lam) ** 2)
     try:

@@ -152,9 +152,8 @@ class MechanicalSystem(ComplexSteps):
     @cached_property
     def weights(self) -> Array:
         """Positive weights, (n_q,), of coordinates in norms and scalings; here M's diagonal."""
-        diagonal = np.arange(self.n_q)
         M = self.mass(self.start()[0])
-        return np.asarray(M[self.pattern.index(diagonal, diagonal)].real, dtype=float)
+        return np.asarray(M[self.pattern.diagonal].real, dtype=float)
 
     @cached_property
     def constraint_names(self) -> tuple[str, ...]:

@@ -153,11 +153,8 @@ class Linearised:
         try:
             return self.saddle.factor(F, self.Phi_q), False
         except SingularMatrix:
-            i = np.arange(self.system.n_q)
             moved = F.copy()
-            moved[self.system.pattern.index(i, i)] += (
-                ROUND_OFF * EPS * self.size * self.system.weights
-            )
+            moved[self.system.pattern.diagonal] += ROUND_OFF * EPS * self.size * self.system.weights
             return self.saddle.factor(moved, self.Phi_q), True
 
     @cached_property

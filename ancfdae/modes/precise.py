@@ -131,10 +131,9 @@ def precise_modes(small: Linearised, X: Array) -> Modes:
 def _factors(small: Linearised, shift: float) -> Factorization:
     """Factorise K + shift |diag K|, which rigid motions do not make singular."""
     system, at = small.system, small.at
-    diagonal = np.arange(system.n_q)
     P = small.K.copy()
     stiffness = stiffness_of_coordinates(Balance(system, at.t, at.q, at.lam), small.K)
-    P[system.pattern.index(diagonal, diagonal)] += shift * stiffness
+    P[system.pattern.diagonal] += shift * stiffness
     try:
         return small.saddle.factor(P, small.Phi_q)
     except SingularMatrix as error:

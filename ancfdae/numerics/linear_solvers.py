@@ -27,6 +27,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, TypeAlias, final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy
@@ -147,13 +148,12 @@ class SaddlePoint:
         squared = (constraint_values.real * scale[constraint_pattern.columns]) ** 2
         length = np.sqrt(np.bincount(constraint_pattern.rows, squared, minlength=m))
         self.scale = np.concatenate([scale, 1.0 / np.where(length > 0, length, 1.0)])
-        self._order = narrow_band(*self._patterns) if order is None else order
-        rows, columns = self._places(self._order)
-        self._half_width = int(np.max(np.abs(rows - columns), initial=0))
-        self._narrow = order is not None or self._half_width <= _BAND_HALF_WIDTH
-        self._envelope = None
-        if symmetric and self._narrow:
-            self._envelope = _Envelope(self._order, rows, columns, *self._patterns)
+        if order is None:
+            self._places = _narrow(*self._patterns)
+        else:
+            self._places = _Places(*self._patterns, order)
+        self._in_band = order is not None or self._places.half_width <= _BAND_HALF_WIDTH
+        self._envelope = self._places.envelope if symmetric and self._in_band else None
 
     @property
     def size(self) -> int:
@@ -167,11 +167,11 @@ class SaddlePoint:
 
     def layout(self, band: bool) -> MatrixLayout | None:
         """Return the positions of values, in a band where requested; None if it is too wide."""
-        if not self._narrow:
+        if not self._in_band:
             return None
         band_map = self._band.arrays if band or not self._envelope else None
         envelope = self._envelope.arrays if self._envelope else None
-        return MatrixLayout(self._order, self.scale, envelope, band_map)
+        return MatrixLayout(self._places.order, self.scale, envelope, band_map)
 
     def factor(self, K: Array, B: Array) -> Factorization:
         """Factorise for the given values of K and B.
@@ -197,24 +197,55 @@ class SaddlePoint:
     @cached_property
     def _storage(self) -> _Storage:
         """What factorises with exchanges."""
-        if self._narrow:
+        if self._in_band:
             return self._band
-        order = little_fill(*self._patterns)
-        return _SparseStorage(self.scale, self._n, order, *self._places(order))
+        places = _Places(*self._patterns, little_fill(*self._patterns))
+        return _SparseStorage(self.scale, self._n, places)
 
     @cached_property
     def _band(self) -> _BandStorage:
-        at = self._places(self._order)
-        return _BandStorage(self.scale, self._n, self._order, *at, self._half_width)
+        return _BandStorage(self.scale, self._n, self._places)
 
-    def _places(self, order: Array) -> tuple[Array, Array]:
-        """Return rows and columns of all entries in an order: of K, of B, and of B^T."""
+
+@final
+class _Places:
+    """An order of the unknowns; rows and columns of all entries in it: of K, of B, and of B^T."""
+
+    def __init__(self, K: Pattern, B: Pattern, order: Array) -> None:
         place = np.empty(len(order), dtype=np.int32)
         place[order] = np.arange(len(order))
-        K, B = self._patterns
         r, c = place[B.rows + K.shape[0]], place[B.columns]
-        rows = np.concatenate([place[K.rows], r, c])
-        return rows, np.concatenate([place[K.columns], c, r])
+        self.order, self._sizes = order, (K.shape[0], K.size, B.size)
+        self.rows = np.concatenate([place[K.rows], r, c])
+        self.columns = np.concatenate([place[K.columns], c, r])
+        self.half_width = int(np.max(np.abs(self.rows - self.columns), initial=0))
+
+    @cached_property
+    def envelope(self) -> _Envelope:
+        """Where they stand in an envelope."""
+        return _Envelope(self.order, self.rows, self.columns, *self._sizes)
+
+    @cached_property
+    def flat(self) -> Array:
+        """Where they stand in LAPACK's band with room for fill-in.
+
+        Entry (i, j) is at row 2 k + i - j of column j.
+        """
+        flat = self.columns.astype(np.int64) * (3 * self.half_width)
+        flat += 2 * self.half_width + self.rows
+        return flat
+
+
+# The matrices of one system have the same patterns: their places are kept as long as these live.
+_NARROW: WeakKeyDictionary[Pattern, WeakKeyDictionary[Pattern, _Places]] = WeakKeyDictionary()
+
+
+def _narrow(K: Pattern, B: Pattern) -> _Places:
+    """Return the places in a narrow band."""
+    beside = _NARROW.setdefault(K, WeakKeyDictionary())
+    if B not in beside:
+        beside[B] = _Places(K, B, narrow_band(K, B))
+    return beside[B]
 
 
 @final
@@ -225,9 +256,11 @@ class _Envelope:
     the same places.
     """
 
-    def __init__(self, order: Array, rows: Array, columns: Array, K: Pattern, B: Pattern) -> None:
+    def __init__(
+        self, order: Array, rows: Array, columns: Array, n: int, n_K: int, n_B: int
+    ) -> None:
         """Take the places of all entries: of K, of B, and of B^T, which is left out."""
-        size, n_K, n_B = len(order), K.size, B.size
+        size = len(order)
         lower = rows >= columns
         lower[n_K : n_K + n_B], lower[n_K + n_B :] = True, False
         row, column = rows[lower], columns[lower]
@@ -237,7 +270,7 @@ class _Envelope:
         self._order, self._first = order, first.astype(np.int32)
         self._chosen = np.flatnonzero(lower[:n_K]).astype(np.int32)
         self._places = self._first[column] + row - column
-        self._signs = np.where(order < K.shape[0], 1.0, -1.0)
+        self._signs = np.where(order < n, 1.0, -1.0)
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array]:
@@ -258,15 +291,11 @@ def _balanced(scale: Array, n: int, of_B: float) -> Array:
 
 @final
 class _BandStorage(_Storage):
-    def __init__(
-        self, scale: Array, n: int, order: Array, rows: Array, columns: Array, half_width: int
-    ) -> None:
-        self._scale, self._n, self._order, self._half_width = scale, n, order, half_width
-        # LAPACK band storage with room for fill-in: entry (i, j) at row 2 k + i - j of column j.
-        self._flat = columns.astype(np.int64) * (3 * half_width)
-        self._flat += 2 * half_width + rows
-        numbered = scale[order]
-        self._factors = numbered[rows] * numbered[columns]
+    def __init__(self, scale: Array, n: int, places: _Places) -> None:
+        self._scale, self._n, self._order = scale, n, places.order
+        self._half_width, self._flat = places.half_width, places.flat
+        numbered = scale[places.order]
+        self._factors = numbered[places.rows] * numbered[places.columns]
 
     @property
     def arrays(self) -> tuple[int, Array, Array]:
@@ -287,13 +316,14 @@ class _BandStorage(_Storage):
 
 @final
 class _SparseStorage(_Storage):
-    def __init__(self, scale: Array, n: int, order: Array, rows: Array, columns: Array) -> None:
-        self._order, self._n, self._all = order, n, scale
-        self._sorted = np.lexsort((rows, columns))
-        self._rows = rows[self._sorted]
-        self._first = np.searchsorted(columns[self._sorted], np.arange(len(order) + 1))
-        numbered = scale[order]
-        self._factors = numbered[rows] * numbered[columns]
+    def __init__(self, scale: Array, n: int, places: _Places) -> None:
+        self._order, self._n, self._all = places.order, n, scale
+        self._sorted = np.lexsort((places.rows, places.columns))
+        self._rows = places.rows[self._sorted]
+        starts = np.arange(len(places.order) + 1)
+        self._first = np.searchsorted(places.columns[self._sorted], starts)
+        numbered = scale[places.order]
+        self._factors = numbered[places.rows] * numbered[places.columns]
 
     def factor(self, K: Array, B: Array) -> Factorization:
         values = self._factors * np.concatenate([K, B, B])

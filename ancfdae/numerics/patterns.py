@@ -7,6 +7,7 @@ vectors, and batched assembly one product with a constant 0/1 matrix.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -20,8 +21,8 @@ from ancfdae.numerics.arrays import Array
 class Pattern:
     """Positions of the entries of a matrix, sorted; duplicates in `rows`, `columns` are merged.
 
-    Stored is the column of every entry only, with the place of the first entry of every row:
-    a scene of 10,000 elements has four million entries.
+    Stored is the column of every entry, with the place of the first entry of every row; rows are
+    made when first asked for: a scene of 10,000 elements has four million entries.
     """
 
     def __init__(self, shape: tuple[int, int], rows: Array, columns: Array) -> None:
@@ -45,10 +46,16 @@ class Pattern:
         """Number of stored entries."""
         return len(self.columns)
 
-    @property
+    @cached_property
     def rows(self) -> Array:
         """Row of every entry."""
         return np.repeat(np.arange(self.shape[0], dtype=np.int32), np.diff(self._first))
+
+    @cached_property
+    def diagonal(self) -> Array:
+        """Places of the diagonal in the value vector; it must be in the pattern."""
+        n = np.arange(self.shape[0])
+        return self.index(n, n)
 
     @property
     def places(self) -> tuple[Array, Array]:

@@ -137,12 +137,6 @@ class Balance:
         return bool(abs(D - D.T).max() > _ROUNDINGS * _EPS * abs(D).max())
 
     @cached_property
-    def diagonal(self) -> Array:
-        """Places of the diagonal in values on the pattern."""
-        n = np.arange(self.system.n_q)
-        return self.system.pattern.index(n, n)
-
-    @cached_property
     def matrices(self) -> SaddlePoint:
         """Saddle-point matrices."""
         return saddle_point(self.system, self.t, self.q_0)

@@ -58,7 +58,7 @@ def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -
     if count <= 0:
         return Softness(np.zeros(0), np.zeros((system.n_q, 0)), True)
     shifted = K.copy()
-    shifted[balance.diagonal] += _SHIFT * D
+    shifted[balance.system.pattern.diagonal] += _SHIFT * D
     none = np.zeros((system.n_lam, count))
     X = np.random.default_rng(0).standard_normal((system.n_q, count)) / root
     try:
@@ -82,5 +82,5 @@ def _orthonormal(X: Array) -> Array:
 
 def stiffness_of_coordinates(balance: Balance, K: Array) -> Array:
     """|diag K|; where it vanishes a trace of the stiffest one, by weight."""
-    w, D = balance.system.weights, np.abs(K[balance.diagonal])
+    w, D = balance.system.weights, np.abs(K[balance.system.pattern.diagonal])
     return np.asarray(np.maximum(D, 1e-8 * np.max(D / w) * w) if np.any(D) else w)

@@ -15,7 +15,7 @@ from ancfdae.errors.text import columns
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.model.turning_frame import TurningFrame
-from ancfdae.modes import Modes
+from ancfdae.modes import Modes, MotionKind
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.statics import Equilibrium, NoEquilibrium
 from ancfdae.studies.modes import modes
@@ -23,6 +23,8 @@ from ancfdae.studies.statics import equilibrium
 
 # Target of the rate, the first of all design variables.
 _RATE = "scene.rate"
+# Weight of decay beside distance where a line has two ways to go on.
+_FALLS = 1e-3
 
 
 @final
@@ -34,7 +36,9 @@ class Campbell:
     ----------
     rates : array, shape (k,)
     exponents : array, shape (k, count), complex
-        s as in `Modes`, as seen in the turning frame. A mode keeps its column.
+        s as in `Modes`, as seen in the turning frame. A mode keeps its column; where it does not
+        vibrate, as between the critical speeds of a shaft that is not round, s is real, that of the
+        motion which decays least or grows.
     exponents_b : array, shape (k, count, n_b), complex
         Derivatives, those of the equilibrium and of its geometry included.
     names : tuple of str
@@ -89,7 +93,7 @@ def campbell(
     """Return the lowest modes about steady rotation at several rates: a Campbell diagram.
 
     Every equilibrium is searched from that of the rate before. Modes are followed by their
-    frequencies and their derivatives in the rate, so that lines cross where they do.
+    exponents and the derivatives of these in the rate, so that lines cross where they do.
 
     Parameters
     ----------
@@ -98,7 +102,8 @@ def campbell(
     rates : sequence of float
         Ascending; rad/s. Close enough that a line and its neighbours are nearly straight between.
     count : int
-        How many, the lowest at the first rate.
+        How many, the lowest at the first rate; those that coincide there are not separated, so
+        there may be a few more.
     design : sequence of str or DesignVariable
         What to differentiate in beside the rate.
     """
@@ -117,9 +122,10 @@ def campbell(
         # Twice as many, so that lines which leave the lowest ones are not lost.
         modes_there = modes(turned, 2 * count, at=at, design=variables, damped=True)
         all_lines = _Lines.of(modes_there, turned)
-        which = np.arange(min(count, len(all_lines.s)))
         if lines:
             which = lines[-1].matched(all_lines, rate - rates[len(lines) - 1])
+        else:
+            which = _lowest(modes_there, count)
         equilibria.append(at)
         lines.append(all_lines.chosen(which))
     s, s_b = np.array([x.s for x in lines]), np.array([x.s_b for x in lines])
@@ -142,16 +148,13 @@ class _Lines:
         assert modes.derivatives is not None
         assert scene.frame is not None
         numbers = np.array(list(scene.frame.parameters().values()))
-        J = scene.frame.turn(numbers, scene.dimension)[1]
-        vibrating = np.flatnonzero(modes.exponents.imag > 0)
-        X = modes.shapes[:, vibrating].astype(complex)
+        J, X = scene.frame.turn(numbers, scene.dimension)[1], modes.shapes.astype(complex)
         turned = np.einsum("ij,vjm->vim", J, X.reshape(-1, len(J), X.shape[1])).reshape(X.shape)
         M_turned = assemble(scene).mass_times(modes.configuration.q, turned)
         along = np.imag(np.einsum("nm,nm->m", X.conj(), M_turned))
         size = np.real(np.einsum("nm,nm->m", turned.conj(), M_turned))
         whirl = along / np.where(size == 0, 1.0, size)
-        s_b = modes.derivatives.exponents_b
-        return _Lines(modes.exponents[vibrating], s_b[vibrating], whirl)
+        return _Lines(modes.exponents, modes.derivatives.exponents_b, whirl)
 
     def chosen(self, which: Array) -> _Lines:
         return _Lines(self.s[which], self.s_b[which], self.whirl[which])
@@ -159,12 +162,27 @@ class _Lines:
     def matched(self, following: _Lines, step: float) -> Array:
         """Return for each mode its place among the following ones.
 
-        A smooth line has the slopes of both ends half way on either side.
+        A smooth line has the slopes of both ends half way on either side. It is s^2 that is smooth
+        where a motion ceases to vibrate; of its two real exponents the greater one goes on.
         """
-        here = self.s.imag + step / 2 * self.s_b[:, 0].imag
-        there = following.s.imag - step / 2 * following.s_b[:, 0].imag
-        apart = np.abs(here[:, None] - there)
+        here, there = self._squares(step / 2), following._squares(-step / 2)
+        falls = -_FALLS * following.s.real * np.abs(following.s)
+        apart = np.abs(here[:, None] - there) + falls
         return np.asarray(scipy.optimize.linear_sum_assignment(apart)[1])
+
+    def _squares(self, step: float) -> Array:
+        """Return s^2 at another rate, to first order."""
+        slopes = 2 * self.s * self.s_b[:, 0]
+        # Infinite where two exponents part.
+        return self.s**2 + step * np.where(np.isfinite(slopes), slopes, 0.0)
+
+
+def _lowest(modes: Modes, count: int) -> Array:
+    """Return the places of the lowest ones that do not just decay, without cutting a group."""
+    moving = [j for j, kind in enumerate(modes.kinds) if kind is not MotionKind.DECAYING]
+    last = moving[:count][-1:]
+    groups = [group for group in modes.coincide if last and last[0] in group]
+    return np.array(moving[:count] + [j for group in groups for j in group if j > last[0]])
 
 
 def _frame_of(scene: Scene) -> TurningFrame:

@@ -135,7 +135,7 @@ def kinetic_energy_integral() -> Objective:
 def _directions(q: Array) -> tuple[Array, Array]:
     """Return e and e' of both angles as columns, shape (2, 2)."""
     cosine, sine = np.cos(q[_ANGLES]), np.sin(q[_ANGLES])
-    return np.stack([cosine, sine]), np.stack([-sine, cosine])
+    return np.array([cosine, sine]), np.array([-sine, cosine])
 
 
 def _spread(columns: Array) -> Array:

@@ -8,7 +8,7 @@ IIA of order five. For smooth motions N = 8 leaves nothing that double precision
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +19,6 @@ __all__ = ["HubRod"]
 
 Array = npt.NDArray[np.float64]
 Turning = Callable[[float], tuple[float, float, float]]
-
-# Below it Newton's iteration of Radau meets the round-off of the axial stiffness.
-_TOLERANCE: Final = 1e-7
 
 
 @dataclass(frozen=True)
@@ -35,6 +32,8 @@ class HubRod:
     mass, turning_mass : float
         Per length: rho A and rho I.
     degree : int
+    tolerance : float
+        Of Radau; below 1e-7 Newton's iteration meets the round-off of the axial stiffness.
     """
 
     length: float
@@ -44,6 +43,7 @@ class HubRod:
     mass: float
     turning_mass: float
     degree: int = 8
+    tolerance: float = 1e-7
 
     def tip(self, turning: Turning, times: Array) -> Array:
         """Return the displacement of the tip in the frame of the hub, shape (2, k).
@@ -91,8 +91,8 @@ class HubRod:
             "Radau",
             t_eval=times,
             jac=rate_y,
-            rtol=_TOLERANCE,
-            atol=1e-3 * _TOLERANCE,
+            rtol=self.tolerance,
+            atol=1e-3 * self.tolerance,
         )
         tip: Array = np.array([basis.end @ run.y[:N], basis.end @ run.y[N : 2 * N]])
         return tip
