@@ -52,22 +52,31 @@ class ComplexSteps(abc.ABC):
         """Differentiate with respect to the design variables along given derivatives of states.
 
         `value(system, *states)` is exact in complex numbers; every state, shape (n,), comes with
-        its derivative, (n, n_b). The result has the shape of the value + (n_b,).
+        its derivative, (n, n_b). The value has shape (m,), the result (m, n_b).
         """
         columns = [
             np.imag(value(self._at_step(i), *(x + 1j * STEP * x_b[:, i] for x, x_b in states)))
             for i in range(self.n_b)
         ]
         if not columns:
-            return np.zeros((*np.shape(value(self, *(x for x, _ in states))), 0))
-        return np.asarray(np.stack(columns, axis=-1) / STEP)
+            return np.zeros((len(value(self, *(x for x, _ in states))), 0))
+        return np.asarray(np.array(columns).T / STEP)
 
-    def _by_coordinate(self, value: Callable[[Array], Array], x: Array, pattern: Pattern) -> Array:
-        """Differentiate with respect to x; what is imaginary already does not count."""
-        still = np.imag(value(x))
-        columns = [np.imag(value(x + 1j * STEP * e)) - still for e in np.eye(self.n_q)]
-        matrix = np.stack(columns, axis=-1) / STEP
-        return np.asarray(matrix[pattern.rows, pattern.columns])
+    def _by_coordinate(
+        self,
+        value: Callable[[Array], Array],
+        x: Array,
+        pattern: Pattern,
+        *beside: Array | None,
+    ) -> Array:
+        """Differentiate with respect to x; what is imaginary already does not count.
+
+        `beside` are the other arrays that the value depends on.
+        """
+        rows = np.array([np.imag(value(y)) for y in x + 1j * STEP * np.eye(self.n_q)])
+        if any(np.iscomplexobj(y) for y in (self.b, x, *beside)):
+            rows -= np.imag(value(x))
+        return np.asarray(rows[pattern.columns, pattern.rows] / STEP)
 
 
 def at_values(system: _System, b: Array) -> _System:

@@ -77,7 +77,9 @@ class Derived:
             self._others[key] = Derived(self.system.with_values(self.system.b + db), self.time)
         return self._others[key]
 
-    def _by_coordinate(self, value: Callable[[Array], Array], x: Array, pattern: Pattern) -> Array:
+    def _by_coordinate(
+        self, value: Callable[[Array], Array], x: Array, pattern: Pattern, *_: Array | None
+    ) -> Array:
         steps = np.diag(coordinate_sizes(x, self.system.weights))
         columns = [real_derivative(lambda e, y=y: value(x + e * y)) / y.sum() for y in steps]  # type: ignore[misc]
         return np.asarray(np.stack(columns, axis=-1)[pattern.rows, pattern.columns])

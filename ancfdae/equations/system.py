@@ -191,7 +191,9 @@ class MechanicalSystem(ComplexSteps):
         ``super()`` where there is no formula.
         """
         pattern = self.constraint_pattern
-        return self._by_coordinate(lambda q: self.constraint(t, q, *motion[1:]), motion[0], pattern)
+        return self._by_coordinate(
+            lambda q: self.constraint(t, q, *motion[1:]), motion[0], pattern, *motion[1:]
+        )
 
     def mass_along(self, q: Array, dq: Array) -> Array:
         """Return the values of M_q dq on `pattern`; to be written unless the mass is constant."""
@@ -322,23 +324,27 @@ class MechanicalSystem(ComplexSteps):
         What they leave out, a, lam and the direction, is held.
         """
         q, v, a, lam = states
+        beside = (*states, *direction[1:])
 
         def along(q: Array, v: Array) -> Array:
             return residual_along(self, t, (q, v, a, lam), direction)
 
         on_b = mu @ self._total(lambda system: residual_along(system, t, (q, v, a, lam), direction))
         dot = self.pattern.dot_transposed
-        on_q = dot(self._by_coordinate(lambda x: along(x, v), q, self.pattern), mu)
+        on_q = dot(self._by_coordinate(lambda x: along(x, v), q, self.pattern, *beside), mu)
         if not self.traits.velocity_forces:
             return on_q, np.zeros_like(mu), on_b
-        on_v = self._by_coordinate(lambda x: along(q, x), v, self.pattern)
+        on_v = self._by_coordinate(lambda x: along(q, x), v, self.pattern, *beside)
         return on_q, dot(on_v, mu), on_b
 
     def _residual_q(self, t: float, q: Array, v: Array | None, a: Array, lam: Array) -> Array:
-        return self._by_coordinate(lambda x: residual(self, t, x, v, a, lam), q, self.pattern)
+        beside = v, a, lam
+        return self._by_coordinate(
+            lambda x: residual(self, t, x, *beside), q, self.pattern, *beside
+        )
 
     def _residual_v(self, t: float, q: Array, v: Array) -> Array:
-        return self._by_coordinate(lambda x: -self.force(t, q, x), v, self.pattern)
+        return self._by_coordinate(lambda x: -self.force(t, q, x), v, self.pattern, q)
 
 
 class PlannedSystem(MechanicalSystem):
