@@ -74,7 +74,7 @@ class ComplexSteps(abc.ABC):
         `beside` are the other arrays that the value depends on.
         """
         rows = np.array([np.imag(value(y)) for y in x + 1j * STEP * np.eye(self.n_q)])
-        if any(np.iscomplexobj(y) for y in (self.b, x, *beside)):
+        if any(y is not None and y.dtype.kind == "c" for y in (self.b, x, *beside)):
             rows -= np.imag(value(x))
         return np.asarray(rows[pattern.columns, pattern.rows] / STEP)
 
