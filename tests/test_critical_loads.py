@@ -1,5 +1,7 @@
 """Critical loads: closed forms, printed values, derivatives of the very call, other branches."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -9,6 +11,7 @@ from ancfdae import (
     HHT,
     Adjoint,
     Beam,
+    Bushing,
     Clamp,
     ComplexStep,
     CriticalValue,
@@ -27,6 +30,7 @@ from ancfdae import (
     Scene,
     SpringDamper,
     Terminal,
+    TurningFrame,
     UnknownName,
     Weld,
     critical_load,
@@ -35,7 +39,7 @@ from ancfdae import (
     mass,
 )
 from ancfdae.assembly import assemble
-from ancfdae.statics import find_equilibrium
+from ancfdae.statics import critical, find_equilibrium
 from ancfdae.statics.held_coordinate import HeldSystem
 
 E = 2.1e11
@@ -348,3 +352,51 @@ def test_derivatives_of_the_holding_force():
 
 def _parts(point):
     return point.tau, point.tau_a, point.tau_b[0]
+
+
+def rotor(eccentricity=0.0):
+    """A disc in springs that turn with it (Jeffcott); critical where w^2 = k_x/m."""
+    body = RigidBody("disc", (0, 0, 0), mass=2.0, inertia=(1.0, 1.0, 1.0))
+    if eccentricity:
+        body = replace(body, centre=(eccentricity, 0, 0))
+    turning = {"turn_stiffness": (4e4, 5e4, 6e4), "name": "shaft"}
+    springs = Bushing(body.at(0, 0, 0), (200.0, 288.0, 1e4), **turning)
+    return Scene([], [], bodies=[body], loads=[springs], frame=TurningFrame(1.0))
+
+
+def test_a_rotor_has_its_critical_speed():
+    design = ["shaft.stiffness_x", "disc.mass", "shaft.stiffness_y"]
+    found = critical_load(rotor(), "scene.rate", 15.0, design=design)
+    assert found.kind == "bifurcation"
+    np.testing.assert_allclose(found.value, 10.0, rtol=1e-12)
+    np.testing.assert_allclose(found.gradient, [0.5 / 20, -0.5 * 10 / 2, 0], rtol=1e-9, atol=1e-12)
+
+
+def test_a_rotor_out_of_balance_moves_without_bound_in_bounded_time(monkeypatch):
+    # Centrifugal forces, scaled anew in every step, left ever smaller ones that could be followed.
+    followed = []
+    counted = critical._followed
+
+    def count(*args):
+        followed.append(1)
+        return counted(*args)
+
+    monkeypatch.setattr(critical, "_followed", count)
+    with pytest.raises(NoCriticalPoint, match="stiffness is lost beyond 10"):
+        critical_load(rotor(1e-3), "scene.rate", 15.0)
+    assert len(followed) < 100
+
+
+def test_a_path_that_can_be_followed_in_the_smallest_steps_only_ends_the_search(monkeypatch):
+    reached, follow = [0.0], critical._followed
+
+    def timid(system, k, p, at):
+        if abs(p - reached[0]) > 0.1:
+            return None
+        reached[0] = p
+        return follow(system, k, p, at)
+
+    monkeypatch.setattr(critical, "_followed", timid)
+    monkeypatch.setattr(critical, "_ERRORS", 8)
+    with pytest.raises(NoCriticalPoint, match="move too fast to follow"):
+        critical_load(column(n=1), "load.force_x", -1e3)

@@ -92,13 +92,15 @@ class Balance:
     follows: bool = True
 
     @staticmethod
-    def of(system: MechanicalSystem, t: float, q_0: Array, lam_0: Array) -> Balance:
+    def of(
+        system: MechanicalSystem, t: float, q_0: Array, lam_0: Array, follows: bool = True
+    ) -> Balance:
         """Check the start and return the equations.
 
         InvalidInput if start or forces are not finite; `RedundantConstraints` if constraints depend
         on each other.
         """
-        balance = Balance(system, t, q_0, lam_0)
+        balance = Balance(system, t, q_0, lam_0, follows=follows)
         with np.errstate(all="ignore"):
             good = all(finite(x) for x in (q_0, balance.r_0, balance.Phi_0))
         if not good:

@@ -31,8 +31,9 @@ Kind: TypeAlias = Literal["limit point", "bifurcation"]
 # The range of p is searched in so many steps. The one that loses stability is halved so often until
 # Newton's method starts, and again where that fails.
 _STEPS, _HALVINGS, _ITERATIONS = 8, (9, 13, 17, 21), 25
-# A step that needs more attempted steps of the load has met a critical point.
-_ATTEMPTS = 16
+# A step that needs more attempted steps of the load has met a critical point. So often that may
+# prove to be wrong.
+_ATTEMPTS, _ERRORS = 16, 64
 # Newton's method goes on, once p changes by less than this part of the width, while changes halve;
 # farther than so many widths it has left. Signs of stiffness are seen to this part of p.
 _CONVERGED, _FAR, _SEEN = 1e-6, 64.0, 1e-6
@@ -183,9 +184,12 @@ def _losses(
 
     They come nearer and nearer. NoCriticalPoint if there is no loss.
     """
-    p, lost, halvings = float(system.b[k]), np.nan, 0
+    p, lost, halvings, errors = float(system.b[k]), np.nan, 0, 0
     stride = (to - p) / _STEPS
     while halvings < max(_HALVINGS):
+        if errors > _ERRORS:
+            rule = f"{system.design_names[k]!r}: beyond {p:g} equilibria move too fast to follow."
+            raise NoCriticalPoint(rule)
         if p == to:
             rule = f"{system.design_names[k]!r}: every equilibrium up to {to:g} is stable."
             raise NoCriticalPoint(rule)
@@ -200,13 +204,13 @@ def _losses(
             if stable is None:
                 yield p, lost, at
             else:
-                p, lost, at, halvings = lost, np.nan, stable, 0
+                p, lost, at, halvings, errors = lost, np.nan, stable, 0, errors + 1
 
 
 def _followed(system: MechanicalSystem, k: int, p: float, at: Equilibrium) -> Equilibrium | None:
     """Return the equilibrium at p to which a path of stable ones leads from another; or None."""
     moved = _moved(system, k, p)
-    ahead = uninterrupted(find_equilibrium(moved, start=at, max_steps=_ATTEMPTS))
+    ahead = uninterrupted(find_equilibrium(moved, start=at, near=True, max_steps=_ATTEMPTS))
     end = ahead.outcome
     return ahead if end.success and end.stable_to is None and not end.downhill else None
 
