@@ -9,6 +9,7 @@ from ancfdae import (
     CABLE_2D,
     CABLE_3D,
     Beam,
+    Bushing,
     Clamp,
     CurvedBeam,
     Distance,
@@ -32,6 +33,7 @@ from ancfdae import (
     Scene,
     Spherical,
     SpringDamper,
+    TurningFrame,
     Uniform,
 )
 from ancfdae.model.elements import ALL_ELEMENTS
@@ -298,3 +300,13 @@ for ELEMENT in ALL_ELEMENTS:
 RIGID = ("planar_bodies", "planar_carriers", "spatial_carriers", "cable_carriers")
 #: Scenes with bilinear or driven joints, with loads that follow the motion or with damping.
 MACHINES = ("damped_pair", "planar_machine", "spatial_machine", *RIGID)
+
+
+def rotor(rate=1.0, eccentricity=0.0, damping=0.0):
+    """A disc of 2 kg in springs that turn with it (Jeffcott): critical at 10 and 12 rad/s."""
+    body = RigidBody("disc", (0, 0, 0), mass=2.0, inertia=(1.0, 1.0, 1.0))
+    if eccentricity:
+        body = replace(body, centre=(eccentricity, 0, 0))
+    given = {"turn_stiffness": (4e4, 5e4, 6e4), "damping": (damping, damping, 0.0)}
+    springs = Bushing(body.at(0, 0, 0), (200.0, 288.0, 1e4), name="shaft", **given)
+    return Scene([], [], bodies=[body], loads=[springs], frame=TurningFrame(rate))

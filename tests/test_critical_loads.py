@@ -1,7 +1,5 @@
 """Critical loads: closed forms, printed values, derivatives of the very call, other branches."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -11,7 +9,6 @@ from ancfdae import (
     HHT,
     Adjoint,
     Beam,
-    Bushing,
     Clamp,
     ComplexStep,
     CriticalValue,
@@ -30,7 +27,6 @@ from ancfdae import (
     Scene,
     SpringDamper,
     Terminal,
-    TurningFrame,
     UnknownName,
     Weld,
     critical_load,
@@ -41,6 +37,8 @@ from ancfdae import (
 from ancfdae.assembly import assemble
 from ancfdae.statics import critical, find_equilibrium
 from ancfdae.statics.held_coordinate import HeldSystem
+
+from scenes import rotor
 
 E = 2.1e11
 
@@ -354,16 +352,6 @@ def _parts(point):
     return point.tau, point.tau_a, point.tau_b[0]
 
 
-def rotor(eccentricity=0.0):
-    """A disc in springs that turn with it (Jeffcott); critical where w^2 = k_x/m."""
-    body = RigidBody("disc", (0, 0, 0), mass=2.0, inertia=(1.0, 1.0, 1.0))
-    if eccentricity:
-        body = replace(body, centre=(eccentricity, 0, 0))
-    turning = {"turn_stiffness": (4e4, 5e4, 6e4), "name": "shaft"}
-    springs = Bushing(body.at(0, 0, 0), (200.0, 288.0, 1e4), **turning)
-    return Scene([], [], bodies=[body], loads=[springs], frame=TurningFrame(1.0))
-
-
 def test_a_rotor_has_its_critical_speed():
     design = ["shaft.stiffness_x", "disc.mass", "shaft.stiffness_y"]
     found = critical_load(rotor(), "scene.rate", 15.0, design=design)
@@ -383,7 +371,7 @@ def test_a_rotor_out_of_balance_moves_without_bound_in_bounded_time(monkeypatch)
 
     monkeypatch.setattr(critical, "_followed", count)
     with pytest.raises(NoCriticalPoint, match="stiffness is lost beyond 10"):
-        critical_load(rotor(1e-3), "scene.rate", 15.0)
+        critical_load(rotor(eccentricity=1e-3), "scene.rate", 15.0)
     assert len(followed) < 100
 
 

@@ -10,7 +10,6 @@ from ancfdae import (
     Adjoint,
     AtRest,
     Beam,
-    Bushing,
     Circle,
     Clamp,
     ComplexStep,
@@ -40,6 +39,8 @@ from ancfdae import (
     simulate,
     static_gradient,
 )
+
+from scenes import rotor
 
 DESIGN = [
     "scene.rate",
@@ -323,14 +324,10 @@ def test_an_unbalanced_shaft_centres_itself_above_its_critical_speed(rate):
 def test_a_shaft_that_is_not_round_has_its_unstable_speeds(first, damping):
     # A point of mass m in springs k_x, k_y and dampers c that turn (Jeffcott):
     # (m s^2 + c s + k_x - m w^2)(m s^2 + c s + k_y - m w^2) + 4 m^2 w^2 s^2 = 0
-    m, k, rates = 2.0, np.array([200.0, 288.0, 1e4]), np.arange(first, 16.0, 0.5)
-    body = RigidBody("disc", (0, 0, 0), mass=m, inertia=(1.0, 1.0, 1.0))
-    turning = {"turn_stiffness": (4e4, 5e4, 6e4), "damping": (damping, damping, 0.0)}
-    springs = Bushing(body.at(0, 0, 0), k, **turning)
-    scene = Scene([], [], bodies=[body], loads=[springs], frame=TurningFrame(1.0))
-    diagram = campbell(scene, rates, 2)
+    m, k, rates = 2.0, np.array([200.0, 288.0]), np.arange(first, 16.0, 0.5)
+    diagram = campbell(rotor(damping=damping), rates, 2)
     for rate, found in zip(rates, diagram.exponents, strict=True):
-        x, y = (np.array([m, damping, each - m * rate**2]) for each in k[:2])
+        x, y = (np.array([m, damping, each - m * rate**2]) for each in k)
         roots = np.roots(np.polyadd(np.polymul(x, y), [4 * m**2 * rate**2, 0, 0]))
         vibrate = sorted(roots[roots.imag > 1e-9], key=lambda s: s.imag)
         still = roots[abs(roots.imag) <= 1e-9].real
@@ -351,3 +348,16 @@ def test_a_pair_that_coincides_at_the_first_rate_is_not_cut():
     assert diagram.exponents.shape == (2, 5)
     bending = diagram.whirl_speeds[1, np.abs(diagram.whirl[1]) > 0.9]
     assert np.sum(bending > 0) == np.sum(bending < 0) == 2
+
+
+@pytest.mark.parametrize("rate", [3.0, 9.9, 10.5, 13.0, 40.0])
+def test_a_rotor_out_of_balance_turns_about_its_axis_of_inertia_above_its_critical_speed(rate):
+    # Nothing stiffens this one: along the path of growing loads it moves without bound at 10 rad/s.
+    e = 1e-3
+    expected = e * rate**2 / (100.0 - rate**2)
+    found = equilibrium(rotor(rate, e))
+    assert found.outcome.success
+    np.testing.assert_allclose(found.q[:3], [expected, 0.0, 0.0], rtol=1e-10, atol=1e-15)
+    below = equilibrium(rotor(9.0, e))
+    again = equilibrium(rotor(rate, e), start=below)
+    np.testing.assert_allclose(again.q, found.q, rtol=1e-10, atol=1e-15)

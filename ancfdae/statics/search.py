@@ -37,7 +37,8 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
         if not start.stable or start.free.shape[1]:
             return _settled(balance, start, max_steps)
     followed = _followed(balance, first, True, max_steps)
-    if followed.outcome.stable_to is not None and balance.gyroscopic:
+    outcome = followed.outcome
+    if (outcome.stable_to is not None or not outcome.success) and balance.gyroscopic:
         followed = _nearer(balance, followed, max_steps)
     if followed.outcome.verdict not in _FAILED:
         return followed
