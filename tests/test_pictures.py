@@ -819,3 +819,13 @@ def test_a_shaft_in_torsion_has_the_colours_of_its_sides(section):
     largest = observe(von_mises(rod.at(0.5, y=section.half_extents[0])), rest, assemble(scene))[0]
     assert values.min() < 0.05 * largest
     assert values.max() > 0.7 * largest
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_vtk_of_bodies_without_a_shape_is_refused_before_anything_is_written(d, tmp_path):
+    inertia = 0.1 if d == 2 else (0.1, 0.1, 0.1)
+    body = RigidBody("body", (0.0,) * d, mass=1.0, inertia=inertia)
+    scene = Scene([], bodies=[body])
+    with pytest.raises(InvalidInput, match="needs a beam or a body with a surface"):
+        write_vtk(scene, simulate(scene, 0.01, HHT(0.005)), tmp_path / "run.pvd")
+    assert not list(tmp_path.iterdir())

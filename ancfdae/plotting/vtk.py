@@ -52,12 +52,20 @@ def write_vtk(
     Raises
     ------
     InvalidInput, MissingPackage
-        As in `snapshots`; without pyevtk, which ``pip install "ancfdae[vtk]"`` brings.
+        As in `snapshots`; if nothing has a surface; without pyevtk, which
+        ``pip install "ancfdae[vtk]"`` brings.
     """
     file = checked_path("write_vtk", path, (".pvd",))
     evtk = require_package("write_vtk", "pyevtk.hl", "vtk")
     group = require_package("write_vtk", "pyevtk.vtk", "vtk")
     shown, declared = mechanism(scene, solution, times, None), mechanism(scene, None, None, None)
+    if not len(shown.faces):
+        raise InvalidInput(
+            "write_vtk, scene",
+            "needs a beam or a body with a surface",
+            "rigid bodies without a shape",
+            "Give one a shape, for example RigidBox(0.1, 0.1, 0.1).",
+        )
     folder = _folder_beside(file)
     faces, points = shown.faces, point_data(shown, declared)
     bodies = np.repeat(np.arange(len(shown.meshes)), [len(mesh.faces) for mesh in shown.meshes])
