@@ -225,9 +225,14 @@ def save(figure: Figure, path_without_suffix: str | os.PathLike[str]) -> tuple[P
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     svg, png = path.with_name(path.name + ".svg"), path.with_name(path.name + ".png")
+    layout = figure.get_layout_engine()
     with settings():
+        # Laid out once for both: it takes as long as drawing.
+        figure.draw_without_rendering()
+        figure.set_layout_engine(None)
         figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": "ancfdae"})
         figure.savefig(png, format="png", metadata={"Software": "ancfdae"})
+    figure.set_layout_engine(layout)
     return svg, png
 
 
