@@ -1,6 +1,7 @@
 """Runs chosen tests with the oldest dependencies that are declared, or on a newer Python.
 
-Run as ``python tests/other_versions.py oldest`` or ``... newest`` from the checkout.
+Run as ``python tests/other_versions.py install oldest PYTHON``, then ``... run oldest``, or
+``newest`` instead, from the checkout.
 """
 
 import subprocess
@@ -18,15 +19,22 @@ def oldest() -> list[str]:
     return [f"{x.replace('>=', '==')}.*" for x in project["dependencies"] if ";" not in x]
 
 
-def main(which: str, python: str) -> None:
-    folder = ROOT / f".venv-{which}"
+def folder(which: str) -> Path:
+    return ROOT / f".venv-{which}"
+
+
+def install(which: str, python: str) -> None:
     # Debian's Python has no pip of its own: the one that runs this serves both.
-    subprocess.run([python, "-m", "venv", "--without-pip", folder], check=True)
+    subprocess.run([python, "-m", "venv", "--without-pip", folder(which)], check=True)
     versions = oldest() if which == "oldest" else []
-    own = folder / "bin" / "python"
     needed = [*versions, "-e", ROOT, "pytest", "hypothesis"]
+    own = folder(which) / "bin" / "python"
     pip = [sys.executable, "-m", "pip", "--python", own, "install", "--quiet"]
     subprocess.run([*pip, *needed], check=True)
+
+
+def run(which: str) -> None:
+    own = folder(which) / "bin" / "python"
     tests = [f"tests/test_{name}.py" for name in FILES]
     # Old versions of other packages warn of each other; the tests of .ci/run run elsewhere.
     options = ["-q", "-W", "ignore::DeprecationWarning", "-k", "not spatial and not test_ci"]
@@ -34,4 +42,10 @@ def main(which: str, python: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    match sys.argv[1:]:
+        case ["install", which, python]:
+            install(which, python)
+        case ["run", which]:
+            run(which)
+        case _:
+            sys.exit(__doc__)

@@ -152,7 +152,7 @@ def test_ci_runs_the_test_command_of_the_readme_and_then_the_checks(tmp_path: Pa
     done = run_ci(checkout(tmp_path, command))
     assert done.returncode == 0, done.stderr
     assert calls(tmp_path) == ["threads 1 1", "a b", *CHECKS]
-    assert len(re.findall(r"^== .+ passed in \d+ s$", done.stdout, re.MULTILINE)) == 13
+    assert len(re.findall(r"^(?:\w+: )?== .+ passed in \d+ s$", done.stdout, re.MULTILINE)) == 14
     assert "the tests of IDAS ran with the others" in done.stdout
 
 
@@ -169,6 +169,17 @@ def test_ci_fails_with_each_check(tmp_path: Path, tool: str, made: int) -> None:
     (folder / f"break-{tool}").touch()
     assert run_ci(folder).returncode != 0
     assert calls(folder) == CHECKS[:made]
+
+
+@pytest.mark.parametrize("lane", ["documents", "installed"])
+def test_ci_fails_with_each_lane(tmp_path: Path, lane: str) -> None:
+    folder = checkout(tmp_path, "true")
+    breaks = {"documents": "sphinx", "installed": "installed_wheel"}[lane]
+    interpreter = folder / ".venv" / "bin" / "python"
+    interpreter.write_text(f'#!/bin/sh\ncase "$*" in *{breaks}*) exit 1;; esac\n')
+    done = run_ci(folder)
+    assert done.returncode != 0
+    assert f"failed: {lane}" in done.stderr
 
 
 def test_ci_without_a_marked_test_command_says_so(tmp_path: Path) -> None:

@@ -3,7 +3,18 @@
 import numpy as np
 import pytest
 
-from ancfdae import MotionKind, modes
+from ancfdae import (
+    Beam,
+    Material,
+    MotionKind,
+    Pin,
+    Rectangle,
+    Revolute,
+    Scene,
+    Spherical,
+    Weld,
+    modes,
+)
 from ancfdae.errors import AncfdaeError
 from validation.thin_beams import cantilever_frequencies, thin_cantilever
 
@@ -32,10 +43,60 @@ def test_pairs_of_thin_round_bars_coincide(slenderness):
     np.testing.assert_allclose(found.frequencies[1::2], found.frequencies[::2], rtol=1e-8)
 
 
-@pytest.mark.parametrize("slenderness", [1e-3, 1e-4])
-def test_a_free_thin_beam_has_all_rigid_motions(slenderness):
-    found = modes(thin_cantilever(slenderness, d=3, nu=0.49, free=True), 8)
-    assert found.kinds == (MotionKind.RIGID,) * 6 + (MotionKind.VIBRATION,) * 2
+@pytest.mark.parametrize("nu", [0.3, 0.49])
+@pytest.mark.parametrize("elements", [3, 8, 9])
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("slenderness", [1e-3, 3e-4, 1e-4, 3e-5])
+def test_a_free_thin_beam_has_all_rigid_motions(slenderness, d, elements, nu):
+    rigid = 3 * (d - 1)
+    found = modes(thin_cantilever(slenderness, elements, d, nu, free=True), rigid + d - 1)
+    assert found.kinds == (MotionKind.RIGID,) * rigid + (MotionKind.VIBRATION,) * (d - 1)
+    unit = np.sqrt(E * slenderness**2 / 12 / RHO)
+    # Three elements are 0.3 % too stiff.
+    np.testing.assert_allclose(found.frequencies[rigid:] / unit, 22.3733, rtol=3e-3)
+
+
+def linkage(kind, d, slenderness, elements):
+    """Two beams at an angle, free or hinged to the ground, with a hinge or a weld between them."""
+    section, plane = Rectangle(slenderness, slenderness), (0.0,) * (d - 2)
+    material = Material(RHO, E, 0.3)
+    a = Beam("a", (0.0, 0.0, *plane), (1.0, 0.0, *plane), elements, section, material)
+    b = Beam("b", (1.0, 0.0, *plane), (1.7, 0.4, *plane), elements, section, material)
+    if kind == "weld":
+        return Scene([a, b], [Weld(a.at_end, b.at_start)])
+    if d == 2:
+        hinge, held = Pin(a.at_end, b.at_start), Pin(a.at_start)
+    else:
+        hinge, held = Spherical(a.at_end, b.at_start), Revolute(a.at_start, axis=(0, 0, 1))
+    return Scene([a, b], [hinge, held] if kind == "chain" else [hinge])
+
+
+@pytest.mark.parametrize("slenderness", [1e-3, 1e-4, 1e-5])
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize(
+    ("kind", "rigid"), [("weld", (3, 6)), ("hinge", (4, 9)), ("chain", (2, 4))]
+)
+def test_thin_linkages_keep_their_rigid_motions_and_the_law_of_similarity(
+    kind, rigid, d, slenderness
+):
+    """Frequencies of bending are proportional to the height; a spin has next to no inertia."""
+    number = rigid[d - 2]
+    found = modes(linkage(kind, d, slenderness, 3), number + 2)
+    thick = modes(linkage(kind, d, 2e-3, 3), number + 2)
+    assert [k == MotionKind.RIGID for k in found.kinds[: number + 2]] == [True] * number + [
+        False
+    ] * 2
+    scale = slenderness / 2e-3
+    bending = thick.frequencies[number : number + 2] * scale
+    np.testing.assert_allclose(found.frequencies[number : number + 2], bending, rtol=1e-3)
+
+
+@pytest.mark.parametrize("slenderness", [3e-6, 1e-6])
+def test_values_below_the_digits_of_those_of_the_section_are_found_beside_them(slenderness):
+    found = modes(thin_cantilever(slenderness, 3), 7).frequencies
+    unit = np.sqrt(E * slenderness**2 / 12 / RHO)
+    np.testing.assert_allclose(found[:6] / unit, cantilever_frequencies(3)[:6], rtol=1e-6)
+    assert found[6] / unit > 1e6  # Of the bar along its axis.
 
 
 def test_what_is_too_thin_for_its_matrix_is_refused_in_words():

@@ -24,7 +24,8 @@ from ancfdae.equations import reaction
 from ancfdae.equations.held import held_q
 from ancfdae.equations.saddle_points import solve
 from ancfdae.errors import AncfdaeError, SingularMatrix
-from ancfdae.modes.linearised import EPS, Linearised
+from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
+from ancfdae.modes.rigid import distinct
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.statics import Balance, stiffness_of_coordinates
@@ -40,8 +41,11 @@ _SETTLED = 1e-7
 _SHIFT = 1e-14
 # What is stiff: axial forces, 1/n^2 of the diagonal, and neither bending nor rigid motions.
 _STIFF = 1e-10
-# Round-off may be so many times what another rounding changes.
-_MARGIN = 4.0
+# Rigid motions searched for at first, and so many times as many as long as all of them are; and
+# sweeps.
+_FIRST, _MORE, _CLEANED = 8, 4, 3
+# Round-off may be so many times what other roundings change, of which so many are tried.
+_MARGIN, _ROUNDINGS = 4.0, 3
 # As in `statics.derivatives`.
 _MAGNIFIED = 2.0**17
 
@@ -81,6 +85,8 @@ class Precise:
 
     def times(self, X: Array) -> Array:
         """Return K X for real columns."""
+        if not X.size:
+            return X
         system, at = self.small.system, self.small.at
         step = _MAGNIFIED * self._beyond
         product = self._elastic(self.q, X)
@@ -103,23 +109,78 @@ class Precise:
 def precise_modes(small: Linearised, X: Array) -> Modes:
     """Return as many of the lowest modes of a symmetric pencil as there are columns in X.
 
-    Inverse iteration on a block: x - P^-1 (K x - z M x) is z K^-1 M x where P is K.
+    Inverse iteration on a block: x - P^-1 (K x - z M x) is z K^-1 M x where P is K. Beside rigid
+    motions, which P makes the largest, all others would be round-off: they are found first, and
+    the block has no part of them.
 
     Raises
     ------
     NoModes
         If they do not converge.
     """
-    count, n = X.shape[1], small.system.n_q
-    factors = _factors(small, _SHIFT)
-    precise = Precise(small, small.at.q, _factors(small, _STIFF))
-    more = min(_GUARDS, small.n_free - count)
-    push = np.random.default_rng(2).standard_normal((n, more))
+    count = X.shape[1]
+    precise = Precise(small, small.at.q, _factors(small, _shifted(small, _STIFF)))
+    factors = _factors(small, _shifted(small, _SHIFT))
+    R = _rigid_motions(precise, factors)[:, :count]
+    z, noise = np.zeros(R.shape[1]), _noise(precise, R, np.zeros(R.shape[1]))
+    if R.shape[1] < count:
+        others, X, round_off = _elastic_modes(precise, factors, R, X)
+        z, noise, X = np.append(z, others), np.append(noise, round_off), np.hstack([R, X])
+    else:
+        X = R
+    order = np.argsort(z, kind="stable")
+    return z[order], X[:, order], noise[order]
+
+
+def _rigid_motions(precise: Precise, factors: Factorization) -> Array:
+    """Return all of them, orthonormal in M; `factors` are those of P = K + shift D, D = |diag K|.
+
+    x - P^-1 K x leaves them as they are, and of others what shift D is of P. In the norm of D a
+    spin about the axis of a thin body counts as much as a translation.
+
+    Bending may be as soft as shift D. It has a stiffness that is not round-off of products, nor
+    that of parts eps of itself and of the stiffest shapes.
+    """
+    small, count, random = precise.small, _FIRST, np.random.default_rng(3)
+    root = np.sqrt(_stiffness(small))[:, None]
+    while True:
+        count = min(count, small.n_free)
+        X = small.solve(factors, root * random.standard_normal((len(root), count)))
+        for _ in range(_CLEANED):
+            X = X - small.solve(factors, precise.times(X))
+        X = distinct(X, root**2 * X)
+        kappa, W = np.linalg.eigh(X.T @ precise.times(X))
+        X = X @ W[:, kappa < _SHIFT]
+        X = X / np.sqrt(_squares(small, X))
+        z = np.einsum("ij,ij->j", X, precise.times(X))
+        parts = small.round_off(small.K, X) + EPS * small.size
+        noise = _noise(precise, X, z) + ROUND_OFF * EPS * parts
+        R = X[:, np.abs(z) <= ROUND_OFF * noise]
+        if R.shape[1] < count or count == small.n_free:
+            return distinct(R, small.times(small.M, R))
+        count *= _MORE
+
+
+def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array) -> Modes:
+    """Modes beside rigid motions R, from a guess X of all of them."""
+    small, count = precise.small, X.shape[1] - R.shape[1]
+    inertia = small.times(small.M, R)
+
+    def corrected(force: Array) -> Array:
+        return _without(R, inertia, small.solve(factors, force - inertia @ (R.T @ force)))
+
+    more = min(_GUARDS, small.n_free - X.shape[1])
+    push = np.random.default_rng(2).standard_normal((small.system.n_q, more))
     push *= np.sqrt(small.system.weights)[:, None]
-    z, X = _ritz(precise, np.hstack([X, small.solve(factors, push)]))
+    X = _without(R, inertia, X / np.sqrt(_squares(small, X)))
+    X = np.hstack([distinct(X, small.times(small.M, X)), corrected(push)])
+    X = X / np.sqrt(_squares(small, X))
+    z, X = _ritz(precise, distinct(X, small.times(small.M, X)))
+    if len(z) < count:
+        raise NoModes(_TOO_THIN)
     for _ in range(_SWEEPS):
         last = z[:count]
-        z, X = _ritz(precise, X + small.solve(factors, precise.left(X, z)))
+        z, X = _ritz(precise, X + corrected(precise.left(X, z)))
         change = np.abs(z[:count] - last)
         sizes = np.abs(last) + small.round_off(small.K, X[:, :count])
         if np.all(change <= _SETTLED * sizes):
@@ -128,12 +189,27 @@ def precise_modes(small: Linearised, X: Array) -> Modes:
     raise NoModes(_TOO_THIN)
 
 
-def _factors(small: Linearised, shift: float) -> Factorization:
-    """Factorise K + shift |diag K|, which rigid motions do not make singular."""
-    system, at = small.system, small.at
+def _without(R: Array, inertia: Array, X: Array) -> Array:
+    """Return columns without their parts of orthonormal ones; twice, for the round-off of large."""
+    for _ in range(2):
+        X = X - R @ (inertia.T @ X)
+    return X
+
+
+def _stiffness(small: Linearised) -> Array:
+    """Return D = |diag K|."""
+    balance = Balance(small.system, small.at.t, small.at.q, small.at.lam)
+    return stiffness_of_coordinates(balance, small.K)
+
+
+def _shifted(small: Linearised, shift: float) -> Array:
+    """Return values of K + shift D, which rigid motions do not make singular."""
     P = small.K.copy()
-    stiffness = stiffness_of_coordinates(Balance(system, at.t, at.q, at.lam), small.K)
-    P[system.pattern.diagonal] += shift * stiffness
+    P[small.system.pattern.diagonal] += shift * _stiffness(small)
+    return P
+
+
+def _factors(small: Linearised, P: Array) -> Factorization:
     try:
         return small.saddle.factor(P, small.Phi_q)
     except SingularMatrix as error:
@@ -159,23 +235,33 @@ def refuse_lost(z: Array, noise: Array) -> None:
 
 
 def _ritz(precise: Precise, Z: Array) -> tuple[Array, Array]:
+    """Ritz's method, again for values below the digits of the largest; by growing value.
+
+    Round-off of the largest value e turns shapes by eps, by which a quotient is off by eps^2 e.
+    """
     Z = Z / np.sqrt(_squares(precise.small, Z))
     K, M = Z.T @ precise.times(Z), Z.T @ precise.small.times(precise.small.M, Z)
     try:
         z, Y = scipy.linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
     except scipy.linalg.LinAlgError as error:  # Vectors became one and the same rigid motion.
         raise NoModes(_TOO_THIN) from error
-    return z, Z @ Y
+    X, small = Z @ Y, np.abs(z) < EPS**0.5 * np.max(np.abs(z))
+    if np.any(small):
+        z[small], X[:, small] = _ritz(precise, X[:, small])
+    return z, X
 
 
 def _noise(precise: Precise, X: Array, z: Array) -> Array:
-    """Round-off in z: what another rounding of the coordinates changes in x^T K x."""
+    """Round-off in z: the most that other roundings of the coordinates change in x^T K x."""
     q, generator = precise.q, np.random.default_rng(3)
-    other = replace(precise, q=q * (1 + EPS * generator.choice([-1.0, 1.0], q.shape)))
-    # A third of a shape rounds otherwise, too.
-    Y = X * (1 + EPS * generator.choice([-1.0, 1.0], X.shape))
-    moved = 3.0 * np.einsum("ij,ij->j", Y, other.times(Y / 3.0))
-    change = np.abs(moved - np.einsum("ij,ij->j", X, precise.times(X)))
+    quotients = np.einsum("ij,ij->j", X, precise.times(X))
+    change = np.zeros(len(z))
+    for _ in range(_ROUNDINGS):
+        other = replace(precise, q=q * (1 + EPS * generator.choice([-1.0, 1.0], q.shape)))
+        # A third of a shape rounds otherwise, too.
+        Y = X * (1 + EPS * generator.choice([-1.0, 1.0], X.shape))
+        moved = 3.0 * np.einsum("ij,ij->j", Y, other.times(Y / 3.0))
+        change = np.maximum(change, np.abs(moved - quotients))
     return np.asarray(_MARGIN * change + EPS * np.abs(z))
 
 

@@ -36,13 +36,20 @@ def rigid_motions(small: Linearised) -> Array:
         factors = _beside(small, ROUND_OFF * EPS * small.size)
         for _ in range(_SWEEPS):
             X = small.solve(factors, small.times(small.M, X))
-            X = X / np.sqrt(np.max(small.squares(X)))
-            squares, V = _gram(small, X)
-            X = X @ V[:, squares > _DISTINCT] / np.sqrt(squares[squares > _DISTINCT])
+            X = distinct(X, small.times(small.M, X))
         R, _ = separated(small, _soft(small, X))
         if R.shape[1] < count or count == small.n_free:
             return R
         count *= _MORE
+
+
+def distinct(X: Array, weighted: Array) -> Array:
+    """Return a basis of columns, orthonormal in A, from A X; without round-off of the largest."""
+    if not X.size:
+        return X
+    squares, V = np.linalg.eigh(X.T @ weighted)
+    kept = squares > _DISTINCT * squares[-1]
+    return np.asarray(X @ V[:, kept] / np.sqrt(squares[kept]))
 
 
 def separated(small: Linearised, X: Array) -> tuple[Array, Array]:

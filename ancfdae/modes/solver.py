@@ -107,12 +107,23 @@ def _undamped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     pairs = _finished(small, z[order], X[:, order])
     left = _left(small, pairs, change[order])
     missing = lost(pairs.z, left)
-    if highest or not len(missing) or _freed(pairs.z, left, missing):
+    if highest or not len(missing):
         return pairs
-    z, X, noise = precise_modes(small, pairs.X)
-    pairs = _finished(small, z, X, noise)
-    refuse_lost(pairs.z, pairs.noise)
-    return pairs
+    try:
+        z, X, noise = precise_modes(small, pairs.X)
+        precise = _sorted(_finished(small, z, X, noise))
+        refuse_lost(precise.z, precise.noise)
+    except NoModes:
+        if _freed(pairs.z, left, missing):
+            return pairs
+        raise
+    return precise
+
+
+def _sorted(pairs: Eigenpairs) -> Eigenpairs:
+    """By growing z, of which round-off may be named zero since they were found."""
+    order = np.argsort(pairs.z, kind="stable")
+    return Eigenpairs(pairs.z[order], pairs.X[:, order], pairs.noise[order])
 
 
 def _asymmetric(small: Linearised, count: int, highest: bool) -> Eigenpairs:

@@ -44,9 +44,9 @@ def _ends(rod: Beam) -> list[float]:
 
 
 def _cables(
-    items: Any, mbs: Any, rod: Beam, weight: float, **nodes: Any
+    items: Any, mbs: Any, rod: Beam, weight: float, held: list[int] | None = None
 ) -> tuple[list[int], list[int]]:
-    """Add a rod of cables; return its nodes and elements."""
+    """Add a rod of cables, whose first node keeps what is `held`; return nodes and elements."""
     section, (start, end) = rod.section, _ends(rod)
     assert isinstance(section, Rectangle)
     area = section.height * section.width
@@ -55,16 +55,16 @@ def _cables(
         bendingStiffness=_MODULUS * area * section.height**2 / 12,
         axialStiffness=_MODULUS * area,
     )
-    made = importlib.import_module("exudyn.beams").GenerateStraightLineANCFCable2D(
+    made = importlib.import_module("exudyn.beams").GenerateBeamElementsAlongLine(
         mbs,
         [start, 0, 0],
         [end, 0, 0],
         rod.elements,
         template,
-        massProportionalLoad=[0, -weight, 0],
-        **nodes,
+        gravity=[0, -weight, 0],
+        groundConstraintsStart=held,
     )
-    return list(made[0]), list(made[1])
+    return list(made["nodes"]), list(made["elements"])
 
 
 @final
@@ -102,7 +102,7 @@ class CablePendulum(Pair):
         """Pin two coordinates of the first node."""
         (rope,) = self.scene().beams
         assert isinstance(rope, Beam)
-        nodes, cables = _cables(items, mbs, rope, GRAVITY, fixedConstraintsNode0=[1, 1, 0, 0])
+        nodes, cables = _cables(items, mbs, rope, GRAVITY, [1, 1, 0, 0])
 
         def vary(i: int, factor: float) -> None:
             axial = factor * _MODULUS * _SIDE**2
@@ -250,7 +250,7 @@ class Elastica(Pair):
         """Fix position and direction of the first node."""
         (rod,) = self.scene().beams
         assert isinstance(rod, Beam)
-        nodes, _ = _cables(items, mbs, rod, 0.0, fixedConstraintsNode0=[1, 1, 0, 1])
+        nodes, _ = _cables(items, mbs, rod, 0.0, [1, 1, 0, 1])
         end = mbs.AddMarker(items.MarkerNodePosition(nodeNumber=nodes[-1]))
         mbs.AddLoad(items.Force(markerNumber=end, loadVector=[0, -self._force, 0]))
         return Model(lambda: mbs.GetNodeOutput(nodes[-1], exu.OutputVariableType.Position)[:2])
