@@ -32,6 +32,7 @@ from ancfdae.integrators.recorder import Recorder
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.numerics.time_grid import TimeGrid, next_end
 
 # Steps that together advance by less than this share of the end time. Single steps may be lost in
@@ -189,6 +190,7 @@ class HighOrder(QuadratureIntegrator):
         """Set up a solver at the start."""
 
     @final
+    @in_one_thread
     def integrate(
         self,
         system: MechanicalSystem,

@@ -30,6 +30,7 @@ from ancfdae.integrators.step_control import (
 from ancfdae.integrators.step_control.contracts import OneStepMethod, Reached, march
 from ancfdae.integrators.step_control.derivative_sizes import with_own_sizes
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.threads import in_one_thread
 
 # Newton's method stops well below the error of a step.
 _SHARE = 1e-3
@@ -159,6 +160,7 @@ class SteppedIntegrator(AdjointIntegrator):
             raise InvalidInput("after", rule, repr(self.steps), repair)
         return self._integrate(system, t_end, after, sensitivities, progress)
 
+    @in_one_thread
     def _integrate(
         self,
         system: MechanicalSystem,
@@ -239,6 +241,7 @@ class SteppedIntegrator(AdjointIntegrator):
         """
         return self._differentiate(Problem.of(system, float(solution.t[-1]) or 1.0), solution)
 
+    @in_one_thread
     def _differentiate(
         self, problem: Problem, solution: Solution, progress: bool = False
     ) -> Solution:

@@ -12,6 +12,7 @@ from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.solver import solve
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.threads import in_one_thread
 
 
 @final
@@ -75,6 +76,7 @@ _QUICK = 120
 _CURED_BY_STEP = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.STEP_LIMIT)
 
 
+@in_one_thread
 def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
     """Return the periods of small motions about a state as text; empty if there are none.
 

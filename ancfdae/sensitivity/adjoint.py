@@ -10,6 +10,7 @@ import numpy as np
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput
 from ancfdae.integrators import AdjointIntegrator, Seeds
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity import checkpointed
 from ancfdae.sensitivity.checkpointed import size_of
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, keeping
@@ -77,6 +78,7 @@ class Adjoint(GradientMethod):
         """Not within a limit of memory, where parts of a run are taken again."""
         return self.memory is None
 
+    @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """One run for all objectives, one transposed pass for each."""
         system, integrator = run.system, run.integrator

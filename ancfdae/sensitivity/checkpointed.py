@@ -20,6 +20,7 @@ from ancfdae.errors import InvalidInput, require_package, require_positive
 from ancfdae.integrators import AdjointIntegrator, PartwiseIntegrator, RunInParts, Seeds
 from ancfdae.modes import advised
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 from ancfdae.sensitivity.objectives import Objective
@@ -49,6 +50,7 @@ def size_of(memory: str | float) -> float:
     return number * _UNITS[match[2]]
 
 
+@in_one_thread
 def gradients(
     run: Run, objectives: Sequence[Objective], method: GradientMethod, memory: float
 ) -> list[Gradient]:

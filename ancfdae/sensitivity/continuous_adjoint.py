@@ -41,6 +41,7 @@ from ancfdae.integrators.start import Covectors, consistent_start, pull_back_sta
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.progress import progress_bar
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 from ancfdae.sensitivity.objectives import Objective, ObjectivePartials
 from ancfdae.sensitivity.objectives.reductions import OverTime
@@ -71,6 +72,7 @@ class ContinuousAdjoint(GradientMethod):
     def __post_init__(self) -> None:
         require_alpha("ContinuousAdjoint.hht_alpha", self.hht_alpha)
 
+    @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """One run for all objectives, one backward run for each."""
         system = run.system

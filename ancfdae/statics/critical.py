@@ -21,6 +21,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import AncfdaeError, InvalidInput, require_finite, uninterrupted
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.equilibrium import Equilibrium, find_equilibrium, resting
 from ancfdae.statics.held_coordinate import HeldPoint, HeldSystem
@@ -123,6 +124,7 @@ class CriticalLoad:
         raise NoCriticalPoint(f"branch of {self.name!r}: no convergence at size={size:g}.")
 
 
+@in_one_thread
 def find_critical(system: MechanicalSystem, k: int, to: float) -> CriticalLoad:
     """Search from the value of design variable k to another for the first critical point.
 

@@ -15,6 +15,7 @@ from ancfdae.equations.solution_parts import Sensitivities, Statistics
 from ancfdae.errors import AncfdaeError, Verdict, uninterrupted
 from ancfdae.errors.text import listed
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.outcome import LoadOutcome
@@ -85,6 +86,7 @@ class NoEquilibrium(AncfdaeError):
         self.equilibrium = equilibrium
 
 
+@in_one_thread
 def find_equilibrium(
     system: MechanicalSystem,
     *,

@@ -40,6 +40,7 @@ from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.modes import advice
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 from ancfdae.sensitivity.objectives import Objective
@@ -274,6 +275,7 @@ class AdjointError:
         return f"{numbers} (extrapolated {self.extrapolated_value:.9g})\n{self.solution.outcome}"
 
 
+@in_one_thread
 def adjoint_error(
     model: Scene | MechanicalSystem,
     objective: Objective,

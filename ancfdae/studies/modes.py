@@ -22,11 +22,13 @@ from ancfdae.model.scene import Scene
 from ancfdae.modes import Configuration, Modes, StepSuggestion, modes_about, suggestion
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, Direct
 from ancfdae.statics import Equilibrium, Tangent
 from ancfdae.studies.calls import as_system
 
 
+@in_one_thread
 def modes(
     model: Scene | MechanicalSystem,
     count: int = 6,
@@ -72,6 +74,7 @@ def modes(
     return modes_about(system, configuration, count, highest, damped, back, where.matrices)
 
 
+@in_one_thread
 def suggest_step(
     model: Scene | MechanicalSystem,
     per_period: float = 20.0,

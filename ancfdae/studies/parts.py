@@ -14,6 +14,7 @@ from ancfdae.integrators import Integrator, PartwiseIntegrator
 from ancfdae.modes import advised
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
+from ancfdae.numerics.threads import in_one_thread
 
 # One instant of so many steps, with the start and the end; or these instants.
 Keep: TypeAlias = int | Sequence[float] | Array
@@ -40,7 +41,7 @@ class RunOfParts:
             repair = "The others keep the instants of their intervals."
             raise InvalidInput("keep, integrator", rule, repr(integrator), repair)
         self._system, self._progress = system, progress
-        self._run = integrator.replay(system, t_end)
+        self._run = in_one_thread(integrator.replay)(system, t_end)
         t, self._between = self._run.t, not isinstance(keep, int)
         if isinstance(keep, int):
             require_count("keep", keep, "keep=100 keeps one instant of 100.")
@@ -53,10 +54,11 @@ class RunOfParts:
 
     def __iter__(self) -> Iterator[tuple[Solution, Solution]]:
         """Integrate; the last part may have failed."""
-        node, last = self._run.start(), len(self._run.t) - 1
+        node, last = in_one_thread(self._run.start)(), len(self._run.t) - 1
         with progress_bar(self._progress, total=last, unit="step") as bar:
             for first in range(0, last, self._length):
-                part, node = self._run.part(node, first, min(first + self._length, last))
+                end = min(first + self._length, last)
+                part, node = in_one_thread(self._run.part)(node, first, end)
                 part = advised(self._system, part)
                 bar.update(len(part.t) - 1)
                 lowest = -np.inf if first == 0 else part.t[0]

@@ -24,10 +24,7 @@ def cost(report: Report, extent: Extent) -> None:
         ratio = float(np.median(np.divide(along, alone)))
         report.figure(f"cost.{name}.ratio_three_variables", ratio)
         rows.append([name, plain.n_q, base, float(np.median(along)), ratio])
-    report.text(
-        "Wall time per step, medians of alternating runs in this process. Set "
-        "`OPENBLAS_NUM_THREADS=1` to repeat it."
-    )
+    report.text("Wall time per step, medians of alternating runs in this process.")
     report.table(
         ["element", "coordinates", "dynamics [µs]", "with three variables [µs]", "ratio"], rows
     )

@@ -1,0 +1,117 @@
+"""One thread for the libraries of linear algebra while a computation of this package runs.
+
+The matrices of a mechanism are small: a factorisation takes microseconds, and the threads of a BLAS
+library then spend more time in waiting for each other than in the factorisation (a step of `Radau`
+on a spatial beam of ten elements takes twenty to eighty times as long with two threads).
+
+The limit of OpenBLAS holds for the whole process. It is therefore counted who needs it: the first
+computation sets it, the last one restores what the user had, in whatever Python thread it ends.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import cache, wraps
+from threading import RLock
+from typing import Any, ParamSpec, TypeVar, final
+
+# Packages that bring a library of linear algebra of their own, when they are imported.
+_BRINGERS = ("numpy.linalg", "scipy.linalg", "sksundae", "sundials4py")
+
+
+@final
+class _Pools:
+    """Thread pools of BLAS libraries, who needs them to be of one thread, and what they were."""
+
+    def __init__(self) -> None:
+        # A handler of signals may compute, too, while its own thread holds the lock.
+        self._lock = RLock()
+        self._holders: set[object] = set()
+        self._before: dict[str, tuple[Any, int]] = {}
+
+    def hold(self, holder: object) -> None:
+        """Limit all libraries that are loaded to one thread until `release`."""
+        controller = _controller(tuple(name in sys.modules for name in _BRINGERS))
+        with self._lock:
+            first = not self._holders
+            self._holders.add(holder)
+            wide = [x for x in controller.lib_controllers if (x.num_threads or 1) > 1]
+            for library in wide:
+                # A formula of the user may have changed what another holder has limited.
+                if first or library.filepath not in self._before:
+                    self._before[library.filepath] = library, library.num_threads
+                library.set_num_threads(1)
+            if wide:
+                _disown(controller)
+
+    def release(self, holder: object) -> None:
+        """Restore all limits if nobody else needs them; does no harm if called again."""
+        with self._lock:
+            self._holders.discard(holder)
+            if self._before and not self._holders:
+                for library, count in self._before.values():
+                    library.set_num_threads(count)
+                _disown(_controller(tuple(name in sys.modules for name in _BRINGERS)))
+                # Where another thread of the user has a block of threadpoolctl, only that thread
+                # can restore a limit: it does so after its next computation, or its block does.
+                kept = {path: x for path, x in self._before.items() if x[0].num_threads != x[1]}
+                self._before = kept
+
+
+@cache
+def _controller(_loaded: tuple[bool, ...]) -> Any:
+    """Return the controller of the BLAS libraries; it is made again when another one was loaded."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
+
+
+def _disown(controller: Any) -> None:
+    """Let any thread set the limits next.
+
+    From version 3.7 of threadpoolctl on, the thread that set a limit of OpenBLAS is the only one
+    that can change it, until it leaves a block of its own.
+    """
+    with controller.limit():
+        pass
+
+
+_POOLS = _Pools()
+
+
+@final
+class _Block:
+    """A block that needs one thread; entered and left twice (`in_one_thread`)."""
+
+    def __enter__(self) -> None:
+        try:
+            _POOLS.hold(self)
+        except BaseException:
+            # Ctrl-C met it half way.
+            _POOLS.release(self)
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        _POOLS.release(self)
+
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+def in_one_thread(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Return the function with BLAS libraries limited to one thread during every call.
+
+    Calls may be nested and may run in several Python threads; the user's limits are restored when
+    the last one ends, be it by an exception or by Ctrl-C.
+    """
+
+    @wraps(function)
+    def limited(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        block = _Block()
+        # Ctrl-C may arrive as the block is left, before its first line; then it is left once more.
+        with block, block:
+            return function(*args, **kwargs)
+
+    return limited
