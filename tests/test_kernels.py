@@ -646,6 +646,8 @@ def _refused_in_linear_algebra():
         "first beyond": (first + first // 3, columns, values),
         "first below": (first - 1, columns, values),
         "first turned": (np.array([0, 4, 3], dtype=np.int32), columns, values),
+        "an entry before the first row": (first + np.array([1, 0, 0], np.int32), columns, values),
+        "an entry behind the last row": (first - np.array([0, 0, 1], np.int32), columns, values),
         "no first": (first[:0], columns, values),
         "column beyond": (first, columns + 1, values),
         "column below": (first, columns - 1, values),
@@ -657,6 +659,9 @@ def _refused_in_linear_algebra():
     for name, rows in wrong.items():
         yield name, kernels.csr_rows, (*rows, np.ones((2, 3)))
         yield name, kernels.csr_rows_transposed, (*rows, np.ones((2, 2)), 3)
+        if name != "fewer values":
+            diagonal = np.arange(4, dtype=np.int32), np.arange(3, dtype=np.int32)
+            yield name, kernels.narrow_order, (*diagonal, *rows[:2])
     yield "x small", kernels.csr_rows, (first, columns, values, np.ones((2, 2)))
     yield "x a number", kernels.csr_rows, (first, columns, values, np.array(1.0))
     yield "x wide", kernels.csr_rows_transposed, (first, columns, values, np.ones((2, 3)), 3)

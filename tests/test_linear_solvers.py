@@ -1,5 +1,8 @@
 """Patterns of sparse matrices, and the linear solvers that factorise saddle points."""
 
+import pickle
+import weakref
+
 import numpy as np
 import pytest
 
@@ -218,3 +221,19 @@ def test_chains_are_bands():
     storage = SaddlePoint(*arguments)._storage
     assert isinstance(storage, linear_solvers._BandStorage)
     assert storage._half_width <= 20
+
+
+def test_places_are_kept_beside_a_pattern_without_weak_references():
+    # Those have callbacks, and Ctrl-C in a callback is written to stderr and lost.
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, FLAT, STEEL)
+    system = assemble(Scene([rod], [Pin(rod.at_start)]))
+    K, B = system.pattern, system.constraint_pattern
+    weights, values = system.weights, np.ones(B.size)
+    first = SaddlePoint(K, B, weights, values)
+    assert SaddlePoint(K, B, weights, values)._places is first._places
+    other = Pattern(B.shape, B.rows, B.columns)
+    assert SaddlePoint(K, other, weights, values)._places is not first._places
+    assert SaddlePoint(K, B, weights, values)._places is first._places
+    assert not weakref.getweakrefs(K)
+    assert not weakref.getweakrefs(B)
+    assert not pickle.loads(pickle.dumps(K)).beside

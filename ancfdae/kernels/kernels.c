@@ -630,13 +630,13 @@ static PyObject *py_stressed(PyObject *const *args)
 
 /* ---- linear algebra ------------------------------------------------------------------------ */
 
-/* Whether rows are in order, and entries in a matrix with so many columns. */
+/* Whether rows are in order, all entries are in them, and in a matrix with `n_columns` columns. */
 static int is_csr(PyArrayObject *first, PyArrayObject *columns, PyArrayObject *values,
                   npy_intp n_columns)
 {
     const npy_int32 *at = PyArray_DATA(first);
     npy_intp n = PyArray_SIZE(first) - 1, size = PyArray_SIZE(columns);
-    int out_of_order = n < 0 || at[0] < 0 || at[n] > size || PyArray_SIZE(values) != size;
+    int out_of_order = n < 0 || at[0] || at[n] != size || PyArray_SIZE(values) != size;
     for (npy_intp i = 0; i < n; i++)
         out_of_order |= at[i + 1] < at[i];
     return (!out_of_order && within_32(columns, 0, n_columns - 1)) ||

@@ -27,7 +27,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, TypeAlias, final
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy
@@ -236,16 +235,17 @@ class _Places:
         return flat
 
 
-# The matrices of one system have the same patterns: their places are kept as long as these live.
-_NARROW: WeakKeyDictionary[Pattern, WeakKeyDictionary[Pattern, _Places]] = WeakKeyDictionary()
-
-
 def _narrow(K: Pattern, B: Pattern) -> _Places:
     """Return the places in a narrow band."""
-    beside = _NARROW.setdefault(K, WeakKeyDictionary())
-    if B not in beside:
-        beside[B] = _Places(K, B, narrow_band(K, B))
-    return beside[B]
+    # The matrices of one system have the same patterns: that of K keeps the places beside the last
+    # two B. (A dictionary of weak references has callbacks, and Ctrl-C in a callback is lost.)
+    known = K.beside
+    for other, places in known:
+        if other is B:
+            return places
+    places = _Places(K, B, narrow_band(K, B))
+    K.beside = (B, places), *known[:1]
+    return places
 
 
 @final

@@ -8,7 +8,7 @@ vectors, and batched assembly one product with a constant 0/1 matrix.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import scipy
@@ -23,7 +23,12 @@ class Pattern:
 
     Stored is the column of every entry, with the place of the first entry of every row; rows are
     made when first asked for: a scene of 10,000 elements has four million entries.
+
+    `beside` are constraint patterns that this one was factorised with, each with the places of all
+    entries in a band; copies are made without.
     """
+
+    beside: tuple[tuple[Pattern, Any], ...] = ()
 
     def __init__(self, shape: tuple[int, int], rows: Array, columns: Array) -> None:
         self.shape = shape
@@ -34,6 +39,10 @@ class Pattern:
         starts = np.arange(shape[0] + 1) * shape[1]
         self._first = np.searchsorted(flat, starts).astype(np.int32)
         self.columns = (flat % max(shape[1], 1)).astype(np.int32)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled and copied."""
+        return {name: x for name, x in self.__dict__.items() if name != "beside"}
 
     @staticmethod
     def full(shape: tuple[int, int]) -> Pattern:
