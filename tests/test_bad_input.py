@@ -17,7 +17,9 @@ from ancfdae import (
     DesignVariable,
     Distance,
     Drive,
+    Explicit,
     FiniteDifference,
+    GivenSteps,
     Guide,
     Harmonic,
     InconsistentStart,
@@ -26,16 +28,21 @@ from ancfdae import (
     NodeState,
     Pin,
     Point,
+    Radau,
     Rectangle,
     RedundantConstraints,
     RigidBody,
     RigidMotion,
     Scene,
     StabilityWarning,
+    Terminal,
     Uniform,
     UnknownName,
     assemble,
+    choose_model,
     differentiate,
+    modes,
+    position,
     simulate,
 )
 from ancfdae.integrators.hht.compiled import CompiledSteps
@@ -693,6 +700,46 @@ def test_limits_of_hht_alpha_are_accepted_and_zero_is_warned_about():
     with pytest.warns(StabilityWarning, match=r"HHT\.hht_alpha = 0 .*-0\.05") as caught:
         HHT(0.1, 0.0)
     assert caught[0].filename == __file__  # the warning points at the caller's line
+
+
+@pytest.mark.parametrize("digits", [400, 5000], ids=["no float", "too long to write"])
+@pytest.mark.parametrize(
+    ("action", "where"),
+    [
+        (lambda huge: beam(elements=huge), "elements"),
+        (lambda huge: beam().with_elements(huge), "elements"),
+        (lambda huge: HHT(0.1, max_iterations=huge), "HHT.max_iterations"),
+        (lambda huge: Explicit(intervals=huge), "Explicit.intervals"),
+        (lambda huge: simulate(scene(), 1.0, HHT(0.1), keep=huge), "keep"),
+        (lambda huge: modes(scene(), huge), "count"),
+        (lambda huge: Rectangle(huge, 1.0), "Rectangle.height"),
+    ],
+)
+def test_whole_numbers_without_end_are_refused(action, where, digits):
+    refused(lambda: action(10**digits), where)
+
+
+@pytest.mark.parametrize("integrator", [HHT(0.1), HHT(rtol=1e-3), Radau(0.1), Radau(rtol=1e-3)])
+@pytest.mark.parametrize("t_end", [1e-320, 5e-324, 1e-300])
+def test_a_run_whose_squared_step_is_no_number_is_refused(integrator, t_end):
+    refused(lambda: simulate(scene(), t_end, integrator), "t_end", "square", str(t_end))
+
+
+def test_given_instants_that_are_too_close_are_refused():
+    refused(lambda: GivenSteps([0.0, 1e-200, 1.0]), "GivenSteps.times", "square", "1e-200")
+
+
+@pytest.mark.parametrize("kind", [HHT, Radau])
+@pytest.mark.parametrize("value", [2.5, 1e308])
+def test_newton_tolerance_must_be_a_part_of_the_motion(kind, value):
+    where = f"{kind.__name__}.newton_tolerance"
+    refused(lambda: kind(0.1, newton_tolerance=value), where, "at most 0.1", str(value), "1e-14")
+
+
+def test_the_tolerance_of_a_choice_must_be_a_part_of_what_is_sought():
+    sought = Terminal(position(ROD.at_end, 1))
+    call = {"objective": sought, "t_end": 1.0, "design": ["rod.height"]}
+    refused(lambda: choose_model(scene(), tolerance=1e308, **call), "tolerance", "at most 1")
 
 
 @pytest.mark.parametrize("value", [0.0, -1e-9, NAN, INF, "1e-9"])

@@ -58,7 +58,10 @@ def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str
 
 def _shown(value: object) -> str:
     """Return the beginning of what may be as long as a beam or a solution."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of more than 4,300 digits
+        text = f"a number of type {type(value).__name__} that is too long to write"
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
@@ -88,19 +91,19 @@ def require_index(where: str, value: object, count: int, repair: str) -> None:
     """Raise InvalidInput for what is no whole number from 0 to `count` - 1."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or not 0 <= value < count:  # type: ignore[operator]
-        raise InvalidInput(where, f"must lie in 0 to {count - 1}", repr(value), repair)
+        raise InvalidInput(where, f"must lie in 0 to {count - 1}", _shown(value), repair)
 
 
 def require_flag(where: str, value: object) -> None:
     """Raise InvalidInput for what is neither True nor False."""
     if not isinstance(value, bool | np.bool_):
-        raise InvalidInput(where, "must be True or False", repr(value), "Give one of both.")
+        raise InvalidInput(where, "must be True or False", _shown(value), "Give one of both.")
 
 
 def require_function(where: str, value: object) -> None:
     """Raise InvalidInput for what cannot be called."""
     if not callable(value):
-        raise InvalidInput(where, "must be a function", repr(value), "Give its name, uncalled.")
+        raise InvalidInput(where, "must be a function", _shown(value), "Give its name, uncalled.")
 
 
 def require_name(where: str, value: object) -> None:
@@ -109,7 +112,7 @@ def require_name(where: str, value: object) -> None:
         raise InvalidInput(
             where,
             "must be a non-empty string without '.' and '['",
-            repr(value),
+            _shown(value),
             "Names appear in design targets such as 'rod.height[2]'.",
         )
 
@@ -146,21 +149,27 @@ def require_finite(where: str, value: object, repair: str = "Give a finite numbe
     except OverflowError:
         good = False
     if not good:
-        raise InvalidInput(where, "must be a finite real number", repr(value), repair)
+        raise InvalidInput(where, "must be a finite real number", _shown(value), repair)
 
 
-def require_count(where: str, value: object, repair: str) -> None:
-    """Raise InvalidInput for a value that is not a positive whole number."""
+# Whole numbers up to this one are floats, too.
+_LARGEST = 2**53
+
+
+def require_count(where: str, value: object, repair: str, most: int = _LARGEST) -> None:
+    """Raise InvalidInput unless `value` is a whole number from 1 to `most`."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < 1:  # type: ignore[operator]
-        raise InvalidInput(where, "must be a positive integer", repr(value), repair)
+        raise InvalidInput(where, "must be a positive integer", _shown(value), repair)
+    if value > most:  # type: ignore[operator]
+        raise InvalidInput(where, f"must be at most {most}", _shown(value), repair)
 
 
 def require_positive(where: str, value: float) -> None:
     """Raise InvalidInput for a value that is not a finite positive number."""
     require_finite(where, value, "Give a positive number.")
     if value <= 0:
-        raise InvalidInput(where, "must be positive", repr(value), "Give a positive number.")
+        raise InvalidInput(where, "must be positive", _shown(value), "Give a positive number.")
 
 
 def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
@@ -189,7 +198,7 @@ def require_axial(where: str, value: object, dimension: int | None = None) -> No
     is_number = np.ndim(value) == 0  # type: ignore[arg-type]
     if dimension is not None and is_number != (dimension == 2):
         rule = "must be a number in the plane and have 3 components in space"
-        raise InvalidInput(where, rule, repr(value), f"Here space has {dimension} dimensions.")
+        raise InvalidInput(where, rule, _shown(value), f"Here space has {dimension} dimensions.")
     if is_number:
         require_finite(where, value)
     else:

@@ -44,6 +44,8 @@ _STEPS, _SHARE = 100, 1e-12
 _SLOWER = 0.1
 # Steps of which a run warns: Explicit takes 20 s for them in a small system (5,000 a second).
 _MANY = 100_000
+# Each interval has eight instants more.
+_MOST_INTERVALS = 10**8
 
 
 @final
@@ -177,7 +179,7 @@ class HighOrder(QuadratureIntegrator):
         """Validate the settings that all have."""
         name = type(self).__name__
         require_rtol(f"{name}.rtol", self.rtol, least_rtol)
-        require_count(f"{name}.intervals", self.intervals, "64 is a good number.")
+        require_count(f"{name}.intervals", self.intervals, "64 is a good number.", _MOST_INTERVALS)
         require_count(f"{name}.max_steps", self.max_steps, f"{type(self).max_steps} is plenty.")
 
     @final

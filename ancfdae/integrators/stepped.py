@@ -38,6 +38,8 @@ _SHARE = 1e-3
 # rtol 1e-3, E = 2e11 Pa: states wrong by 43 times rtol with 1e-6, by one with 1e-9, for a tenth
 # more time).
 _LOOSEST = 1e-9
+# Of what a user asks for: above it Newton's method would accept its first guess.
+_LARGEST = 0.1
 EXACT = 1e-14
 
 
@@ -69,6 +71,10 @@ class SteppedIntegrator(AdjointIntegrator):
             asked = _SHARE * control.rtol if isinstance(control, ControlledSteps) else EXACT
             newton_tolerance = max(EXACT, min(asked, _LOOSEST))
         require_positive(f"{name}.newton_tolerance", newton_tolerance)
+        if newton_tolerance > _LARGEST:
+            rule = f"must be at most {_LARGEST}, a part of the motion"
+            repair = f"Leave it out, or take {EXACT}."
+            raise InvalidInput(f"{name}.newton_tolerance", rule, newton_tolerance, repair)
         require_count(f"{name}.max_iterations", max_iterations, "15 is plenty.")
         # A NumPy number of single precision would spread its precision.
         object.__setattr__(self, "steps", control)

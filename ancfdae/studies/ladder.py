@@ -163,6 +163,9 @@ def choose_model(
     """
     require_kind("scene", scene, (Scene,), "Pass a Scene.")
     require_positive("tolerance", tolerance)
+    if tolerance > 1:
+        rule, repair = "must be at most 1, the size of what is sought", "For example 0.02."
+        raise InvalidInput("tolerance", rule, tolerance, repair)
     require_count("doublings", doublings, "An error is seen in two meshes.")
     require_count("max_steps", max_steps, "Runs begin with 32 steps.")
     require_flag("progress", progress)

@@ -45,7 +45,7 @@ class RunOfParts:
         t, self._between = self._run.t, not isinstance(keep, int)
         if isinstance(keep, int):
             require_count("keep", keep, "keep=100 keeps one instant of 100.")
-            kept = np.arange(0, len(t), keep * self._run.degree)
+            kept = np.arange(0, len(t), min(keep, len(t)) * self._run.degree)
             self.times = t[kept if kept[-1] == len(t) - 1 else np.append(kept, len(t) - 1)]
         else:
             self.times = instants("keep", keep, float(t[-1]))

@@ -79,7 +79,9 @@ class FixedSteps(_KnownSteps):
             rule, got = f"must be within {_COUNTABLE:.0e} steps", f"{t_end:.6g}"
             repair = f"Use a step above {self.step:.6g}."
             raise InvalidInput("t_end", rule, got, repair)
-        return max(1, math.ceil(steps * (1 - _WHOLE)))
+        count = max(1, math.ceil(steps * (1 - _WHOLE)))
+        require_square("t_end", t_end / count)
+        return count
 
     def instants(self, t_end: float) -> Array:
         """Return multiples of the step, without accumulated round-off."""
@@ -128,6 +130,7 @@ class GivenSteps(_KnownSteps):
             k = int(falls[0]) + 1
             got = f"times[{k}] = {t[k]:.6g} after times[{k - 1}] = {t[k - 1]:.6g}"
             raise InvalidInput(where, "must increase", got, "Sort them, each instant once.")
+        require_square("steps of GivenSteps.times", float(np.min(np.diff(t))))
         object.__setattr__(self, "times", tuple(t.tolist()))
 
     def __repr__(self) -> str:

@@ -23,6 +23,10 @@ from ancfdae.model.sections import Section
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import cross
 
+_SOME = "Use one element or more; 100 is many."
+# Places in matrices are numbers of 32 bits: an element in space has 24^2 of them.
+_MOST_ELEMENTS = 2**31 // 24**2
+
 
 @final
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ class Beam(BeamBody):
         else:
             require_vector(f"{where}, start", self.start)
             require_vector(f"{where}, end", self.end, (len(tuple(self.start)),))
-        require_count(f"{where}, elements", self.elements, "Use at least one element.")
+        require_count(f"{where}, elements", self.elements, _SOME, _MOST_ELEMENTS)
         if not np.any(self._span):
             raise InvalidInput(
                 where,
@@ -151,7 +155,7 @@ class Beam(BeamBody):
 
     def with_elements(self, count: int) -> Beam:
         """Return the same beam with another number of elements, each like those in its place."""
-        require_count(f"beam {self.name!r}, elements", count, "Use at least one element.")
+        require_count(f"beam {self.name!r}, elements", count, _SOME, _MOST_ELEMENTS)
         ends = [k * self.element_count for k in range(count + 1)]
         places = [slice(a // count, -(-b // count)) for a, b in pairwise(ends)]
         sections, materials = self._per_element()
