@@ -23,7 +23,7 @@ from ancfdae.model.sections import Section
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import cross
 
-_SOME = "Use one element or more; 100 is many."
+_SOME = "Use at least one element; 100 are many."
 # Places in matrices are numbers of 32 bits: an element in space has 24^2 of them.
 _MOST_ELEMENTS = 2**31 // 24**2
 
