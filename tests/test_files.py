@@ -17,7 +17,7 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 sys.path.insert(0, "tests")
-from ancfdae import HHT, NotSaved, load_solution, observations, position, sweep
+from ancfdae import HHT, NotSaved, load_solution, observations, plotting, position, sweep
 from validation.scenes import pendulum
 from mechanisms import CartesianPendulum
 
@@ -37,8 +37,16 @@ drop = [position(pendulum().beams[0].at_end, 1)]
 refused(lambda: observations(pendulum(), drop, 32.0, HHT(2.0**-6), keep=1, file=folder / "x.npy"))
 rows = folder / "rows.jsonl"
 refused(lambda: sweep(system, [[1.0, 9.0], [2.0, 9.0]], lambda s: np.ones(3000), file=rows))
+scene, shown = pendulum(elements=1), solution.at(np.linspace(0, 1, 40))
+for name in ("film.gif", "page.html"):
+    refused(lambda: plotting.animate(scene, shown, folder / name))
+figure = plotting.snapshots(scene, shown, times=np.linspace(0, 1, 20))
+refused(lambda: plotting.save(figure, folder / "figure"))
+refused(lambda: plotting.write_vtk(scene, shown, folder / "motion.pvd"))
 print("alive")
 """
+# What is written whole or not at all, and stands there before.
+OLD = ("x.npy", "film.gif", "page.html", "figure.svg", "figure.png", "motion.pvd")
 
 
 def test_a_full_disk_is_told_and_harms_nothing(tmp_path):
@@ -46,7 +54,10 @@ def test_a_full_disk_is_told_and_harms_nothing(tmp_path):
     run = simulate(pendulum(elements=1), 1.0, HHT(2.0**-7))
     for name in ("run.npz", "run.h5"):
         assert run.save(tmp_path / name).stat().st_size > 2 * LIMIT
-    (tmp_path / "x.npy").write_bytes(b"old")
+    for name in OLD:
+        (tmp_path / name).write_bytes(b"old")
+    (tmp_path / "motion").mkdir()
+    (tmp_path / "motion" / "00000.vtu").write_bytes(b"old")
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(FULL), tmp_path], capture_output=True, text=True
     )
@@ -54,11 +65,14 @@ def test_a_full_disk_is_told_and_harms_nothing(tmp_path):
     *refused, last = done.stdout.splitlines()
     assert last == "alive"
     names = ["new.npz", "new.h5", "run.npz", "run.h5", "x.npy", "rows.jsonl"]
+    names += ["film.gif", "page.html", "figure.svg", "motion.pvd"]
     for name, line in zip(names, refused, strict=True):
         assert name in line
         assert "must be written whole; got File too large" in line
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[2:])
-    assert (tmp_path / "x.npy").read_bytes() == b"old"
+    left = sorted({*names[2:], *OLD, "motion"})
+    assert sorted(path.name for path in tmp_path.iterdir()) == left
+    assert all((tmp_path / name).read_bytes() == b"old" for name in OLD)
+    assert [x.read_bytes() for x in (tmp_path / "motion").iterdir()] == [b"old"]
     for name in ("run.npz", "run.h5"):
         assert (load_solution(tmp_path / name).q == run.q).all()
     # The first line and a whole row of an array of 3,000 ones in 15,000 bytes; nothing of another.

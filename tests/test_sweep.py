@@ -396,6 +396,45 @@ def closing_over(factor):
     return lambda system: factor * system.b[0]
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda line: line[:-9],
+        lambda line: line.replace("row", "raw", 1),
+        lambda line: line.replace('"row": 0', '"row": -1'),
+        lambda line: line.replace('"row": 0', '"row": "0"'),
+        lambda line: line.replace("result", "error", 1),
+        lambda line: '{"some": "thing else"}',
+        lambda line: "[]",
+        lambda line: "[" * 100_000,
+        lambda line: '{"array": [[1], 2]}',
+    ],
+    ids=["cut", "renamed", "below", "text", "no result", "foreign", "list", "deep", "ragged"],
+)
+def test_a_damaged_line_of_a_file_is_named(tmp_path, damage):
+    file = tmp_path / "rows.jsonl"
+    first = sweep(SCENE, DESIGNS[:2], VALUE, file=file)
+    head, row, last = file.read_text().splitlines()
+    file.write_text("\n".join([head, damage(row), last, ""]))
+    with pytest.raises(
+        InvalidInput, match=r"rows.jsonl: must hold rows; got .* in line 2\. Remove"
+    ):
+        sweep(SCENE, DESIGNS[:2], VALUE, file=file)
+    # The advice helps.
+    file.write_text("\n".join([head, last, ""]))
+    assert repr(sweep(SCENE, DESIGNS[:2], VALUE, file=file)) == repr(first)
+
+
+@pytest.mark.parametrize(
+    "line", ["[]", '"sweep of"', '{"sweep of": 3}', '{"sweep of": {}}', "[" * 9999]
+)
+def test_a_first_line_that_is_none_of_a_sweep_is_refused(tmp_path, line):
+    file = tmp_path / "rows.jsonl"
+    file.write_text(line + "\n")
+    with pytest.raises(InvalidInput, match="must be the file of a sweep"):
+        sweep(SCENE, DESIGNS[:1], VALUE, file=file)
+
+
 def test_a_file_tells_functions_by_what_they_do(tmp_path, monkeypatch):
     """Lambdas have one name; so have closures, and functions that read a global."""
     functions = {

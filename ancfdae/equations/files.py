@@ -4,6 +4,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import CalledProcessError
 from typing import IO, final
 
 from ancfdae.errors import AncfdaeError, require_folder
@@ -14,14 +15,21 @@ class NotSaved(AncfdaeError, OSError):
     """A file that could not be written, as on a full disk; what was there before is kept."""
 
 
+# What a full disk raises, in this process or in one that was started to write (ffmpeg).
+_REFUSED = OSError, CalledProcessError
+
+
 @contextmanager
 def saving(where: str, path: Path) -> Iterator[None]:
     """Raise NotSaved where the disk is full or refuses."""
     try:
         yield
-    except OSError as error:
+    except NotSaved:
+        raise
+    except _REFUSED as error:
+        reason = (isinstance(error, OSError) and error.strerror) or error
         raise NotSaved(
-            f"{where} {str(path)!r}: must be written whole; got {error.strerror or error}. "
+            f"{where} {str(path)!r}: must be written whole; got {reason}. "
             "Make room on its disk or name another place; what was there before is kept."
         ) from error
 
@@ -32,13 +40,22 @@ def replacing(where: str, path: Path) -> Iterator[IO[bytes]]:
 
     InvalidInput if there is no such folder.
     """
-    # Not a file of `tempfile`: those are readable by their owner only, and would stay so.
     require_folder(where, path)
-    temporary = path.parent / f"{path.name}.{uuid.uuid4().hex}.part"
+    with replacing_path(where, path) as temporary, temporary.open("x+b") as file:
+        yield file
+
+
+@contextmanager
+def replacing_path(where: str, path: Path) -> Iterator[Path]:
+    """Yield the name of a temporary file beside `path`, which is moved there or removed.
+
+    It has the same suffix, by which libraries tell what to write.
+    """
+    # Not a file of `tempfile`: those are readable by their owner only, and would stay so.
+    temporary = path.parent / f"{path.stem}.{uuid.uuid4().hex}.part{path.suffix}"
     try:
         with saving(where, path):
-            with temporary.open("x+b") as file:
-                yield file
+            yield temporary
             temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)

@@ -30,6 +30,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
+from ancfdae.equations.files import replacing, saving
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.plotting.looks import Look, looks, set_as_mathematics
 
@@ -212,7 +213,8 @@ def save(figure: Figure, path_without_suffix: str | os.PathLike[str]) -> tuple[P
     """Write a figure as SVG and PNG and return the two paths in that order.
 
     The same figure gives the same bytes: the SVG carries no date and no random identifiers. Missing
-    folders are created; a path that ends with .svg or .png is refused.
+    folders are created; a path that ends with .svg or .png is refused. NotSaved is raised as on a
+    full disk, and files that were there before are kept.
     """
     require_kind("save, path", path_without_suffix, (str, os.PathLike), "Give the name of a file.")
     path = Path(path_without_suffix)
@@ -223,15 +225,18 @@ def save(figure: Figure, path_without_suffix: str | os.PathLike[str]) -> tuple[P
             repr(str(path)),
             "For example 'figures/motion'.",
         )
-    path.parent.mkdir(parents=True, exist_ok=True)
+    with saving("folder", path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
     svg, png = path.with_name(path.name + ".svg"), path.with_name(path.name + ".png")
     layout = figure.get_layout_engine()
     with settings():
         # Laid out once for both: it takes as long as drawing.
         figure.draw_without_rendering()
         figure.set_layout_engine(None)
-        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": "ancfdae"})
-        figure.savefig(png, format="png", metadata={"Software": "ancfdae"})
+        with replacing("figure", svg) as written:
+            figure.savefig(written, format="svg", metadata={"Date": None, "Creator": "ancfdae"})
+        with replacing("figure", png) as written:
+            figure.savefig(written, format="png", metadata={"Software": "ancfdae"})
     figure.set_layout_engine(layout)
     return svg, png
 

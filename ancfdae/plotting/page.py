@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ancfdae.equations.files import replacing
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.glyphs import Glyphs
 from ancfdae.plotting.mechanism import Mechanism
@@ -34,7 +35,8 @@ def write_page(
         "</", "<\\/"
     )
     page = files("ancfdae.plotting").joinpath("viewer.html").read_text(encoding="utf-8")
-    file.write_text(page.replace(_MARK, data), encoding="utf-8")
+    with replacing("page", file) as written:
+        written.write(page.replace(_MARK, data).encode("utf-8"))
 
 
 def page_data(

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ancfdae.equations import Solution
+from ancfdae.equations.files import replacing_path, saving
 from ancfdae.errors import (
     InvalidInput,
     MissingPackage,
@@ -117,6 +118,8 @@ def animate(
     ------
     InvalidInput, MissingPackage
         As in `snapshots`, and for another suffix; for MP4 without ffmpeg.
+    NotSaved
+        As on a full disk; a file that was there before is kept.
     """
     file = checked_path("animate", path, (".gif", ".mp4", ".html"))
     require_count("animate, frames", frames, "For example 80.")
@@ -127,7 +130,8 @@ def animate(
         _require_ffmpeg()
     seen = _camera("animate", scene, camera)
     shown = mechanism(scene, solution, frames_of(solution, frames).tolist(), colour, limits)
-    file.parent.mkdir(parents=True, exist_ok=True)
+    with saving("folder", file.parent):
+        file.parent.mkdir(parents=True, exist_ok=True)
     if file.suffix == ".html":
         write_page(shown, file, seconds, title, seen)
         return file
@@ -186,7 +190,7 @@ def _film(
     figure.set_layout_engine("none")
     brush.settle(figure)
     writer = writers[file.suffix](fps=rate)
-    with writer.saving(figure, file, dpi):
+    with replacing_path("film", file) as written, writer.saving(figure, written, dpi):
         _freeze(figure, brush, dpi)
         clock = figure.text(0.02, 0.98, "", va="top", fontsize=10)
         times = tqdm(shown.motion.t.tolist(), "film", disable=not progress, unit="frame")

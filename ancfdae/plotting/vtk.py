@@ -6,13 +6,17 @@ has had no release since January 2024.
 """
 
 import os
-from collections.abc import Sequence
+import shutil
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ancfdae.equations import Solution
+from ancfdae.equations.files import replacing_path, saving
 from ancfdae.errors import InvalidInput, require_package
 from ancfdae.model.elements import Quantity
 from ancfdae.model.scene import Scene
@@ -54,6 +58,8 @@ def write_vtk(
     InvalidInput, MissingPackage
         As in `snapshots`; if nothing has a surface; without pyevtk, which
         ``pip install "ancfdae[vtk]"`` brings.
+    NotSaved
+        As on a full disk; files that were there before are kept.
     """
     file = checked_path("write_vtk", path, (".pvd",))
     evtk = require_package("write_vtk", "pyevtk.hl", "vtk")
@@ -66,24 +72,47 @@ def write_vtk(
             "rigid bodies without a shape",
             "Give one a shape, for example RigidBox(0.1, 0.1, 0.1).",
         )
-    folder = _folder_beside(file)
-    faces, points = shown.faces, point_data(shown, declared)
+    with saving("folder", file.parent):
+        folder = _folder_beside(file)
+    data = point_data(shown, declared)
+    # All instants are written beside the old ones, which they replace together.
+    with replacing_path("write_vtk", file) as listed, _folder_for(folder) as new:
+        series = group.VtkGroup(str(listed.with_suffix("")))
+        for k, t in enumerate(shown.motion.t.tolist()):
+            written = Path(_instant(evtk, new / f"{k:05d}", shown, data, k))
+            series.addFile(str(folder / written.name), sim_time=t)
+        series.save()
+        for path in sorted(new.iterdir()):
+            path.replace(folder / path.name)
+    return file
+
+
+def _instant(evtk: Any, path: Path, shown: Mechanism, data: dict[str, Array], k: int) -> str:
+    """Write the surface with its fields at instant k; return the path with its suffix."""
+    faces = shown.faces
     bodies = np.repeat(np.arange(len(shown.meshes)), [len(mesh.faces) for mesh in shown.meshes])
-    series = group.VtkGroup(str(folder))
-    for k, t in enumerate(shown.motion.t.tolist()):
-        x = np.concatenate([place[k] for place in shown.places])
-        written = evtk.unstructuredGridToVTK(
-            str(folder / f"{k:05d}"),
-            *_components(x),
+    return str(
+        evtk.unstructuredGridToVTK(
+            str(path),
+            *_components(np.concatenate([place[k] for place in shown.places])),
             connectivity=faces.ravel(),
             offsets=4 * np.arange(1, len(faces) + 1),
             cell_types=np.full(len(faces), _QUAD, dtype=np.uint8),
             cellData={"body": bodies},
-            pointData={name: _at(x, k) for name, x in points.items()},
+            pointData={name: _at(x, k) for name, x in data.items()},
         )
-        series.addFile(written, sim_time=t)
-    series.save()
-    return file
+    )
+
+
+@contextmanager
+def _folder_for(folder: Path) -> Iterator[Path]:
+    """Yield a temporary folder beside the folder that takes its files; it is removed."""
+    new = folder.with_name(f"{folder.name}.{uuid.uuid4().hex}.part")
+    new.mkdir()
+    try:
+        yield new
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
 
 
 def _at(field: Array, k: int) -> Any:

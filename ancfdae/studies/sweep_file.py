@@ -110,6 +110,8 @@ def _cells(result: Any) -> dict[str, Any]:
 
 
 _ARRAY = "array"
+# Characters of a line that a message repeats.
+_SHOWN = 60
 _OTHER = "Give another file, or remove this one to compute all rows anew."
 
 
@@ -143,12 +145,16 @@ class SweepFile:
     def rows(self) -> dict[int, SweepRow]:
         """Return the rows that are there, by number."""
         rows = {}
-        for line in self._lines[1:]:
-            record = json.loads(line, object_hook=_decoded)
-            k, values = record["row"], record["values"]
+        for number, line in enumerate(self._lines[1:], start=2):
+            try:
+                k, values, result, error = _row(line)
+            except (ValueError, TypeError, KeyError, RecursionError) as cause:
+                got = f"{line[:_SHOWN]!r} in line {number}"
+                repair = "Remove this line to compute its row anew, or give another file."
+                raise InvalidInput(self._where, "must hold rows", got, repair) from cause
             if k >= len(self._values) or json.dumps(values) != _text(self._values[k]):
                 raise self._refused("must hold rows of these designs", f"row {k} at {values}")
-            rows[k] = SweepRow(self._values[k], record.get("result"), record.get("error", ""))
+            rows[k] = SweepRow(self._values[k], result, error)
         return rows
 
     def append(self, k: int, row: SweepRow) -> SweepRow:
@@ -182,14 +188,30 @@ class SweepFile:
     def _require_same(self, line: str) -> None:
         try:
             known = json.loads(line)["sweep of"]
-        except (json.JSONDecodeError, TypeError, KeyError):
+            marks = [known[part] for part in self._head["sweep of"]]
+        except (ValueError, TypeError, KeyError, RecursionError):
             raise self._refused("must be the file of a sweep", "something else") from None
-        for part, mark in self._head["sweep of"].items():
-            if known.get(part) != mark:
+        for (part, mark), known_mark in zip(self._head["sweep of"].items(), marks, strict=True):
+            if known_mark != mark:
                 raise self._refused(f"must be of the same {part}", f"rows of another {part}")
 
     def _refused(self, rule: str, got: str) -> InvalidInput:
-        return InvalidInput(f"file {self._path}", rule, got, _OTHER)
+        return InvalidInput(self._where, rule, got, _OTHER)
+
+    @property
+    def _where(self) -> str:
+        return f"file {self._path}"
+
+
+def _row(line: str) -> tuple[int, Any, Any, str]:
+    """Return number, values, result and error of a row; one of several errors if it is none."""
+    record = json.loads(line, object_hook=_decoded)
+    k, error = record["row"], record.get("error", "")
+    if not isinstance(k, int) or k < 0 or not isinstance(error, str):
+        raise ValueError("no row")
+    if ("result" in record) == bool(error):
+        raise ValueError("no result, or one of a row that failed")
+    return k, record["values"], record.get("result"), error
 
 
 def _text(record: object) -> str:
