@@ -130,8 +130,8 @@ class NoModel(AncfdaeError):
         where = " and the ".join(_asked(of))
         super().__init__(
             f"no model reaches an error of {tolerance:.3g} in the {where}; the best is {best}. "
-            "Where the mesh is the largest part, raise `doublings`; where the step is, damp the scene "
-            "or ask for an integral instead of an instant."
+            "Where the mesh is the largest part, raise `doublings`; where the step is, damp the "
+            "scene or ask for an integral instead of an instant."
         )
         self.best = best
 
