@@ -28,7 +28,8 @@ from ancfdae import (
     von_mises,
 )
 from ancfdae.model.design import as_design
-from ancfdae.studies.ladder_result import error
+from ancfdae.studies.ladder import Question, _is_fine, _mesh_bar
+from ancfdae.studies.ladder_result import ModelLadder, Rung, RungRun, error
 from ancfdae.studies.meshes import coarsest, known_design, model_kinds, with_mesh
 from validation.design.coupler_path import hoeken
 
@@ -87,7 +88,7 @@ def test_the_chosen_rung_is_within_the_tolerance_of_twice_the_mesh(ladder):
         assert chosen.error <= tolerance
         assert error(chosen.run.numbers - truth, truth, of) <= tolerance
         assert chosen.rung.name != "rigid"
-        cheaper = [x for x in ladder.choices(of) if x.run.seconds < chosen.run.seconds]
+        cheaper = [x for x in ladder.choices(of) if x.run.work < chosen.run.work]
         assert all(x.error > tolerance for x in cheaper)
 
 
@@ -101,6 +102,75 @@ def test_parts_add_up_to_at_least_the_distance_from_the_richest(ladder):
             assert set(each.parts) == {"model", "mesh", "step", "reference"}
         (last,) = (x for x in ladder.choices(of) if x.run is ladder.richest.runs[-1])
         assert last.parts["model"] == last.parts["mesh"] == 0.0 < last.parts["reference"]
+
+
+def made_up(*rows):
+    """A ladder of rungs of one run each: work, seconds, value and gradient; the last is exact."""
+    runs = [RungRun(0.1, work, seconds, np.array(numbers)) for work, seconds, *numbers in rows]
+    rungs = [Rung(f"model {k}", 0, "done", runs=(x,), bar=np.zeros(2)) for k, x in enumerate(runs)]
+    return ModelLadder(tuple(rungs), ("b",), 0.01, np.zeros(2), np.full(2, np.nan))
+
+
+def test_both_value_and_gradient_are_within_the_tolerance():
+    # Errors: the value 4.9 %, the gradient 4.9 %, both 0.5 and 0.9 %, none.
+    found = made_up((10, 1, 1.049, 2), (20, 1, 1, 2.098), (30, 1, 1.005, 2.018), (40, 1, 1, 2))
+    assert found.chosen.rung.name == "model 2"
+    assert found.chosen.of == "gradient"
+    assert found.chosen.error == pytest.approx(0.009)
+    assert "error 0.009 in the gradient" in repr(found.chosen)
+    assert found.recommend(0.01, "gradient").rung.name == "model 0"
+    assert found.recommend(0.01, "objective").rung.name == "model 1"
+    assert found.recommend(0.06).rung.name == "model 0"
+    with pytest.raises(NoModel, match="in the objective and the gradient; the best is model 3"):
+        replace(found, mesh_bar=np.array([0.1, 0.2])).recommend(0.01)
+
+
+def test_the_choice_does_not_depend_on_measured_times():
+    rows = (
+        (10, 9.0, 1.5, 2),
+        (30, 1.0, 1, 2.001),
+        (20, 5.0, 1, 2.001),
+        (20, 7.0, 1, 2),
+        (40, 0, 1, 2),
+    )
+    # Of two with the same work the more accurate one.
+    assert made_up(*rows).chosen.rung.name == "model 3"
+
+
+def test_work_is_steps_times_unknowns(ladder):
+    for rung in ladder.rungs:
+        system = assemble(rung.scene)
+        for run in rung.runs:
+            assert run.work == round(T_END / run.step) * (system.n_q + system.n_lam)
+
+
+def test_a_step_may_take_an_eighth_of_the_tolerance_or_of_the_error_of_the_model():
+    question = Question(SINK, T_END, (), np.ones(2), 0.1, 8192)
+    numbers, exact = np.array([1.5, 2.0]), Rung("", 0, "", runs=(RungRun(0, 0, 0, np.ones(2)),))
+    for kind in np.eye(2):
+        assert question.is_small(kind * 0.1 / 8 * 0.999, np.ones(2), None)
+        assert not question.is_small(kind * 0.1 / 8 * 1.001, np.ones(2), None)
+        # The model errs by 0.5 in the value and by 1 in the gradient.
+        allowed = kind @ [0.5, 1.0] / 8
+        assert question.is_small(kind * allowed * 0.999, numbers, exact)
+        assert not question.is_small(kind * allowed * 1.001, numbers, exact)
+
+
+def test_a_mesh_may_take_a_quarter_of_the_tolerance_by_elements_of_second_order(ladder):
+    # Of two meshes, Roache's index at order p: 3 d / (2^p - 1), p = 2 (docs/reports/elements).
+    def meshes(d):
+        numbers = np.ones(2) + d, np.ones(2)
+        return [Rung("", k, "", runs=(RungRun(0, 0, 0, x),)) for k, x in enumerate(numbers)]
+
+    for kind in np.eye(2):
+        np.testing.assert_allclose(_mesh_bar(meshes(0.01 * kind))[0], 3 * 0.01 * kind / 3)
+        assert _is_fine(meshes(kind * 0.1 / 4 * 0.999), 0.1)
+        assert not _is_fine(meshes(kind * 0.1 / 4 * 1.001), 0.1)
+    x = [rung.numbers for rung in ladder.rungs if rung.name == "as declared"][-3:]
+    d = np.abs(np.diff(x, axis=0))
+    # Of three, at the order seen, at most 2: 1.25 d / (2^p - 1), d a quarter of the first at least.
+    p = np.clip(np.log2(d[0] / d[1]), 0.5, 2.0)
+    np.testing.assert_allclose(ladder.mesh_bar, 1.25 * np.maximum(d[1], d[0] / 4) / (2**p - 1))
 
 
 def test_what_cannot_be_reached_is_said(ladder):

@@ -5,16 +5,20 @@ factor of ten for tangents of quotients. A wrong term shows at 1e-3 and more.
 """
 
 import pickle
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from ancfdae import CABLE_2D, Beam, Material, Rectangle, assemble, kernels
+from ancfdae import CABLE_2D, Beam, Material, Point, Rectangle, RigidBody, Scene, assemble, kernels
 from ancfdae.model import joints, loads
+from ancfdae.model.bodies import Quantity
 from ancfdae.model.joints import Joint
 from ancfdae.model.joints.joint import DrivenJoint
 from ancfdae.model.loads import Load
-from ancfdae.numerics.jets import Jet
+from ancfdae.model.loads.load import LAW
+from ancfdae.numerics.jets import Jet, angle
 
 from examples import all_examples, scene_of
 
@@ -140,6 +144,64 @@ def test_loads_are_what_their_formulas_say(case):
             close(one.real / size, other.real / size)
             size = (np.max(np.abs(other.imag)) or 1.0) if s else 1.0
             close(one.imag / size, other.imag / size)
+
+
+@dataclass(frozen=True)
+class Formula(Load):
+    """A force that is a function of NumPy of the place x and the velocity v of a point."""
+
+    point: Point
+    function: ClassVar[object]
+
+    kind = "formula"
+    design_fields = (LAW,)
+
+    def vectors(self, elements):
+        return ((self.point, Quantity.POSITION),)
+
+    def force(self, U, V, p, U_o):
+        return type(self).function(U, V)
+
+
+FUNCTIONS = {
+    "add": lambda x, v: x + v,
+    "subtract": lambda x, v: x - v,
+    "multiply": lambda x, v: x * v,
+    "divide": lambda x, v: x / v,
+    "power": lambda x, v: x**2.5 + v**-1.5,
+    "negative": lambda x, v: -x,
+    "square": lambda x, v: np.square(x) - np.square(v),
+    "reciprocal": lambda x, v: np.reciprocal(x) + 2 * np.reciprocal(v),
+}
+NAMES = ["sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "arctan"]
+FUNCTIONS |= {name: (lambda f: lambda x, v: f(x) + 2 * f(v))(getattr(np, name)) for name in NAMES}
+
+
+@pytest.mark.parametrize("function", [*FUNCTIONS.values(), angle], ids=[*FUNCTIONS, "angle"])
+def test_derivatives_of_every_operation_are_those_of_its_formula(function):
+    # Complex steps of the formula in NumPy alone; the angle of two numbers, which has none, is
+    # arctan(x/v) where both are positive.
+    plain = (lambda x, v: np.arctan(x / v)) if function is angle else function
+    body = RigidBody("body", (0.0, 0.0), 1.0, 1.0)
+    load = type("Own", (Formula,), {"function": staticmethod(function)})(body.at(0.0, 0.0))
+    system = assemble(Scene([], bodies=[body], loads=[load]))
+    (item,) = system.inputs.loads()
+    plan = item.plan(system.pattern)
+    rng, n = np.random.default_rng(9), system.n_q
+    q, v, dq, dv = (rng.uniform(0.3, 0.9, (1, n)) for _ in range(4))
+    U, V, dU, dV = (item.vectors.of(x) for x in (q, v, dq, dv))
+
+    def rate(dU, dV):
+        return item.vectors.lift(plain(U + 1j * STEP * dU, V + 1j * STEP * dV).imag / STEP)
+
+    one = np.ones(1)
+    close(kernels.load_forces(plan, one, q, v), item.vectors.lift(plain(U, V)))
+    close(kernels.load_forces_along(plan, one, q, v, dq, dv), rate(dU, dV))
+    for velocity, direction in enumerate((dq, dv)):
+        (tangent,) = kernels.load_tangents(plan, one, q, v, bool(velocity))
+        rates = [np.zeros_like(U), np.zeros_like(U)]
+        rates[velocity] = item.vectors.of(direction)
+        close(system.pattern.dense(tangent) @ direction[0], rate(*rates)[0])
 
 
 def broken(arguments, number, change):

@@ -89,7 +89,7 @@ def refined_runs(
 ) -> tuple[tuple[RungRun, ...], Array]:
     """Return runs from the longest step to one that errs little, and the bar of that.
 
-    A run that costs more than the best one of the richest model is the last.
+    A run of more work than the best one of the richest model is the last.
 
     Raises
     ------
@@ -97,17 +97,17 @@ def refined_runs(
         If the model does not have what is asked for, or runs do not get to the end.
     """
     system, runs = assemble(model, design), list[RungRun]()
-    steps, left = _FIRST, None
+    steps, size, left = _FIRST, system.n_q + system.n_lam, None
     while steps <= question.max_steps:
         try:
             if not runs:  # What a system makes at first use is not to be timed.
                 question.numbers(system, HHT(question.t_end / steps))
             step = question.t_end / steps
             run = partial(question.numbers, system, HHT(step))
-            runs.append(RungRun(step, *timed(run, 3, long=_SHORT)))
+            runs.append(RungRun(step, steps * size, *timed(run, 3, long=_SHORT)))
         except UnfinishedRun as failed:
             left = failed
-        dear = runs and richest is not None and runs[-1].seconds > richest.runs[-1].seconds
+        dear = runs and richest is not None and runs[-1].work > richest.runs[-1].work
         if len(runs) >= _SEEN and (
             dear or question.is_small(_bar(runs), runs[-1].numbers, richest)
         ):
@@ -153,7 +153,8 @@ def choose_model(
     objective, t_end, design, progress
         As in `gradient`. Errors are relative to the value, which must not vanish.
     tolerance : float
-        Relative error of value and gradient that is asked for; the result tells of looser ones too.
+        Relative error that neither the value nor the gradient may exceed; the result tells of
+        looser ones too.
     alternatives : mapping of str to Scene, optional
         Models of your own, in which what the objective names has the same name.
     doublings : int

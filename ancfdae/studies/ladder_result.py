@@ -27,12 +27,23 @@ KINDS: Final[tuple[ErrorOf, ...]] = ("objective", "gradient")
 @final
 @dataclass(frozen=True)
 class RungRun:
-    """One run with a step (s), and the processor time of value and gradient.
+    """One run of value and gradient.
 
-    `numbers`, (1 + n_b,), are the value and the derivatives times their variables.
+    Attributes
+    ----------
+    step : float
+        Size of the step; s.
+    work : int
+        Number of steps times the number of coordinates and multipliers. Choices compare it: it is
+        the same in every call, unlike the time that a run takes.
+    seconds : float
+        Measured processor time.
+    numbers : array, shape (1 + n_b,)
+        The value and the derivatives times their variables.
     """
 
     step: float
+    work: int
     seconds: float
     numbers: Array
 
@@ -87,10 +98,14 @@ class Rung:
 @final
 @dataclass(frozen=True)
 class Choice:
-    """A rung with a step, and the parts of its relative error."""
+    """A rung with a step, and the parts of its relative error in the value or the gradient.
+
+    `of` tells in which: that asked for, or the one with the larger error if both were.
+    """
 
     rung: Rung
     run: RungRun
+    of: ErrorOf
     parts: dict[str, float]
 
     @property
@@ -103,7 +118,7 @@ class Choice:
         shares = ", ".join(f"{name} {size:.1g}" for name, size in self.parts.items())
         return (
             f"{self.rung.name}, {self.rung.elements} elements, step {self.run.step:.3g} s: "
-            f"{self.run.seconds:.3g} s, error {self.error:.2g} ({shares})"
+            f"{self.run.seconds:.3g} s, error {self.error:.2g} in the {self.of} ({shares})"
         )
 
 
@@ -111,11 +126,12 @@ class Choice:
 class NoModel(AncfdaeError):
     """No model that was measured is accurate enough; `best` is the most accurate one."""
 
-    def __init__(self, tolerance: float, of: str, best: Choice) -> None:
+    def __init__(self, tolerance: float, of: ErrorOf | None, best: Choice) -> None:
+        where = " and the ".join(_asked(of))
         super().__init__(
-            f"no model reaches an error of {tolerance:.3g} in the {of}; the best is {best}. Where "
-            "the mesh is the largest part, raise `doublings`; where the step is, damp the scene or "
-            "ask for an integral instead of an instant."
+            f"no model reaches an error of {tolerance:.3g} in the {where}; the best is {best}. "
+            "Where the mesh is the largest part, raise `doublings`; where the step is, damp the "
+            "scene or ask for an integral instead of an instant."
         )
         self.best = best
 
@@ -153,22 +169,37 @@ class ModelLadder:
 
     @property
     def chosen(self) -> Choice:
-        """The cheapest within the tolerance, in the gradient; see `recommend`."""
+        """The cheapest within the tolerance in both value and gradient; see `recommend`."""
         return self.recommend(self.tolerance)
 
-    def recommend(self, tolerance: float, of: ErrorOf = "gradient") -> Choice:
-        """Return the cheapest rung, with its step, whose parts add up to the tolerance at most."""
+    def recommend(self, tolerance: float, of: ErrorOf | None = None) -> Choice:
+        """Return the run with the least `work` among those whose errors are within the tolerance.
+
+        Parameters
+        ----------
+        tolerance : float
+            Largest relative error, the sum of the parts.
+        of : {"objective", "gradient"}, optional
+            What must be within the tolerance; by default both the value and the gradient. The
+            choice then has the parts of the larger of the two errors.
+
+        Raises
+        ------
+        NoModel
+            If no run is within the tolerance.
+        """
         require_positive("tolerance", tolerance)
         choices = self.choices(of)
         enough = [each for each in choices if each.error <= tolerance]
         if not enough:
             raise NoModel(tolerance, of, min(choices, key=lambda each: each.error))
-        return min(enough, key=lambda each: each.run.seconds)
+        return min(enough, key=lambda each: (each.run.work, each.error))
 
-    def choices(self, of: ErrorOf = "gradient") -> list[Choice]:
-        """Return all runs of all rungs with their errors in the value or the gradient."""
-        if str(of) not in KINDS:
-            raise InvalidInput("of", f"must be one of {', '.join(KINDS)}", repr(of), "Choose one.")
+    def choices(self, of: ErrorOf | None = None) -> list[Choice]:
+        """Return all runs of all rungs with their errors; `of` as in `recommend`."""
+        if of is not None and str(of) not in KINDS:
+            repair = "Choose one, or leave it out for both."
+            raise InvalidInput("of", f"must be one of {', '.join(KINDS)}", repr(of), repair)
         return [self.choice(rung, run, of) for rung in self.rungs for run in rung.runs]
 
     def without_influence(self, rung: Rung) -> tuple[str, ...]:
@@ -179,8 +210,8 @@ class ModelLadder:
     def table(self) -> str:
         """Return all rungs as a table in plain text: errors at their best steps, and costs.
 
-        A cost is that of the longest step with which the rung is within the tolerance in the
-        gradient; of a rung that never is, that of the step that adds least.
+        The step shown is the longest one with which the rung is within the tolerance in both value
+        and gradient, or, for a rung that never is, the step with the smallest error.
         """
         head = ["model", "elements", *(f"{of}: {part}" for of in KINDS for part in _PARTS[:2])]
         rows = [[*head, "step", "steps err", "seconds", "no influence / outcome"]]
@@ -190,8 +221,8 @@ class ModelLadder:
         bars = ", ".join(f"{of} {error(self.mesh_bar, exact, of):.2g}" for of in KINDS)
         return f"{columns(rows, shorten=False)}\nmesh of the last: {bars}; orders {orders}"
 
-    def choice(self, rung: Rung, run: RungRun, of: ErrorOf) -> Choice:
-        """Return a run of a rung with the parts of its error in the value or the gradient."""
+    def choice(self, rung: Rung, run: RungRun, of: ErrorOf | None = None) -> Choice:
+        """Return a run of a rung with the parts of its error; `of` as in `recommend`."""
         exact, numbers = self.richest.numbers, rung.numbers
         finest = max((x for x in self.rungs if x.name == rung.name and x.runs), key=_level)
         sizes = (
@@ -200,17 +231,25 @@ class ModelLadder:
             np.abs(run.numbers - numbers) + rung.bar,
             self.mesh_bar + self.richest.bar,
         )
-        errors = (error(x, exact, of) for x in sizes)
-        return Choice(rung, run, dict(zip(_PARTS, errors, strict=True)))
+        asked = (
+            Choice(
+                rung,
+                run,
+                kind,
+                {x: error(y, exact, kind) for x, y in zip(_PARTS, sizes, strict=True)},
+            )
+            for kind in _asked(of)
+        )
+        return max(asked, key=lambda each: each.error)
 
     def _cells(self, rung: Rung) -> list[str]:
         if not rung.runs:
             return [rung.name, str(rung.elements), *["-"] * 7, rung.outcome]
-        choices = [self.choice(rung, run, "gradient") for run in rung.runs]
+        choices = [self.choice(rung, run) for run in rung.runs]
         enough = [each for each in choices if each.error <= self.tolerance]
         shown = enough[0] if enough else min(choices, key=lambda each: each.error)
-        value = self.choice(rung, shown.run, "objective").parts
-        errors = [parts[name] for parts in (value, shown.parts) for name in _PARTS[:2]]
+        both = [self.choice(rung, shown.run, of).parts for of in KINDS]
+        errors = [parts[name] for parts in both for name in _PARTS[:2]]
         run = shown.run
         return [
             rung.name,
@@ -225,6 +264,10 @@ class ModelLadder:
 
 #: Parts of an error, those of the model first.
 _PARTS: Final = ("model", "mesh", "step", "reference")
+
+
+def _asked(of: ErrorOf | None) -> tuple[ErrorOf, ...]:
+    return KINDS if of is None else (of,)
 
 
 def error(difference: Array, exact: Array, of: ErrorOf) -> float:
