@@ -42,6 +42,7 @@ from ancfdae.kernels import (
     narrow_order,
 )
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.inertia import ConstrainedPattern
 from ancfdae.numerics.patterns import Pattern
 
 
@@ -164,6 +165,12 @@ class SaddlePoint:
         """Number of coordinates."""
         return self._patterns[0].shape[0]
 
+    @cached_property
+    def constrained(self) -> ConstrainedPattern:
+        """Where entries stand in matrices whose negative directions are counted."""
+        places = self._places if self._in_band else self._sparse
+        return ConstrainedPattern(*self._patterns, places.order)
+
     def layout(self, band: bool) -> MatrixLayout | None:
         """Return the positions of values, in a band where requested; None if it is too wide."""
         if not self._in_band:
@@ -196,10 +203,12 @@ class SaddlePoint:
     @cached_property
     def _storage(self) -> _Storage:
         """What factorises with exchanges."""
-        if self._in_band:
-            return self._band
-        places = _Places(*self._patterns, little_fill(*self._patterns))
-        return _SparseStorage(self.scale, self._n, places)
+        return self._band if self._in_band else _SparseStorage(self.scale, self._n, self._sparse)
+
+    @cached_property
+    def _sparse(self) -> _Places:
+        """Places of entries in an order of minimum degree."""
+        return _Places(*self._patterns, little_fill(*self._patterns))
 
     @cached_property
     def _band(self) -> _BandStorage:

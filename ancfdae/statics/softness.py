@@ -1,14 +1,22 @@
-"""Motions that meet the least stiffness, and those that meet none.
+"""Stability of an equilibrium, and the motions that meet the least stiffness.
 
 Stiffness is measured against the diagonal of K, D = |diag K|: kappa = phi^T K phi / phi^T D phi
 over motions that keep the constraints, Phi_q phi = 0. Measured against the mass the slowest
 bending of a beam would be (h/L)^4, which round-off hides; against D it is (h/L)^2 / n^2, with n
 elements.
+
+Stable is an equilibrium without a motion of negative stiffness; all of them are counted
+(`numerics/inertia.py`), for one that is far from zero is none of the softest. K of loads that turn
+with the motion is not symmetric. Then real negative eigenvalues of K phi = kappa D phi on the
+constraints are sought, motions that leave without turning back (divergence): there is none where
+the symmetric part of K is positive definite; there is one where the determinant is negative, and
+else all eigenvalues with a negative real part are looked at. Flutter is not seen.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -17,6 +25,7 @@ import scipy
 from ancfdae.equations.saddle_points import solve
 from ancfdae.errors import SingularMatrix
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.inertia import ConstrainedMatrix
 from ancfdae.statics.balance import Balance
 
 # Motions looked for at once, and sweeps of the inverse iteration.
@@ -24,54 +33,87 @@ _MOTIONS, _SWEEPS = 8, 6
 # Stiffness below this is round-off, which leaves up to 5e-16; a beam of 400 elements and
 # h/L = 1e-4 has 9e-14. A negative one must be clear of it, and K is shifted by more than eps, so
 # that it can be factorised.
-_FREE, _NEGATIVE, _SHIFT = 4e-15, -1e-14, 1e-14
+_FREE, _SHIFT = 4e-15, 1e-14
+# A negative stiffness is larger in size than the first of these with which pivots can be trusted.
+_CLEAR = tuple(1e-14 * 16.0**k for k in range(12))
 
 
 @final
 @dataclass(frozen=True)
 class Softness:
-    """Softest motions of a configuration, (n_q, k), with the stiffness kappa of each, rising.
+    """Stiffness of a configuration on the motions that keep its constraints.
 
-    It is stable if none of these motions meets a negative stiffness.
+    K and Phi_q are values on the patterns of the system, D is the diagonal that stiffness is
+    measured against, shape (n_q,).
     """
 
-    kappa: Array
-    motions: Array
-    stable: bool
+    balance: Balance
+    K: Array
+    Phi_q: Array
+    D: Array
+
+    @cached_property
+    def stable(self) -> bool:
+        """Whether no motion meets a negative stiffness; of loads that turn see the module."""
+        matrix = self._matrix
+        if not self.unstable or matrix.skewness <= _CLEAR[0]:
+            return not self.unstable
+        return not (matrix.is_odd(_CLEAR[0]) or matrix.has_negative(_CLEAR[0]))
+
+    @cached_property
+    def unstable(self) -> int:
+        """Number of motions with a negative stiffness, of the symmetric part of K."""
+        counts = map(self._matrix.below, _CLEAR)
+        return next((count for count in counts if count is not None), 0)
+
+    @property
+    def kappa(self) -> Array:
+        """Stiffness of the softest motions in size, rising, shape (k,)."""
+        return self._softest[0]
+
+    @property
+    def motions(self) -> Array:
+        """The softest motions, shape (n_q, k)."""
+        return self._softest[1]
 
     @property
     def free(self) -> Array:
         """Motions without stiffness, shape (n_q, number)."""
         return self.motions[:, self.kappa <= _FREE]
 
+    @cached_property
+    def _matrix(self) -> ConstrainedMatrix:
+        return self.balance.matrices.constrained.scaled(self.K, self.Phi_q, self.D)
+
+    @cached_property
+    def _softest(self) -> tuple[Array, Array]:
+        """Stiffness and motions by inverse iteration on a block."""
+        balance, system, D = self.balance, self.balance.system, self.D
+        root = np.sqrt(D)[:, None]
+        count = min(_MOTIONS, system.n_q - system.n_lam)
+        nothing = np.zeros(0), np.zeros((system.n_q, 0))
+        if count <= 0:
+            return nothing
+        shifted = self.K.copy()
+        shifted[system.pattern.diagonal] += _SHIFT * D
+        none = np.zeros((system.n_lam, count))
+        X = np.random.default_rng(0).standard_normal((system.n_q, count)) / root
+        try:
+            factors = balance.factor(shifted, self.Phi_q)
+            for _ in range(_SWEEPS):
+                X = solve(factors, D[:, None] * X, none)[0].real
+                X = _orthonormal(root * X) / root
+        except SingularMatrix:  # Of K and Phi_q together: constraints that depend on each other.
+            return nothing
+        _, kappa, V = np.linalg.svd(X.T @ system.pattern.dot(self.K, X))
+        return kappa[::-1], X @ V.T[:, ::-1]
+
 
 def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -> Softness:
-    """Return the softest motions, at the load fraction s, by inverse iteration on a block.
-
-    With mu, of K + mu M_0.
-    """
-    system, q, lam = balance.system, q.real, lam.real
+    """Return the stiffness of a state at the load fraction s; with mu, of K + mu M_0."""
+    q, lam = q.real, lam.real
     K = balance.tangent(s, q, lam).real + mu * balance.M_0.real
-    D = stiffness_of_coordinates(balance, K)
-    root = np.sqrt(D)[:, None]
-    count = min(_MOTIONS, system.n_q - system.n_lam)
-    if count <= 0:
-        return Softness(np.zeros(0), np.zeros((system.n_q, 0)), True)
-    shifted = K.copy()
-    shifted[balance.system.pattern.diagonal] += _SHIFT * D
-    none = np.zeros((system.n_lam, count))
-    X = np.random.default_rng(0).standard_normal((system.n_q, count)) / root
-    try:
-        factors = balance.factor(shifted, balance.Phi_q(q))
-        for _ in range(_SWEEPS):
-            X = solve(factors, D[:, None] * X, none)[0].real
-            X = _orthonormal(root * X) / root
-    except SingularMatrix:  # Of K and Phi_q together: constraints that depend on each other here.
-        return Softness(np.zeros(0), np.zeros((system.n_q, 0)), True)
-    projected = X.T @ system.pattern.dot(K, X)
-    _, kappa, V = np.linalg.svd(projected)
-    stable = bool(np.all(np.linalg.eigvals(projected).real > _NEGATIVE))
-    return Softness(kappa[::-1], X @ V.T[:, ::-1], stable)
+    return Softness(balance, K, balance.Phi_q(q).real, stiffness_of_coordinates(balance, K))
 
 
 def _orthonormal(X: Array) -> Array:

@@ -1,0 +1,190 @@
+"""Negative directions of a matrix on the null space of constraints, counted.
+
+The saddle-point matrix of a symmetric K and m independent constraints B has m negative
+eigenvalues and one more for every direction of the null space of B in which K is negative.
+L D L^T without exchanges counts them all, whatever their size: by Sylvester's law of inertia D has
+as many negative entries.
+
+    [ K + B^T B   B^T ]
+    [ B           0   ] = L D L^T
+
+B^T B adds nothing on the null space and holds coordinates that only constraints hold. All is
+measured against a positive diagonal D_0: eigenvalues are those of K x = kappa D_0 x on the null
+space, numbers without a unit, and with K + sigma D_0 those below -sigma are counted. The factors
+are those of a matrix whose entries differ by eps sum_k L_ik^2 |D_k|: where a pivot has cancelled
+this is much more than eps, and the count is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, final
+
+import numpy as np
+import scipy
+
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.patterns import Pattern
+
+_EPS = float(np.finfo(float).eps)
+# Fewer motions than this are looked at all at once; eigenvalues first sought around a centre.
+_DENSE, _AROUND = 100, 12
+# In the order as given. Pivots are taken from the diagonal whatever their size, or exchanged.
+_EXCHANGING: dict[str, Any] = {"permc_spec": "NATURAL"}
+_DIAGONAL = _EXCHANGING | {
+    "diag_pivot_thresh": 0.0,
+    "panel_size": 1,
+    "options": {"SymmetricMode": True},
+}
+
+
+@final
+class ConstrainedPattern:
+    """Places of the entries of saddle-point matrices, compressed by columns in a given order.
+
+    The order, (n + m,), has every multiplier behind a coordinate of its own constraint.
+    """
+
+    def __init__(self, K: Pattern, B: Pattern, order: Array) -> None:
+        n, size = K.shape[0], len(order)
+        self.K, self.B, self.size = K, B, size
+        self.place = np.empty(size, dtype=np.int64)
+        self.place[order] = np.arange(size)
+        self.pairs = _pairs(B)
+        i, j = (B.columns[pair] for pair in self.pairs)
+        diagonal, multipliers = np.arange(n), n + B.rows
+        rows = np.concatenate([K.rows, K.columns, diagonal, multipliers, B.columns, i])
+        columns = np.concatenate([K.columns, K.rows, diagonal, B.columns, multipliers, j])
+        flat = self.place[columns] * size + self.place[rows]
+        entries, self._to = np.unique(flat, return_inverse=True)
+        self._rows = (entries % size).astype(np.int32)
+        starts = np.arange(size + 1) * size
+        self._first = np.searchsorted(entries, starts).astype(np.int32)
+
+    def matrix(self, *values: Array) -> scipy.sparse.csc_array:
+        """Return the sum of entries of K, of K^T, a diagonal, of B, of B^T and of B^T B."""
+        data = np.bincount(self._to, np.concatenate(values), minlength=len(self._rows))
+        return scipy.sparse.csc_array((data, self._rows, self._first), shape=(self.size, self.size))
+
+    def scaled(self, K: Array, B: Array, diagonal: Array) -> ConstrainedMatrix:
+        """Return a matrix measured against a positive diagonal, rows of B of length one."""
+        scale = 1.0 / np.sqrt(diagonal)
+        K = K * scale[self.K.rows] * scale[self.K.columns]
+        B = B * scale[self.B.columns]
+        length = np.sqrt(np.bincount(self.B.rows, B * B, minlength=self.B.shape[0]))
+        return ConstrainedMatrix(self, K, B / np.where(length > 0, length, 1.0)[self.B.rows])
+
+
+def _pairs(B: Pattern) -> tuple[Array, Array]:
+    """Return all pairs of entries that stand in one row."""
+    first, _ = B.places
+    count = np.diff(first)[B.rows]
+    one = np.repeat(np.arange(B.size), count)
+    start = np.repeat(np.cumsum(count) - count, count)
+    return one, first[B.rows[one]] + np.arange(len(one)) - start
+
+
+@final
+@dataclass(frozen=True)
+class ConstrainedMatrix:
+    """Values of K (n x n) and of constraints B (m x n), measured against a diagonal."""
+
+    pattern: ConstrainedPattern
+    K: Array
+    B: Array
+
+    @cached_property
+    def skewness(self) -> float:
+        """Bound of what the part of K that is not symmetric adds to eigenvalues."""
+        K = self.pattern.K.csr(self.K)
+        return 0.5 * float(np.max(abs(K - K.T).sum(axis=1), initial=0.0))
+
+    def below(self, sigma: float) -> int | None:
+        """Return how many eigenvalues of the symmetric part of K are less than -sigma.
+
+        None where round-off could move one by more than sigma/2.
+        """
+        lu = self._factors(sigma, symmetric=True)
+        if lu is None or np.any(lu.perm_r != lu.perm_c):
+            return None
+        U = lu.U
+        pivots = U.diagonal()
+        column = np.repeat(np.arange(len(pivots)), np.diff(U.indptr))
+        reach = np.bincount(column, U.data**2 / np.abs(pivots)[U.indices])
+        if not _EPS * np.max(reach) <= 0.5 * sigma:
+            return None
+        return int(np.sum(pivots < 0)) - self.pattern.B.shape[0]
+
+    def is_odd(self, sigma: float) -> bool | None:
+        """Whether an odd number of real eigenvalues of K, of any kind, is less than -sigma.
+
+        It is the sign of the determinant. None if the matrix is singular to working precision.
+        """
+        lu = self._factors(sigma, symmetric=False)
+        if lu is None:
+            return None
+        negative = int(np.sum(lu.U.diagonal() < 0)) - self.pattern.B.shape[0]
+        return (negative + _exchanges(lu.perm_r) + _exchanges(lu.perm_c)) % 2 == 1
+
+    def has_negative(self, sigma: float) -> bool:
+        """Whether a real eigenvalue of K, of any kind, is less than -sigma.
+
+        Real parts are no less than the smallest eigenvalue -rho of the symmetric part. So all real
+        negative eigenvalues lie in the disc about -rho/2 through zero: those next to its centre
+        are found until one lies outside.
+        """
+        K, B = self.pattern.K, self.pattern.B
+        rho, count, values = sigma, _AROUND, np.zeros(0)
+        while self.below(rho) != 0:
+            rho *= 4.0
+        while np.max(np.abs(values + 0.5 * rho), initial=0.0) <= 0.5 * rho:
+            if max(count, _DENSE) >= K.shape[0] - B.shape[0]:
+                values = self._all()
+                break
+            values, count = self._around(-0.5 * rho, count), 4 * count
+        return bool(np.any(values.real[np.abs(values.imag) <= sigma] < -sigma))
+
+    def _all(self) -> Array:
+        """Return all eigenvalues."""
+        K = self.pattern.K.dense(self.K)
+        if self.pattern.B.shape[0]:
+            Z = scipy.linalg.null_space(self.pattern.B.dense(self.B))
+            K = Z.T @ K @ Z
+        return np.asarray(np.linalg.eigvals(K), dtype=complex)
+
+    def _around(self, centre: float, count: int) -> Array:
+        """Return the eigenvalues next to a real number by Arnoldi's method."""
+        lu = self._factors(-centre, symmetric=False)
+        if lu is None:  # The number is an eigenvalue.
+            return np.array([centre + 0j])
+        n = self.pattern.K.shape[0]
+        places, right = self.pattern.place[:n], np.zeros(self.pattern.size)
+
+        def inverse(x: Array) -> Array:
+            right[places] = x.ravel()
+            return np.asarray(lu.solve(right)[places])
+
+        operator = scipy.sparse.linalg.LinearOperator((n, n), inverse, dtype=float)
+        begin = inverse(np.cos(1.0 + np.arange(n) ** 2))
+        values = scipy.sparse.linalg.eigs(operator, count, v0=begin, return_eigenvectors=False)
+        return np.asarray(centre + 1.0 / values)
+
+    def _factors(self, sigma: float, symmetric: bool) -> Any | None:
+        """Factorise K + sigma or its symmetric part with B; None where that is singular."""
+        parts = (0.5 * self.K, 0.5 * self.K) if symmetric else (self.K, 0 * self.K)
+        one, other = self.pattern.pairs
+        diagonal, squares = np.full(self.pattern.K.shape[0], sigma), self.B[one] * self.B[other]
+        matrix = self.pattern.matrix(*parts, diagonal, self.B, self.B, squares)
+        options = _DIAGONAL if symmetric else _EXCHANGING
+        try:
+            return scipy.sparse.linalg.splu(matrix, **options)
+        except RuntimeError:  # An exactly singular matrix.
+            return None
+
+
+def _exchanges(order: Array) -> int:
+    """Return how many exchanges make a permutation, up to an even number."""
+    n = len(order)
+    graph = scipy.sparse.csr_array((np.ones(n), order, np.arange(n + 1)), shape=(n, n))
+    return n - int(scipy.sparse.csgraph.connected_components(graph)[0])

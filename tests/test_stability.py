@@ -1,0 +1,136 @@
+"""Stability: unstable motions are counted, whatever stands beside them."""
+
+import numpy as np
+import pytest
+import scipy
+
+from ancfdae import (
+    Beam,
+    Clamp,
+    Material,
+    Pin,
+    PointForce,
+    Rectangle,
+    RigidBody,
+    Scene,
+    equilibrium,
+)
+from ancfdae.numerics.linear_solvers import SaddlePoint
+from ancfdae.numerics.patterns import Pattern
+
+E = 2.1e11
+# Of Euler's cantilever of 1 m and 10 x 10 mm.
+EULER = np.pi**2 * E * 0.01**4 / 12 / 4
+
+
+def couplings(n, m, wide):
+    """Patterns of a chain of n coordinates, or of a grid, and of m constraints of two each."""
+    i = np.arange(n)
+    reach = (1, round(np.sqrt(n)), 70) if wide else (1, 2)
+    rows = np.concatenate([i, *(i[k:] for k in reach), *(i[:-k] for k in reach)])
+    columns = np.concatenate([i, *(i[:-k] for k in reach), *(i[k:] for k in reach)])
+    along = np.arange(m) * (n // m) if m else np.zeros(0, dtype=int)
+    both = np.tile(np.arange(m), 2), np.concatenate([along, (along + 1) % n])
+    return Pattern((n, n), rows, columns), Pattern((m, n), *both)
+
+
+def on_null_space(K, B, D):
+    """All eigenvalues of K x = kappa D x on B x = 0, by dense matrices."""
+    Z = scipy.linalg.null_space(B / np.sqrt(D)) if len(B) else np.eye(len(K))
+    return np.linalg.eigvals(Z.T @ (K / np.sqrt(np.outer(D, D))) @ Z)
+
+
+@pytest.mark.parametrize("wide", [False, True])
+@pytest.mark.parametrize("m", [0, 7])
+@pytest.mark.parametrize("seed", range(6))
+def test_all_negative_directions_are_counted(seed, m, wide):
+    rng, n = np.random.default_rng(seed), 150
+    of_K, of_B = couplings(n, m, wide)
+    # Coordinates of twelve orders of stiffness; a few of negative stiffness, large and small.
+    D = 10.0 ** rng.uniform(-6, 6, n)
+    K = of_K.csr(0.2 * rng.standard_normal(of_K.size)).toarray()
+    K = K + K.T + np.diag(np.where(rng.random(n) < 0.05, -1.0, 1.0))
+    K *= np.sqrt(np.outer(D, D))
+    B = rng.standard_normal(of_B.size)
+    dense = on_null_space(K, of_B.dense(B), D).real
+    matrices = SaddlePoint(of_K, of_B, np.ones(n), B)
+    matrix = matrices.constrained.scaled(K[of_K.rows, of_K.columns], B, D)
+    for sigma in (1e-12, 0.01, 0.3, 1.0):
+        # Between these numbers no eigenvalue is as near as round-off.
+        assert matrix.below(sigma) == np.sum(dense < -sigma)
+
+
+@pytest.mark.parametrize("n", [20, 150], ids=["dense", "by Arnoldi"])
+@pytest.mark.parametrize("seed", range(8))
+def test_real_negative_eigenvalues_of_other_matrices_are_found(seed, n):
+    rng, m = np.random.default_rng(seed), 5
+    of_K, of_B = couplings(n, m, wide=False)
+    # Pairs of coordinates that turn about each other: complex with any real part, or real twice.
+    K = np.diag(rng.uniform(0.5, 2.0, n))
+    turn = 0.4 if seed % 2 else 0.0
+    K[10:12, 10:12] = [[-0.3, turn], [-turn, -0.3]]
+    K += 0.01 * of_K.csr(rng.standard_normal(of_K.size)).toarray() * (turn > 0)
+    B, D = rng.standard_normal(of_B.size), np.ones(n)
+    dense = on_null_space(K, of_B.dense(B), D)
+    matrix = SaddlePoint(of_K, of_B, D, B).constrained
+    matrix = matrix.scaled(K[of_K.rows, of_K.columns], B, D)
+    real = dense.real[np.abs(dense.imag) < 1e-9]
+    assert matrix.is_odd(1e-12) == (np.sum(real < 0) % 2 == 1)
+    assert matrix.has_negative(1e-12) == np.any(real < 0)
+
+
+def test_a_count_that_round_off_could_change_is_refused():
+    # The first pivot is 1e-15: the factors are those of a matrix that differs by a tenth.
+    of_K, of_B = Pattern.full((2, 2)), Pattern((0, 2), np.zeros(0, int), np.zeros(0, int))
+    K, none = np.array([0.0, 1.0, 1.0, 0.0]), np.zeros(0)
+    matrix = SaddlePoint(of_K, of_B, np.ones(2), none).constrained.scaled(K, none, np.ones(2))
+    assert matrix.below(1e-14) is None
+    assert matrix.below(1e-6) == 1
+
+
+def column(beside=(), joints=(), loads=(), force=0.0, **scene):
+    """A steel column, and what stands beside it."""
+    rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.01, 0.01), Material(1.0, E, 0.3))
+    loads = [PointForce(rod.at_end, (force, 0.0), name="load"), *loads]
+    beams = [part for part in beside if not isinstance(part, RigidBody)]
+    bodies = [part for part in beside if isinstance(part, RigidBody)]
+    joints = [Clamp(rod.at_start), *joints]
+    return Scene([rod, *beams], joints, loads=loads, bodies=bodies, **scene)
+
+
+def beside_a_strip(force=0.0):
+    rubber = Material(1000, 1e5, 0.3)
+    strip = Beam("strip", (0, 1), (1, 1), 8, Rectangle(0.001, 0.01), rubber)
+    return column([strip], [Clamp(strip.at_start)], force=force)
+
+
+def with_a_tie(force=0.0):
+    rubber = Material(1000, 1e4, 0.3)
+    tie = Beam("tie", (1, 0), (1, 1), 12, Rectangle(0.001, 0.01), rubber)
+    rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.01, 0.01), Material(1.0, E, 0.3))
+    return column([tie], [Pin(rod.at_end, tie.at_start), Clamp(tie.at_end)], force=force)
+
+
+def with_links(force=0.0):
+    """The column stands on its head; links hang from its tip, held by their weight of 1 mN."""
+    rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.01, 0.01), Material(1.0, E, 0.3))
+    links, joints, last = [], [], rod.at_end
+    for k in range(12):
+        link = RigidBody(f"link {k}", (1.05 + 0.1 * k, 0), mass=1e-5, inertia=1e-8)
+        links.append(link)
+        joints.append(Pin(last, link.at(-0.05, 0)))
+        last = link.at(0.05, 0)
+    return column(links, joints, force=force, gravity=(9.81, 0.0))
+
+
+@pytest.mark.parametrize("scene", [column, beside_a_strip, with_a_tie, with_links])
+def test_a_column_has_buckled_whatever_stands_beside_it(scene):
+    at = [equilibrium(scene(force=-share * EULER)) for share in (0.9, 3.0, 8.0)]
+    assert all(state.outcome.success for state in at)
+    assert [state.outcome.stable_to is None for state in at] == [True, False, False]
+    # To one per cent of the load: steps halve to 1/128 of the path. What settles has no path.
+    for share, state in zip((3.0, 8.0), at[1:], strict=True):
+        end = state.outcome
+        assert (
+            end.stable_to == 0.0 if end.downhill else abs(end.stable_to * share - 1) <= 0.02 * share
+        )
