@@ -109,7 +109,7 @@ def test_wrong_arrays_are_refused():
     n_q, n_lam = system.n_q, system.n_lam
     q, lam = np.zeros(n_q), np.zeros(n_lam)
     factors = np.ones(1), *(plan.load_factors(np.zeros(1))[0] for _ in range(2))
-    good = (q, lam, q.copy(), lam.copy()), (q, None, q, lam), factors, np.ones(9)
+    good = (q, lam, q.copy(), lam.copy()), (q, None, q, lam), factors, np.ones(11)
     for at, bad in (
         (0, (q, lam, q)),
         (0, (q[1:], lam, q, lam)),
@@ -117,7 +117,7 @@ def test_wrong_arrays_are_refused():
         (1, (q, q[1:], q, lam)),
         (1, (None, None, q, lam)),
         (2, (np.ones(2), *factors[1:])),
-        (3, np.ones(8)),
+        (3, np.ones(10)),
     ):
         with pytest.raises((ValueError, TypeError)):
             rest(arrays, *good[:at], bad, *good[at + 1 :])

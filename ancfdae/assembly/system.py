@@ -15,6 +15,7 @@ from ancfdae.assembly.block import element_block
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.energies import Energies
+from ancfdae.assembly.folds import Folds
 from ancfdae.assembly.inertia import Inertia, element_masses, other_masses
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
@@ -106,6 +107,12 @@ class AncfSystem(PlannedSystem):
         """Energies of beams and bodies."""
         parts = self._elastic, self._inertia, self._numbering, self.naming.layout
         return Energies(*parts, None if self._turning is None else self._turning.potential)
+
+    @cached_property
+    def _folds(self) -> Folds:
+        soft, beams = self._numbering.elements, self._scene.beams
+        own = self._mapping.values(self.b)[soft]
+        return Folds([beam for beam in beams if not beam.rigid], self._numbering, own)
 
     @cached_property
     def sections(self) -> BeamSections:
@@ -278,6 +285,10 @@ class AncfSystem(PlannedSystem):
         if self._turning is None:
             return P, P_q
         return P - self._turning.force(q, np.zeros_like(q)), P_q - self._turning.tangents[0]
+
+    def folded(self, q: Array) -> str:
+        """Elements that are turned inside out, bent back on themselves, or crushed."""
+        return self._folds.words(q)
 
     def constraint(self, t: float, *motion: Array) -> Array:
         """Phi and its time derivatives."""

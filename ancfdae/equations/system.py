@@ -239,6 +239,14 @@ class MechanicalSystem(ComplexSteps):
         """
         return np.zeros_like(q), np.zeros(self.pattern.size)
 
+    def folded(self, q: Array) -> str:
+        """Say which parts are folded at q, in a way that no body can be; empty where none is.
+
+        Forces may be in balance there nevertheless. A search for an equilibrium does not accept
+        such a state.
+        """
+        return ""
+
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:

@@ -19,6 +19,7 @@ class Verdict(Enum):
     ERROR_TEST = "no step, however small, passed the error test"
     TOO_ACCURATE = "the tolerance is below what round-off allows"
     EQUILIBRIUM = "the equilibrium was reached"
+    FOLDED = "what was found in balance is folded"
     LIMIT_POINT = "the load has a limit point, above which there is no equilibrium nearby"
 
 

@@ -7,10 +7,11 @@
  * indefinite matrix needs, or left to the way of before since it is stuck. */
 enum { REST_SOLVED, REST_NO_CONVERGENCE, REST_NOT_FINITE, REST_SINGULAR, REST_INDEFINITE, REST_STUCK };
 
-/* Load fraction, mu, sizes of positions and loads at the start, and the rules of `balance.py`; the
- * diagonal is shifted by that part of itself to see whether K is positive definite. */
+/* Load fraction, mu, part of Phi_0 that is left and that it loses per s, sizes of positions and
+ * loads at the start, and the rules of `balance.py`; the diagonal is shifted by that part of itself
+ * to see whether K is positive definite. */
 typedef struct {
-    double s, mu, position, load, tolerance, far, growths, iterations, shift;
+    double s, mu, gap, closing, position, load, tolerance, far, growths, iterations, shift;
 } rest_rules;
 
 /* The equations; factors of loads as they act, and of those that turn. */
@@ -44,7 +45,7 @@ static int rest_residual(const plan_real *p, room_real *r, const rest_problem *x
         sum += 0 * R[i];
     }
     for (npy_intp i = 0; i < p->n_lam; i++) {
-        R[p->n_q + i] = left * x->Phi_0[i] - r->Phi[i];
+        R[p->n_q + i] = x->rules.gap * x->Phi_0[i] - r->Phi[i];
         sum += 0 * R[p->n_q + i];
     }
     return sum == 0;
@@ -138,7 +139,7 @@ static void rest_path(const plan_real *p, room_real *r, const rest_problem *x, r
         load_force_real(p->moving[k].plan, &p->moving[k].numbers, x->of_turning[p->n_loads + k],
                         r->q, r->v, r->of_load, r->R);
     for (npy_intp i = 0; i < p->n_lam; i++)
-        r->R[p->n_q + i] = -x->Phi_0[i];
+        r->R[p->n_q + i] = -x->rules.closing * x->Phi_0[i];
     rest_solved(p, r);
     memcpy(to->q_s, r->x, (size_t)p->n_q * sizeof(double));
     memcpy(to->lam_s, r->x + p->n_q, (size_t)p->n_lam * sizeof(double));

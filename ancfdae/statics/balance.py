@@ -81,7 +81,8 @@ class Unsolved:
 class Balance:
     """The equations of one search, which starts at q_0 and lam_0; see the module.
 
-    Unless it `follows`, P is taken for zero: all loads are held as they are at the start.
+    Unless it `follows`, P is taken for zero: all loads are held as they are at the start. Unless it
+    `closes` them, constraints stay as violated as they are there: Phi = Phi_0 all along.
     """
 
     system: MechanicalSystem
@@ -90,6 +91,7 @@ class Balance:
     lam_0: Array
     work: SearchCounts = field(default_factory=SearchCounts)
     follows: bool = True
+    closes: bool = True
 
     @staticmethod
     def of(
@@ -190,7 +192,8 @@ class Balance:
         """Return the start, which solves the equations at s = 0, with its path."""
         q, lam = self.q_0, self.lam_0
         if self._compiled:
-            return self._counted(0.0, self._compiled.solve(0.0, q, lam, 0.0, None, 0))
+            gap = 1.0, float(self.closes)
+            return self._counted(0.0, self._compiled.solve(0.0, q, lam, gap, 0.0, None, 0))
         try:
             factors = self.factor(self.tangent(0.0, q, lam), self.Phi_q(q))
         except SingularMatrix:
@@ -204,14 +207,24 @@ class Balance:
         lam: Array,
         mu: float = 0.0,
         anchor: Array | None = None,
+        gap: float | None = None,
     ) -> Balanced | Unsolved:
-        """Solve the equations by Newton's method from a guess q, lam; the anchor is q_a."""
+        """Solve the equations by Newton's method from a guess q, lam; the anchor is q_a.
+
+        With a `gap`, that part of Phi_0 is left instead of what s leaves.
+        """
+        left = self._left(s) if gap is None else gap
         if self._compiled and not np.iscomplexobj(q):
-            end = self._compiled.solve(s, q, lam, mu, anchor, _ITERATIONS)
+            gaps = left, float(self.closes)
+            end = self._compiled.solve(s, q, lam, gaps, mu, anchor, _ITERATIONS)
             if end.why != Rest.STUCK:
                 return self._counted(s, end)
             q, lam = end.q, end.lam
-        return self._solve(s, q, lam, mu, anchor)
+        return self._solve(s, q, lam, left, mu, anchor)
+
+    def _left(self, s: float) -> float:
+        """Part of Phi_0 that is left at s."""
+        return 1.0 - s if self.closes else 1.0
 
     def _counted(self, s: float, end: RestEnd) -> Balanced | Unsolved:
         self.work.iterations += end.iterations
@@ -223,14 +236,14 @@ class Balance:
         return Unsolved(verdicts.get(end.why, Verdict.NO_CONVERGENCE), end.correction)
 
     def _solve(
-        self, s: float, q: Array, lam: Array, mu: float, anchor: Array | None
+        self, s: float, q: Array, lam: Array, gap: float, mu: float, anchor: Array | None
     ) -> Balanced | Unsolved:
         test = _Convergence(self)
         try:
             with np.errstate(all="ignore"):
                 for iteration in range(1, _ITERATIONS + 1):
                     Phi_q = self.Phi_q(q)
-                    R, Phi = self._residual(s, q, lam, Phi_q, mu, anchor)
+                    R, Phi = self._residual(s, q, lam, Phi_q, gap, mu, anchor)
                     if not (finite(R) and finite(Phi)):
                         return Unsolved(Verdict.NOT_FINITE, test.size)
                     K = self.tangent(s, q, lam)
@@ -251,6 +264,7 @@ class Balance:
         q: Array,
         lam: Array,
         Phi_q: Array,
+        gap: float = 0.0,
         mu: float = 0.0,
         anchor: Array | None = None,
     ) -> tuple[Array, Array]:
@@ -261,7 +275,7 @@ class Balance:
             R = R - (1.0 - s) * self.held_back(q)
         if anchor is not None:
             R = R - mu * self.system.pattern.dot(self.M_0, q - anchor)
-        return R, self.system.constraint(self.t, q) - (1.0 - s) * self.Phi_0
+        return R, self.system.constraint(self.t, q) - gap * self.Phi_0
 
     def polished(self, q: Array, lam: Array) -> tuple[Array, Array, float] | Unsolved:
         """Solve the equations of the full load to the last digit, from a solution near it.
@@ -303,9 +317,13 @@ class Balance:
         noise = max(system.traits.force_round_off, _EPS * self.strength(blur))
         return self.strength(R.real) <= noise + _ROUNDINGS * _EPS * (force + reactions)
 
+    def folds(self, before: Array, q: Array) -> bool:
+        """Whether parts are folded at q and none was before."""
+        return bool(self.system.folded(q)) and not self.system.folded(before)
+
     def _path(self, q: Array, factors: Factorization) -> tuple[Array, Array]:
         """Return dq/ds and dlam/ds of the path of solutions."""
-        return solve(factors, self.held_back(q), -self.Phi_0)
+        return solve(factors, self.held_back(q), -float(self.closes) * self.Phi_0)
 
     def refuse_motion(self) -> None:
         """Refuse joints that drive a motion at this instant: the forces that it needs would lack.

@@ -65,18 +65,28 @@ class CompiledRest:
         return cls(plan, matrices, t, known)
 
     def solve(
-        self, s: float, q: Array, lam: Array, mu: float, anchor: Array | None, iterations: int
+        self,
+        s: float,
+        q: Array,
+        lam: Array,
+        gaps: tuple[float, float],
+        mu: float,
+        anchor: Array | None,
+        iterations: int,
     ) -> RestEnd:
-        """Solve from a guess; with no iterations the state is taken as it is."""
+        """Solve from a guess; with no iterations the state is taken as it is.
+
+        `gaps` are the part of Phi_0 that is left, and the part that it loses per s.
+        """
         known, turning = self._known, self._of_loads * self._plan.turning
         factors = self._of_joints, self._of_loads - (1.0 - s) * turning, turning
         state = q.copy(), lam.copy(), np.empty_like(q), np.empty_like(lam)
-        rules = np.array([s, mu, *known[3:], iterations, _CLEAR])
+        rules = np.array([s, mu, *gaps, *known[3:], iterations, _CLEAR])
         given = known.q_0, anchor, known.r_0, known.Phi_0
         why, count, size, definite = rest(self._arrays, state, given, factors, rules)
         if why == Rest.INDEFINITE:
             self._arrays = self._prepared(band=True)
-            return self.solve(s, q, lam, mu, anchor, iterations)
+            return self.solve(s, q, lam, gaps, mu, anchor, iterations)
         return RestEnd(Rest(why), state[0], state[1], state[2:], count, size, bool(definite))
 
     def _prepared(self, band: bool) -> object:

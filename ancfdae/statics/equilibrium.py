@@ -120,8 +120,10 @@ def find_equilibrium(
 
 
 def resting(system: MechanicalSystem, q: Array, lam: Array, stable: bool) -> Equilibrium:
-    """Return a state that was found to be an equilibrium by other means than a search."""
-    outcome = LoadOutcome(Verdict.EQUILIBRIUM, 1.0, 0, 0.0, None if stable else 0.0)
+    """Return a state that was found to be in balance by other means than a search."""
+    folded = system.folded(q)
+    verdict = Verdict.FOLDED if folded else Verdict.EQUILIBRIUM
+    outcome = LoadOutcome(verdict, 1.0, 0, 0.0, None if stable else 0.0, folded=folded)
     statistics = Statistics(0, 0, 0, 0, 0, 0.0)
     solution = _solution(system, SearchEnd(q, lam, outcome), None, statistics)
     return Equilibrium(q, lam, outcome, solution)

@@ -61,6 +61,8 @@ class LoadOutcome:
     downhill : bool
         Whether the system settled under the full load, since no path of loads begins where it
         starts (a mechanism, a slack cable) or it could not be followed.
+    folded : str
+        Elements that are folded, of a state in balance that no body can have; else empty.
     """
 
     verdict: Verdict
@@ -69,6 +71,7 @@ class LoadOutcome:
     residual: float
     stable_to: float | None = None
     downhill: bool = False
+    folded: str = ""
 
     @property
     def success(self) -> bool:
@@ -93,6 +96,13 @@ class LoadOutcome:
             )
             if self.residual:
                 text += f"; the last relative correction was {self.residual:.3g}"
+        if self.verdict is Verdict.FOLDED:
+            where = f" ({self.folded})" if self.folded else ""
+            text = (
+                f"{self.verdict.value}{where} after {steps}: turned inside out, bent back on itself "
+                "or crushed, as no body can be; use more elements, or start from nodes near the "
+                "equilibrium (NodeState)"
+            )
         if self.stable_to is not None:
             above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""
             text += f"; unless it turns, it is unstable (buckled), with a negative stiffness{above}"

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import final
 
+import numpy as np
+
 from ancfdae.errors import Verdict
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance, Balanced, Unsolved
@@ -13,7 +15,7 @@ from ancfdae.statics.softness import Softness, softest
 from ancfdae.statics.ways import LoadPath, PathPoint, Settling
 
 # Endings of a path that say nothing about the load.
-_FAILED = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.SINGULAR)
+_FAILED = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.SINGULAR, Verdict.FOLDED)
 
 
 @final
@@ -29,7 +31,8 @@ class SearchEnd:
 def search(balance: Balance, max_steps: int) -> SearchEnd:
     """Follow the path of loads; where none begins or it cannot be followed, settle.
 
-    FreeMechanism if a motion is held by nothing.
+    Where constraints are violated at the start, a path on which they close under the full load is
+    tried in between. FreeMechanism if a motion is held by nothing.
     """
     first, start = balance.begun(), None
     if isinstance(first, Unsolved) or not first.definite:
@@ -40,10 +43,38 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
     outcome = followed.outcome
     if (outcome.stable_to is not None or not outcome.success) and balance.gyroscopic:
         followed = _nearer(balance, followed, max_steps)
-    if followed.outcome.verdict not in _FAILED:
+    outcome = followed.outcome
+    if outcome.verdict in (*_FAILED, Verdict.LIMIT_POINT) or outcome.stable_to is not None:
+        closed = _closed(balance, first, max_steps)
+        if closed is not None:
+            return closed
+    if outcome.verdict not in _FAILED:
         return followed
     settled = _settled(balance, start, max_steps)
     return settled if settled.outcome.success else followed
+
+
+def _closed(balance: Balance, start: Balanced | Unsolved, max_steps: int) -> SearchEnd | None:
+    """Return where two paths lead: the loads grow, then constraints that are violated close.
+
+    A wire whose supports are too near to each other is taut under its weight at first and slackens
+    as they approach; at s = 0 of one path for both it would buckle. None where no constraint is
+    violated, or the paths lead to no stable equilibrium.
+    """
+    if not np.any(balance.Phi_0):
+        return None
+    loaded = _path_end(replace(balance, closes=False), start, True, max_steps, fine=True)
+    if not loaded.outcome.success:
+        return loaded if loaded.outcome.verdict is Verdict.INTERRUPTED else None
+    start_of = replace(balance, q_0=loaded.q, lam_0=loaded.lam, follows=False)
+    stable = loaded.outcome.stable_to is None
+    end = _path_end(start_of, start_of.begun(), stable, max_steps, fine=True)
+    both = end.outcome.step + loaded.outcome.step
+    end = replace(end, outcome=replace(end.outcome, step=both))
+    if end.outcome.success and end.outcome.stable_to is None:
+        end = _polished(balance, end)
+        return end if end.outcome.success else None
+    return end if end.outcome.verdict is Verdict.INTERRUPTED else None
 
 
 def _nearer(balance: Balance, followed: SearchEnd, max_steps: int) -> SearchEnd:
@@ -64,15 +95,26 @@ def _nearer(balance: Balance, followed: SearchEnd, max_steps: int) -> SearchEnd:
 def _followed(
     balance: Balance, start: Balanced | Unsolved, stable: bool, max_steps: int
 ) -> SearchEnd:
+    end = _path_end(balance, start, stable, max_steps)
+    return _polished(balance, end) if end.outcome.success else end
+
+
+def _path_end(
+    balance: Balance,
+    start: Balanced | Unsolved,
+    stable: bool,
+    max_steps: int,
+    fine: bool = False,
+) -> SearchEnd:
+    """Return the end of a path, which is no equilibrium of all digits yet."""
     if isinstance(start, Unsolved):
         outcome = LoadOutcome(start.verdict, 0.0, 0, 0.0)
         return SearchEnd(balance.q_0, balance.lam_0, outcome)
     first = PathPoint(0.0, start.q, start.lam, *start.path, stable)
-    path = LoadPath(balance, first, max_steps)
+    path = LoadPath(balance, first, max_steps, fine)
     verdict, last = path.follow(), path.places[-1]
     outcome = LoadOutcome(verdict, last.s, len(path.places) - 1, path.residual, path.stable_to())
-    end = SearchEnd(last.q, last.lam, outcome)
-    return _polished(balance, end) if outcome.success else end
+    return SearchEnd(last.q, last.lam, outcome)
 
 
 def _polished(balance: Balance, end: SearchEnd) -> SearchEnd:
@@ -82,7 +124,10 @@ def _polished(balance: Balance, end: SearchEnd) -> SearchEnd:
         outcome = replace(end.outcome, verdict=exact.verdict, residual=exact.residual)
         return replace(end, outcome=outcome)
     q, lam, correction = exact
-    return SearchEnd(q, lam, replace(end.outcome, residual=correction))
+    folded = balance.system.folded(q)
+    verdict = Verdict.FOLDED if folded else end.outcome.verdict
+    outcome = replace(end.outcome, verdict=verdict, residual=correction, folded=folded)
+    return SearchEnd(q, lam, outcome)
 
 
 def _settled(balance: Balance, start: Softness | None, max_steps: int) -> SearchEnd:

@@ -13,10 +13,11 @@ from typing import final
 from ancfdae.equations.saddle_points import solve
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.numerics.arrays import Array
-from ancfdae.statics.balance import Balance, Unsolved
+from ancfdae.statics.balance import Balance, Balanced, Unsolved
 from ancfdae.statics.softness import softest
 
-# Steps of the load fraction below this one are given up.
+# Steps of the load fraction below this one are given up; on a path that closes gaps of joints those
+# below this part of the fraction, or below its square: a thin wire slackens in so small a part.
 _LEAST = 1e-6
 # A step is followed by a larger one if Newton's method took no more iterations.
 _EASY = 6
@@ -51,11 +52,13 @@ class LoadPath:
     """Follows the path from s = 0 to s = 1 in at most `max_steps` attempted steps.
 
     `places` are what converged, the start first, `residual` is the size of the last correction of
-    the last failure.
+    the last failure. A `fine` path takes smaller steps near s = 0.
     """
 
-    def __init__(self, balance: Balance, first: PathPoint, max_steps: int) -> None:
-        self._balance, self._max_steps = balance, max_steps
+    def __init__(
+        self, balance: Balance, first: PathPoint, max_steps: int, fine: bool = False
+    ) -> None:
+        self._balance, self._max_steps, self._fine = balance, max_steps, fine
         self.places, self.residual = [first], 0.0
 
     def follow(self) -> Verdict:
@@ -70,7 +73,7 @@ class LoadPath:
                     self._balance.work.rejected += 1
                     verdict, self.residual = attempt.verdict, attempt.residual
                     size = 0.5 * (s - before.s)
-                    if size < _LEAST:
+                    if size < _LEAST * (max(before.s, _LEAST) if self._fine else 1.0):
                         return Verdict.LIMIT_POINT if self._ran_away() else verdict
                     continue
                 self._balance.work.steps += 1
@@ -100,6 +103,8 @@ class LoadPath:
         place = PathPoint(s, point.q, point.lam, *point.path, stable=False)
         if self._jumped(before, place):
             return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
+        if balance.folds(before.q, place.q):
+            return Unsolved(Verdict.FOLDED, 0.0)
         stable = point.definite or softest(balance, s, place.q, place.lam).stable
         if stable != before.stable and s - before.s > _SMALL:
             return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
@@ -145,8 +150,9 @@ _FAILURES = 30
 class Settling:
     """Goes downhill under the full load; q and lam are the state reached.
 
-    `steps` have converged, the last of the size `residual`; `gone` is whether it grew without
-    bound.
+    Constraints that are violated at the start close at once, or where a step cannot, or folds an
+    element, in parts that adapt. `steps` have converged, the last of the size
+    `residual`; `gone` is whether it grew without bound.
     """
 
     def __init__(self, balance: Balance, max_steps: int) -> None:
@@ -163,11 +169,16 @@ class Settling:
 
     def _run(self) -> Verdict:
         balance, mu, failures = self._balance, self._first_mu(), 0
+        left, closed = 1.0, 1.0
         for _ in range(self._max_steps):
-            solved = balance.solve(1.0, self.q, self.lam, mu, self.q)
+            gap = max(0.0, left - closed)
+            solved = balance.solve(1.0, self.q, self.lam, mu, self.q, gap)
+            if isinstance(solved, Balanced) and balance.folds(self.q, solved.q):
+                solved = Unsolved(Verdict.FOLDED, 0.0)
             if isinstance(solved, Unsolved):
                 balance.work.rejected += 1
                 self.residual, failures, mu = solved.residual, failures + 1, 4.0 * mu
+                closed *= 0.25
                 if failures > _FAILURES:
                     return solved.verdict
                 continue
@@ -185,7 +196,8 @@ class Settling:
             if self._share(self.q - balance.q_0) > _GONE:
                 self.gone = True
                 return Verdict.NO_CONVERGENCE
-            if moved <= _SETTLED and held <= _HELD:
+            left, closed = gap, 2.0 * closed
+            if moved <= _SETTLED and held <= _HELD and not left:
                 return Verdict.EQUILIBRIUM
             mu /= 8.0 if solved.iterations <= _EASY else 2.0
         return Verdict.STEP_LIMIT

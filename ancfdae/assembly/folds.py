@@ -1,0 +1,111 @@
+"""Elements that are folded: turned inside out, bent back on themselves, or crushed.
+
+Energies are polynomials of the coordinates, finite where the body passes through itself, so that
+an equation of balance has solutions that no body can have. Of an element, with
+F = (dr/dX) at a point of its axis or of the outline of its section, such a solution has
+
+    det F <= 0                        a section that is turned inside out,
+    |r_x|^2 <= (1 - 2 eps_i)/3        an axis in compression beyond the largest force of the law,
+    r_x . (r_2 - r_1) <= 0            a cable, without section, bent by more than half a circle.
+
+N = E A lambda (lambda^2 - lambda_f^2)/2 of a stretch lambda, lambda_f that of the axis free of
+stress, is least at lambda^2 = lambda_f^2/3: a bar that is compressed farther yields to any force.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.block import unit_vectors
+from ancfdae.assembly.numbering import Numbering
+from ancfdae.errors.text import listed
+from ancfdae.model.bodies import BeamBody
+from ancfdae.model.elements import ElementParameter, Quantity
+from ancfdae.model.elements.hermite import tangent_weights
+from ancfdae.numerics.arrays import Array
+
+# Places along an element at which it is looked at, nodes included: what is looked at is a
+# polynomial of degree four at most.
+_PLACES = np.linspace(0.0, 1.0, 9)
+# Elements of a beam that are named.
+_NAMED = 3
+
+
+@final
+class Folds:
+    """The elements that deform, as they are folded or not at given coordinates.
+
+    `parameters`, shape (n, 10), are those of the elements that deform.
+    """
+
+    def __init__(self, beams: list[BeamBody], numbering: Numbering, parameters: Array) -> None:
+        self._d, self._beams, first = numbering.d, [], 0
+        layouts = {body.name: body for body in numbering.bodies}
+        for beam in beams:
+            n = beam.element_count
+            own = parameters[first : first + n].real
+            self._beams.append(_Beam(beam, layouts[beam.name].ends, own))
+            first += n
+
+    def words(self, q: Array) -> str:
+        """Say which elements are folded at coordinates q; empty where none is."""
+        Z = q.real.reshape(-1, self._d)
+        return "; ".join(words for beam in self._beams if (words := beam.words(Z)))
+
+
+@final
+class _Beam:
+    """The elements of one beam; vectors as (n, 2 n_s, d), and points as (n, n_f, n_p)."""
+
+    def __init__(self, beam: BeamBody, ends: Array, parameters: Array) -> None:
+        self._name, self._ends = beam.name, ends
+        self._lengths = parameters[:, ElementParameter.LENGTH, None]
+        self._free = 1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN, None]
+        kind, n_s = beam.element_type(), beam.element.n_s
+        self._has_sections = n_s == beam.dimension + 1
+        y, z = kind.section.outline(kind.sizes(parameters))
+        on_axis = np.zeros((len(y), 1))
+        self._offsets = [np.concatenate([on_axis, x], axis=1) for x in (y, z)]
+        # The reference, of which the chord is given per unit length.
+        Y = unit_vectors(beam)
+        start = np.zeros_like(Y[:, :1])
+        chord = self._lengths[..., None] * Y[:, :1]
+        X = np.concatenate([start, Y[:, 1:n_s], chord, Y[:, n_s:]], axis=1)
+        self._stretch_o = np.sum(self._tangents(X) ** 2, axis=-1)
+        self._volume_o = self._volumes(X) if self._has_sections else None
+
+    def words(self, Z: Array) -> str:
+        X = Z[self._ends]
+        r_x = self._tangents(X)
+        crushed = 3.0 * np.sum(r_x**2, axis=-1) <= self._free * self._stretch_o
+        if self._volume_o is None:
+            chord = X[:, len(X[0]) // 2] - X[:, 0]
+            turned = np.einsum("npd,nd->np", r_x, chord) <= 0
+        else:
+            turned = np.any(self._volumes(X) * self._volume_o <= 0, axis=1)
+        folded = np.flatnonzero(np.any(crushed | turned, axis=1))
+        if not len(folded):
+            return ""
+        some = listed([*map(str, 1 + folded[:_NAMED])] + ["others"] * (len(folded) > _NAMED))
+        return f"{self._name!r}, element{'s' if len(folded) > 1 else ''} {some}"
+
+    def _tangents(self, X: Array) -> Array:
+        """Return r_x on the axis, shape (n, n_p, d)."""
+        n_s = X.shape[1] // 2
+        chord = (X[:, n_s] - X[:, 0]) / self._lengths
+        slopes = np.stack([chord, X[:, Quantity.SLOPE_X], X[:, n_s + Quantity.SLOPE_X]], axis=1)
+        return np.asarray(np.einsum("pk,nkd->npd", tangent_weights(_PLACES), slopes))
+
+    def _volumes(self, X: Array) -> Array:
+        """Return det [r_x, r_y(, r_z)] on the axis and on the outline."""
+        n_s, d = X.shape[1] // 2, X.shape[2]
+        first, second = X[:, Quantity.SLOPE_Y : n_s], X[:, n_s + Quantity.SLOPE_Y :]
+        along = _PLACES[:, None, None]
+        across = (1 - along) * first[:, None] + along * second[:, None]
+        change = (second - first) / self._lengths[..., None]
+        offsets = np.stack(self._offsets[: d - 1], axis=-1)
+        r_x = self._tangents(X)[:, None] + np.einsum("nfk,nkd->nfd", offsets, change)[:, :, None]
+        across = np.broadcast_to(across[:, None], (*r_x.shape[:-1], d - 1, d))
+        return np.asarray(np.linalg.det(np.concatenate([r_x[..., None, :], across], axis=-2)))

@@ -1,0 +1,238 @@
+"""Equilibria of slack wires and beams are those of the rod, and no element of them is folded.
+
+The reference is the elastica under its weight by collocation, which knows no elements.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+from ancfdae import (
+    BEAM_2D,
+    BEAM_3D,
+    CABLE_2D,
+    CABLE_3D,
+    AtRest,
+    Beam,
+    Circle,
+    Clamp,
+    CurvedBeam,
+    Equilibrium,
+    Material,
+    Pin,
+    PointForce,
+    PointOnLine,
+    Rectangle,
+    Revolute,
+    Scene,
+    assemble,
+    equilibrium,
+    reaction,
+    static_gradient,
+)
+from ancfdae.errors import Verdict
+from ancfdae.statics.compiled import CompiledRest
+from ancfdae.statics.equilibrium import NoEquilibrium, resting
+
+G, LENGTH, RADIUS = 9.81, 1.0, 2e-4
+STEEL = Material(7850.0, 2.1e11, 0.3)
+
+
+def wire(element, n, span, origin=0.0, radius=RADIUS, **settings):
+    """A wire declared straight whose supports are too near to each other."""
+    d = element.d
+    side = radius * np.sqrt(np.pi)
+    section = Rectangle(side, side) if d == 2 else Circle(radius)
+    start, end, ground = ((origin + x, origin, origin)[:d] for x in (0.0, LENGTH, span))
+    beam = Beam("wire", start, end, n, section, STEEL, element=element)
+    left = Pin(beam.at_start, name="left")
+    if element is BEAM_3D:
+        # A round rod between two pins could spin.
+        left = Revolute(beam.at_start, (0.0, 0.0, 1.0), name="left")
+    joints = [left, Pin(beam.at_end, ground=ground, name="right")]
+    return Scene([beam], joints, gravity=(0.0, -G, 0.0)[:d], **settings)
+
+
+@lru_cache
+def elastica(EI, weight, span):
+    """Horizontal pull of an inextensible rod between hinges under its weight per length.
+
+    E I theta'' = H sin theta - V cos theta with V = w (s - L/2), over the left half.
+    """
+
+    def slopes(s, y):
+        theta, curvature, _ = y
+        V = weight * (s - LENGTH / 2)
+        return [curvature, (y_H[0] * np.sin(theta) - V * np.cos(theta)) / EI, np.cos(theta)]
+
+    y_H = [0.0]
+
+    def with_pull(s, y, p):
+        y_H[0] = p[0] * weight
+        return np.array(slopes(s, y))
+
+    def ends(a, b, p):
+        return np.array([a[1], b[0], a[2], b[2] - span / 2])
+
+    s = np.linspace(0.0, LENGTH / 2, 201)
+    sag = np.sqrt(6 * (1 - span / LENGTH))
+    guess = np.array([-sag * np.cos(np.pi * s), sag * np.pi * np.sin(np.pi * s), s * span])
+    found = solve_bvp(with_pull, ends, s, guess, p=[0.5], tol=1e-9, max_nodes=20000)
+    assert found.success
+    return found.p[0] * weight
+
+
+@pytest.mark.parametrize("element", [CABLE_2D, CABLE_3D, BEAM_2D, BEAM_3D])
+@pytest.mark.parametrize(("n", "span"), [(8, 0.95), (10, 0.95), (24, 0.95), (32, 0.95), (16, 0.5)])
+def test_a_slack_wire_hangs_as_the_elastica(element, n, span):
+    found = equilibrium(wire(element, n, span))
+    assert found.outcome.success
+    assert found.outcome.stable_to is None
+    area = np.pi * RADIUS**2
+    I = area**2 / 12 if element.d == 2 else area**2 / (4 * np.pi)
+    pull = elastica(STEEL.youngs_modulus * I, STEEL.density * area * G, span)
+    force = -found.solution.reaction("left")[0]
+    # The mesh leaves an error of third order, n^-3 of 1 to 6.3 weights (measured at both spans).
+    weight = STEEL.density * area * G * LENGTH
+    assert force[0] == pytest.approx(pull, abs=8 * weight / n**3)
+    # Exact for any mesh; the round-off of E A = 3e4 N is 4e-12 N.
+    assert -force[1] == pytest.approx(weight / 2, abs=1e-9 * weight + 4e-11)
+
+
+@pytest.mark.parametrize("element", [CABLE_2D, BEAM_2D])
+def test_newton_s_method_in_python_finds_the_same(element, monkeypatch):
+    scene = wire(element, 8, 0.95)
+    compiled = equilibrium(scene)
+    monkeypatch.setattr(CompiledRest, "of", lambda *_: None)
+    plain = equilibrium(scene)
+    assert plain.outcome.step == compiled.outcome.step
+    # Round-off of E A over the pull times the length: 1e-9.
+    np.testing.assert_allclose(plain.q, compiled.q, atol=1e-8)
+
+
+def test_a_gradient_and_a_start_stand_on_the_wire_that_hangs():
+    area = np.pi * RADIUS**2
+    EI = STEEL.youngs_modulus * area**2 / 12
+    pulls = [elastica(EI, x * STEEL.density * area * G, 0.95) for x in (0.999, 1.001)]
+    slope = (pulls[1] - pulls[0]) / (0.002 * STEEL.density)
+    scene = wire(CABLE_2D, 24, 0.95)
+    found = static_gradient(scene, reaction("left", 0), design=["wire.density"])
+    # The mesh, 6 n^-3 = 4e-4 of a weight of which the pull is a half.
+    assert -found.gradient[0] == pytest.approx(slope, rel=1e-3)
+    at_rest = assemble(wire(CABLE_2D, 24, 0.95, start=[AtRest()]))
+    np.testing.assert_array_equal(at_rest.start()[0], equilibrium(scene).q)
+
+
+def test_where_the_wire_hangs_does_not_matter():
+    here, there = (equilibrium(wire(CABLE_2D, 10, 0.95, origin)) for origin in (0.0, 1e3))
+    q = there.q.reshape(-1, 2, 2) - np.array([[1e3, 1e3], [0.0, 0.0]])
+    # Coordinates carry 1e-13, which E A/l = 3e5 N/m makes 3e-8 N of a pull of 5e-3 N.
+    np.testing.assert_allclose(q.ravel(), here.q, atol=1e-5)
+
+
+# ---------------------------------------------------------------- what is folded
+
+
+def one(element, X):
+    """An element of 1 m and side 0.1 with other node vectors."""
+    d = element.d
+    section = Circle(0.05) if d == 3 else Rectangle(0.1, 0.1)
+    end = (1.0, 0.0, 0.0)[:d]
+    beam = Beam("rod", (0.0,) * d, end, 1, section, STEEL, element=element)
+    system = assemble(Scene([beam], [Pin(beam.at_start)]))
+    return system, np.asarray(X, dtype=float).ravel()
+
+
+def straight(element):
+    d, n_s = element.d, element.n_s
+    node = np.zeros((2, n_s, d))
+    node[1, 0, 0] = 1.0
+    node[:, 1:] = np.eye(d)[: n_s - 1]
+    return node
+
+
+@pytest.mark.parametrize("element", [CABLE_2D, CABLE_3D, BEAM_2D, BEAM_3D])
+def test_an_axis_is_compressed_no_farther_than_its_law_bears(element):
+    # N = E A l (l^2 - 1)/2 is least at l = 1/sqrt(3).
+    for stretch, folded in ((3**-0.5 + 1e-12, False), (3**-0.5 - 1e-12, True), (3.0, False)):
+        X = straight(element)
+        X[1, 0, 0] = X[:, 1, 0] = stretch
+        system, q = one(element, X)
+        assert bool(system.folded(q)) is folded
+    # Far from the origin too.
+    far = X.copy()
+    far[:, 0] += 1e6
+    assert system.folded(far.ravel()) == ""
+
+
+@pytest.mark.parametrize("element", [BEAM_2D, BEAM_3D])
+def test_a_section_that_is_turned_inside_out_is_folded(element):
+    X = straight(element)
+    X[1, 2] *= -1.0
+    system, q = one(element, X)
+    assert system.folded(q) == "'rod', element 1"
+    # A bend of which the inner fibre, 0.05 off, has no length left: r_yx = 20.
+    for bend, folded in ((19.9, False), (20.1, True)):
+        X = straight(element)
+        X[:, 2, 0] = 0.5 * bend, -0.5 * bend
+        system, q = one(element, X)
+        assert bool(system.folded(q)) is folded
+
+
+@pytest.mark.parametrize("element", [CABLE_2D, CABLE_3D])
+def test_a_cable_that_turns_back_is_folded(element):
+    for angle, folded in ((1.5, False), (1.6, True)):
+        X = straight(element)
+        X[:, 1, 0] = np.cos(angle)
+        X[:, 1, 1] = np.sin(angle), -np.sin(angle)
+        system, q = one(element, X)
+        assert bool(system.folded(q)) is folded
+
+
+def test_a_helix_is_not_folded():
+    angles = np.linspace(0.0, 12.0, 25)
+    place = np.stack([np.cos(angles), np.sin(angles), 0.1 * angles], axis=1)
+    along = np.stack([-np.sin(angles), np.cos(angles), 0.1 + 0 * angles], axis=1) / np.sqrt(1.01)
+    inward = np.stack([-np.cos(angles), -np.sin(angles), 0 * angles], axis=1)
+    frames = np.stack([along, inward, np.cross(along, inward)], axis=1)
+    coil = CurvedBeam("coil", place, frames, Rectangle(0.1, 0.05), STEEL)
+    system = assemble(Scene([coil], [Pin(coil.at_start)]))
+    assert system.folded(system.start()[0]) == ""
+
+
+def test_a_folded_state_is_no_equilibrium():
+    """A bar that is pressed together to a tenth, by a search and taken as an equilibrium."""
+    beam = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.1, 0.1), STEEL, element=CABLE_2D)
+    scene = Scene([beam], [Pin(beam.at_start), Pin(beam.at_end, ground=(0.1, 0.0))])
+    found = equilibrium(scene)
+    system = assemble(scene)
+    assert not (found.outcome.success and system.folded(found.q))
+    X = straight(CABLE_2D)
+    X[1, 0, 0] = X[:, 1, 0] = 0.1
+    taken = resting(system, X.ravel(), np.zeros(system.n_lam), stable=True)
+    assert isinstance(taken, Equilibrium)
+    assert taken.outcome.verdict is Verdict.FOLDED
+    assert not taken.outcome.success
+    assert "folded" in str(taken.outcome)
+    assert "'rod', element 1" in str(taken.outcome)
+
+
+def test_a_bar_bears_no_more_than_the_largest_force_of_its_law():
+    area = 0.01
+    most = STEEL.youngs_modulus * area / (3 * np.sqrt(3.0))
+    beam = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.1, 0.1), STEEL, element=CABLE_2D)
+    # Held across, so that it cannot buckle.
+    joints = [Clamp(beam.at_start), PointOnLine(beam.at_end, (1.0, 0.0))]
+
+    def scene(share):
+        force = PointForce(beam.at_end, (-share * most, 0.0))
+        return Scene([beam], joints, loads=[force], start=[AtRest()])
+
+    stretch = assemble(scene(0.9)).start()[0][4]
+    force = STEEL.youngs_modulus * area * stretch * (1 - stretch**2) / 2
+    # Round-off; the stiffness has fallen to a part of 0.3.
+    assert force == pytest.approx(0.9 * most, rel=1e-12)
+    with pytest.raises(NoEquilibrium):
+        assemble(scene(1.1)).start()
