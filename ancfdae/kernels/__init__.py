@@ -83,6 +83,13 @@ class Plan(NamedTuple):
     turning: Array
 
 
+#: Fronts of a sparse elimination, whose indices are numbers in the order of elimination: the first
+#: pivot of each front, and n; where its row numbers begin; row numbers; where its factors begin;
+#: how many waiting updates it takes; room of all updates; rows of the largest front; where columns
+#: of the lower triangle begin; their rows, the diagonal first; signs of pivots.
+FrontArrays: TypeAlias = tuple[Array, Array, Array, Array, Array, int, int, Array, Array, Array]
+
+
 class MatrixLayout(NamedTuple):
     """Order and scale of the unknowns, and where values stand in an envelope or in a band.
 
@@ -131,11 +138,14 @@ csr_rows = _kernels.csr_rows
 csr_rows_transposed = _kernels.csr_rows_transposed
 csr_subtract = _kernels.csr_subtract
 differentiate_steps = _kernels.differentiate_steps
+eliminate = _kernels.eliminate
 finite = _kernels.finite
 force_partials = _kernels.force_partials
 force_totals = _kernels.force_totals
 forces = _kernels.forces
 forces_along = _kernels.forces_along
+fronts_factor = _kernels.fronts_factor
+fronts_solve = _kernels.fronts_solve
 gram = _kernels.gram
 ldl_factor = _kernels.ldl_factor
 load_forces = _kernels.load_forces

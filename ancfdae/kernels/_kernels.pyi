@@ -6,7 +6,7 @@ shape (..., n, n_y, d), packed matrices (..., n, n_g).
 
 from typing import Any, TypeAlias
 
-from ancfdae.kernels import Array, Block, MatrixLayout, Plan
+from ancfdae.kernels import Array, Block, FrontArrays, MatrixLayout, Plan
 
 def relative(block: Block, q: Array, /) -> Array:
     """Return Y = R q."""
@@ -293,6 +293,37 @@ def solve_stages(
     (4, n_loads). The tableau is c, A^-1 and A^-2, the rules are `stage_rules` in `stages.h`.
     Returns how it ends, the size of the last correction, and counts of iterations, factorisations
     and whether round-off ended it.
+    """
+
+def eliminate(
+    first: Array, columns: Array, /
+) -> tuple[tuple[Array, Array, Array, Array, Array, Array, int, int], float]:
+    """Return an order that keeps the fill of the given one, its fronts, and the multiplications.
+
+    Entries of the symmetric matrix left of its diagonal stand row by row: where rows begin,
+    (n + 1,), and columns. The fronts are the first seven of `FrontArrays`.
+    """
+
+def fronts_factor(
+    terms: tuple[tuple[float, Array], ...],
+    B: Array,
+    chosen: Array,
+    places: Array,
+    fronts: FrontArrays,
+    /,
+) -> tuple[tuple[Array, Array, Array], int]:
+    """Return the scaled matrix, its scale and factors, and the number of the pivot that fails.
+
+    The chosen values of the sum and all of B go to places of the lower triangle. The number is 0
+    where all pivots have their signs.
+    """
+
+def fronts_solve(
+    factors: tuple[Array, Array, Array], fronts: FrontArrays, order: Array, right: Array, /
+) -> tuple[Array, float]:
+    """Return refined solutions for right sides, the last axis, and the largest residual.
+
+    The residual is relative to the largest entries of the scaled right side and solution.
     """
 
 def march(

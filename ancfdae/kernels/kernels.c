@@ -137,6 +137,8 @@ static double seconds_now(void)
 
 #include "constraint_totals.h"
 #include "orders.h"
+#include "elimination.h"
+#include "fronts.h"
 
 /* ---- arguments ---------------------------------------------------------------------------- */
 
@@ -1250,6 +1252,7 @@ static PyObject *py_ldl_solve(PyObject *const *args)
 /* ---- marches ------------------------------------------------------------------------------- */
 
 #include "prepared.h"
+#include "front_calls.h"
 #include "stages.h"
 
 /* ---- module -------------------------------------------------------------------------------- */
@@ -1290,6 +1293,9 @@ FUNCTION(band_factor, 6)
 FUNCTION(band_solve, 7)
 FUNCTION(ldl_factor, 6)
 FUNCTION(ldl_solve, 4)
+FUNCTION(eliminate, 2)
+FUNCTION(fronts_factor, 5)
+FUNCTION(fronts_solve, 4)
 FUNCTION(prepare, 3)
 FUNCTION(march, 8)
 FUNCTION(differentiate_steps, 6)
@@ -1340,6 +1346,9 @@ static PyMethodDef methods[] = {
     METHOD(band_solve),
     METHOD(ldl_factor),
     METHOD(ldl_solve),
+    METHOD(eliminate),
+    METHOD(fronts_factor),
+    METHOD(fronts_solve),
     METHOD(prepare),
     METHOD(march),
     METHOD(differentiate_steps),

@@ -15,18 +15,19 @@ scene; a pivot of the wrong sign shows that K is not positive definite.
 Such a matrix, and one that is not symmetric, is scaled symmetrically, coordinates by
 1/sqrt(weight) and constraints so that their scaled rows have the size of the largest scaled entry
 of K (pivoting then depends neither on the units nor on the length of a step), and factorised with
-exchanges, as a band. Where the band is wide (trees and grids of bodies) SuperLU takes over, after
-an order of minimum degree.
+exchanges, as a band. Where the band is wide (trees, nets and frames of bodies) symmetric matrices
+are factorised by fronts, in an order with little fill (`fronts`), and others by SuperLU: after an
+order of minimum degree, or of its own choice of columns where that fills less (nets).
 """
 
 from __future__ import annotations
 
 import abc
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, TypeAlias, final
+from typing import Any, final
 
 import numpy as np
 import scipy
@@ -42,6 +43,7 @@ from ancfdae.kernels import (
     narrow_order,
 )
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.fronts import Fronts, Terms
 from ancfdae.numerics.inertia import ConstrainedPattern
 from ancfdae.numerics.patterns import Pattern
 
@@ -83,16 +85,15 @@ def _with_multipliers(order: Array, constraint_pattern: Pattern) -> Array:
 
 # Half-width at which a band takes as long as SuperLU (docs/measurements.md, section 9).
 _BAND_HALF_WIDTH = 64
-# In the order as given; rows are exchanged where a pivot is below a tenth of its column's largest.
-_SUPERLU: dict[str, Any] = {
+# Rows are exchanged where a pivot is below a tenth of its column's largest: in the order as given,
+# or in that of SuperLU, where it chooses columns.
+_IN_ORDER: dict[str, Any] = {
     "permc_spec": "NATURAL",
     "diag_pivot_thresh": 0.1,
     "panel_size": 1,
     "options": {"SymmetricMode": True},
 }
-
-# Terms of a sum of matrices: numbers and values on the pattern.
-Terms: TypeAlias = tuple[tuple[float, Array], ...]
+_BY_COLUMNS: dict[str, Any] = {"permc_spec": "COLAMD", "diag_pivot_thresh": 0.1}
 
 
 @final
@@ -154,6 +155,7 @@ class SaddlePoint:
             self._places = _Places(*self._patterns, order)
         self._in_band = order is not None or self._places.half_width <= _BAND_HALF_WIDTH
         self._envelope = self._places.envelope if symmetric and self._in_band else None
+        self._symmetric = symmetric
 
     @property
     def size(self) -> int:
@@ -191,19 +193,50 @@ class SaddlePoint:
 
         Raises SingularMatrix as `factor`.
         """
-        factors = self._envelope and self._envelope.factor(terms, B)
-        if factors:
-            return factors
+        if self._envelope:
+            factors = self._envelope.factor(terms, B)
+        else:
+            factors = self._factor_by_fronts(terms, B)
+        return factors or self._exchanging(terms, B)
+
+    def _exchanging(self, terms: Terms, B: Array) -> Factorization:
+        """Factorise with exchanges of rows."""
         (s, K), *more = terms
         K = K if s == 1.0 else s * K
         for s, values in more:
             K = add_scaled(K, s, values)
         return self._storage.factor(K, B)
 
+    def _factor_by_fronts(self, terms: Terms, B: Array) -> Factorization | None:
+        """Factorise a symmetric real matrix whose band is wide; None where it is not definite."""
+        is_complex = B.dtype.kind == "c" or any(K.dtype.kind == "c" for _, K in terms)
+        if self._in_band or not self._symmetric or is_complex:
+            return None
+        solve = self._places.fronts.factor(terms, B)
+        if solve is None:
+            return None
+        # Values may be written again after this call.
+        kept = tuple((s, K.copy()) for s, K in terms), B.copy()
+        exchanging: list[Factorization] = []
+
+        def solver(right: Array, transposed: bool) -> Array:
+            x = solve(right.T)
+            if x is not None:
+                return x.T
+            if not exchanging:
+                exchanging.append(self._exchanging(*kept))
+            return exchanging[0].solver(right, transposed)
+
+        return Factorization(solver)
+
     @cached_property
     def _storage(self) -> _Storage:
         """What factorises with exchanges."""
-        return self._band if self._in_band else _SparseStorage(self.scale, self._n, self._sparse)
+        if self._in_band:
+            return self._band
+        if self._places.fronts.by_columns:
+            return _SparseStorage(self.scale, self._n, self._places, _BY_COLUMNS)
+        return _SparseStorage(self.scale, self._n, self._sparse, _IN_ORDER)
 
     @cached_property
     def _sparse(self) -> _Places:
@@ -223,7 +256,7 @@ class _Places:
         place = np.empty(len(order), dtype=np.int32)
         place[order] = np.arange(len(order))
         r, c = place[B.rows + K.shape[0]], place[B.columns]
-        self.order, self._sizes = order, (K.shape[0], K.size, B.size)
+        self.order, self._sizes, self._patterns = order, (K.shape[0], K.size, B.size), (K, B)
         self.rows = np.concatenate([place[K.rows], r, c])
         self.columns = np.concatenate([place[K.columns], c, r])
         self.half_width = int(np.max(np.abs(self.rows - self.columns), initial=0))
@@ -232,6 +265,11 @@ class _Places:
     def envelope(self) -> _Envelope:
         """Where they stand in an envelope."""
         return _Envelope(self.order, self.rows, self.columns, *self._sizes)
+
+    @cached_property
+    def fronts(self) -> Fronts:
+        """The elimination in an order with little fill, whatever this order."""
+        return Fronts(*self._patterns)
 
     @cached_property
     def flat(self) -> Array:
@@ -325,8 +363,9 @@ class _BandStorage(_Storage):
 
 @final
 class _SparseStorage(_Storage):
-    def __init__(self, scale: Array, n: int, places: _Places) -> None:
+    def __init__(self, scale: Array, n: int, places: _Places, settings: Mapping[str, Any]) -> None:
         self._order, self._n, self._all = places.order, n, scale
+        self._settings = settings
         self._sorted = np.lexsort((places.rows, places.columns))
         self._rows = places.rows[self._sorted]
         starts = np.arange(len(places.order) + 1)
@@ -347,7 +386,7 @@ class _SparseStorage(_Storage):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
-                lu = scipy.sparse.linalg.splu(matrix, **_SUPERLU)
+                lu = scipy.sparse.linalg.splu(matrix, **self._settings)
             except (RuntimeError, Warning) as error:
                 raise SingularMatrix(str(error)) from error
         scale = _balanced(self._all, self._n, of_B)[self._order]

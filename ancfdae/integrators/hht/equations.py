@@ -48,7 +48,8 @@ from ancfdae.equations import Linearisation, MechanicalSystem
 from ancfdae.errors import InvalidInput, require_finite
 from ancfdae.kernels import add_scaled, balance
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint, Terms
+from ancfdae.numerics.fronts import Terms
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
 
 @final
