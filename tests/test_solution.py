@@ -512,7 +512,7 @@ def test_files_hold_no_pickled_objects(solution, tmp_path):
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}  # raises for an object array
     assert all(array.dtype.kind in "fcU" for array in arrays.values())
-    assert json.loads(str(arrays["meta"]))["format"] == "ancfdae solution 8"
+    assert json.loads(str(arrays["meta"]))["format"] == "ancfdae solution 9"
 
 
 def test_object_arrays_are_not_written(solution, tmp_path):
@@ -563,15 +563,23 @@ def archive(path, **arrays):
 
 
 def meta(**changes):
-    return np.array(json.dumps({"format": "ancfdae solution 8", **changes}))
+    return np.array(json.dumps({"format": "ancfdae solution 9", **changes}))
 
 
 def of_format(good, name):
     """Arrays of a good file that says another format and is right otherwise."""
     with np.load(io.BytesIO(good)) as file:
         arrays = dict(file)
-    arrays["meta"] = np.array(str(arrays["meta"]).replace("ancfdae solution 8", name))
+    arrays["meta"] = np.array(str(arrays["meta"]).replace("ancfdae solution 9", name))
     return arrays
+
+
+def changed(path, good, *names, how=None):
+    """The file with some arrays changed."""
+    *names, how = (*names, how) if how is not None else names
+    with np.load(io.BytesIO(good)) as file:
+        arrays = dict(file)
+    return archive(path, **(arrays | {name: how(arrays[name]) for name in names}))
 
 
 BROKEN = {
@@ -591,6 +599,16 @@ BROKEN = {
         path, meta=meta(outcome={"verdict": "FINISHED"}, layout="x", names=None)
     ),
     "bad verdict": lambda path, good: archive(path, meta=meta(outcome={"verdict": "LOST"})),
+    "fewer velocities": lambda path, good: changed(path, good, "v", lambda x: x[:-1]),
+    "fewer coordinates": lambda path, good: changed(path, good, *"qva", how=lambda x: x[:, :-2]),
+    "fewer multipliers": lambda path, good: changed(path, good, "lam", lambda x: x[:, :-1]),
+    "derivatives of fewer": lambda path, good: changed(
+        path, good, "sensitivity_q_b", lambda x: x[..., :-1]
+    ),
+    "texts": lambda path, good: changed(path, good, "a", lambda x: x.astype(str)),
+    "turned instants": lambda path, good: changed(path, good, "t", lambda x: x[::-1]),
+    "no instants": lambda path, good: changed(path, good, "t", *"qva", "lam", how=lambda x: x[:0]),
+    "more lengths": lambda path, good: changed(path, good, "lengths", lambda x: [*x, 1.0]),
     "pickled": lambda path, good: archive(path, meta=np.array([{}], dtype=object)),
 }
 
@@ -624,3 +642,25 @@ def test_statistics_count_what_happened(solution):
     assert statistics.factorisations >= statistics.steps  # one per step for the sensitivities
     assert statistics.wall_seconds > 0
     assert isinstance(statistics, Statistics)
+
+
+def test_any_damaged_byte_of_hdf5_is_found_or_harmless(solution, tmp_path):
+    pytest.importorskip("h5py")
+    good, path = solution.save(tmp_path / "run.h5").read_bytes(), tmp_path / "damaged.h5"
+    rng, refused = np.random.default_rng(3), 0
+    for place in rng.integers(0, len(good), 150):
+        damaged = bytearray(good)
+        damaged[place] ^= int(rng.integers(1, 256))
+        path.write_bytes(damaged)
+        try:
+            read = load_solution(path)
+        except InvalidInput:
+            refused += 1
+            continue
+        # Unused space of the file; whatever is read is what was written.
+        for name in ("t", "q", "v", "a", "lam"):
+            assert np.array_equal(getattr(read, name), getattr(solution, name))
+        assert np.array_equal(read.sensitivities.q_b, solution.sensitivities.q_b)
+        assert read.statistics == solution.statistics
+        assert read.outcome == solution.outcome
+    assert refused > 0

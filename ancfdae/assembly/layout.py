@@ -165,11 +165,19 @@ class Layout:
 
     def body(self, name: str) -> BodyLayout:
         """Return the vectors of the beam or rigid body of this name, or raise UnknownName."""
-        return named("beam or body", name, self.bodies)
+        return self._bodies.get(name) or named("beam or body", name, self.bodies)
 
     def beam(self, name: str) -> BeamLayout:
         """Return the beam of this name, or raise UnknownName."""
-        return named("beam", name, self.beams)
+        return self._beams.get(name) or named("beam", name, self.beams)
+
+    @cached_property
+    def _bodies(self) -> dict[str, BodyLayout]:
+        return {body.name: body for body in self.bodies}
+
+    @cached_property
+    def _beams(self) -> dict[str, BeamLayout]:
+        return {beam.name: beam for beam in self.beams}
 
     def joint(self, name: str) -> JointLayout:
         """Return the joint of this name, or raise UnknownName."""

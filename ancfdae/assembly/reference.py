@@ -21,6 +21,8 @@ from ancfdae.numerics.rotations import cayley, generators, rotation
 class Reference:
     """Reference configuration of all bodies, and the start that is declared on it.
 
+    Each body is placed once, after the one that it starts at.
+
     Node k of a beam stands at start + R (sum_{e<k} l_e chord_e), and its slopes at R times those of
     the shape, with R the rotation by the beam's turn. Its start is a place, or a point of another
     body. What is rigid has one node: its place and R times its directions.
@@ -33,6 +35,7 @@ class Reference:
         self._scene, self._mapping, self._b = scene, mapping, b
         self._lengths, self._naming = naming.lengths, naming
         self._firsts = scene.first_elements()
+        self._moved: dict[int, Reference] = {}
 
     @cached_property
     def active(self) -> list[int]:
@@ -45,14 +48,14 @@ class Reference:
     @cached_property
     def q(self) -> Array:
         """Reference configuration, shape (n_q,)."""
-        return np.concatenate([self._vectors(body).ravel() for body in self._scene.members])
+        return np.concatenate([self._vectors[body.name].ravel() for body in self._scene.members])
 
     @cached_property
     def Z(self) -> Array:
         """Vectors of the start as declared, before any assembly, shape (n_vectors, d)."""
         parts = []
         for body in self._scene.members:
-            X, start = self._vectors(body), self._scene.start_of(body.name)
+            X, start = self._vectors[body.name], self._scene.start_of(body.name)
             parts.append(self._of(start.coordinates, body) if isinstance(start, NodeState) else X)
         return np.concatenate(parts)
 
@@ -63,7 +66,7 @@ class Reference:
         """
         d, first, parts = self._scene.dimension, 0, []
         for k, body in enumerate(self._scene.members):
-            X = self._vectors(body)
+            X = self._vectors[body.name]
             vectors, first = q[first : first + X.size].reshape(X.shape), first + X.size
             start = self._scene.start_of(body.name)
             V = np.zeros_like(vectors)
@@ -79,10 +82,12 @@ class Reference:
         """Return them moved in design variable i by an imaginary step."""
         if i not in self.active:
             return self
-        b = self._b + 1j * STEP * np.eye(len(self._b))[i]
-        lengths = self._lengths + 1j * STEP * self._naming.lengths_b[:, i]
-        naming = replace(self._naming, lengths=lengths)
-        return Reference(self._scene, self._mapping, b, naming)
+        if i not in self._moved:
+            b = self._b + 1j * STEP * np.eye(len(self._b))[i]
+            lengths = self._lengths + 1j * STEP * self._naming.lengths_b[:, i]
+            naming = replace(self._naming, lengths=lengths)
+            self._moved[i] = Reference(self._scene, self._mapping, b, naming)
+        return self._moved[i]
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
         """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""
@@ -93,14 +98,21 @@ class Reference:
         layout = self._naming.layout.body(body.name)
         return layout.positions - layout.first_vector
 
-    def _vectors(self, body: BeamBody | RigidBody) -> Array:
-        """Vectors of a body in the reference configuration, shape (count, d)."""
-        numbers, _ = self._placed(body)
-        place, turn = body.split_placement(numbers)
-        X = self._unturned(body)
-        X = X.astype(np.result_type(X, numbers, self._lengths)) @ rotation(turn, body.dimension).T
-        X[self._positions(body)] += self._attached(body) if place is None else place
-        return X
+    @cached_property
+    def _vectors(self) -> dict[str, Array]:
+        """Vectors of each body in the reference configuration, shape (count, d), by its name."""
+        known: dict[str, Array] = {}
+        for body in self._scene.by_attachment:
+            numbers, _ = self._placed(body)
+            place, turn = body.split_placement(numbers)
+            X = self._unturned(body)
+            kind = np.result_type(X, numbers, self._lengths)
+            X = X.astype(kind) @ rotation(turn, body.dimension).T
+            place = self._attached(body, known) if place is None else place
+            X = X.astype(np.result_type(X, place), copy=False)
+            X[self._positions(body)] += place
+            known[body.name] = X
+        return known
 
     def _unturned(self, body: BeamBody | RigidBody) -> Array:
         """Return the vectors of a body that stands at the origin."""
@@ -113,12 +125,12 @@ class Reference:
         X[:, 1:] = shape.slopes[:, : n_s - 1]
         return self._of(X, body)
 
-    def _attached(self, body: BeamBody | RigidBody) -> Array:
-        """Return the place of the point of another body where a beam starts."""
+    def _attached(self, body: BeamBody | RigidBody, known: dict[str, Array]) -> Array:
+        """Return the place of the point where a body starts, of one whose vectors are known."""
         point = body.attached
         assert point is not None
         vector = self._naming.vector(point, Quantity.POSITION)
-        other = self._vectors(self._scene.member(point.beam))
+        other = known[point.beam]
         first = self._naming.layout.body(point.beam).first_vector
         return vector.weights @ other[vector.vectors - first]
 

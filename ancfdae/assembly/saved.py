@@ -4,6 +4,8 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from ancfdae.assembly.layout import BeamLayout, BodyLayout, JointLayout, Layout, RigidNodes
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.equations import Solution, solution_file
@@ -26,9 +28,37 @@ def load_solution(
 
     def naming(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> SceneNaming:
         layout = _layout(meta, (*known, *ALL_ELEMENTS))
+        _require_fits(layout, arrays)
         return SceneNaming(layout, arrays["lengths"], arrays["lengths_b"])
 
     return Solution(**solution_file.read(file, naming))
+
+
+def _require_fits(layout: Layout, arrays: Mapping[str, Array]) -> None:
+    """Raise ValueError unless the states have the coordinates and multipliers of the layout."""
+    n_elements, n_vectors = sum(beam.element_count for beam in layout.beams), 0
+    for body in layout.bodies:
+        if body.first_vector != n_vectors or body.count < len(body.kinks) + body.stride:
+            raise ValueError(f"the vectors of {body.name!r}")
+        n_vectors += body.count
+    first = 0
+    for beam in layout.beams:
+        fractions, count = np.array(beam.fractions), layout.body(beam.name).count
+        good = np.all(np.diff(fractions) > 0) and tuple(fractions[[0, -1]]) == (0, 1)
+        nodes = 1 if beam.rigid else beam.element_count + 1
+        if not good or beam.first_element != first or count < nodes:
+            raise ValueError(f"the elements of {beam.name!r}")
+        first += beam.element_count
+    rows = max((joint.first_row + joint.rows for joint in layout.joints), default=0)
+    lengths, lengths_b = arrays["lengths"], arrays["lengths_b"]
+    if len(layout.coordinate_names()) != arrays["q"].shape[1] or n_vectors * layout.d != len(
+        layout.coordinate_names()
+    ):
+        raise ValueError(f"{arrays['q'].shape[1]} coordinates, not those of the layout")
+    if rows > arrays["lam"].shape[1]:
+        raise ValueError(f"{arrays['lam'].shape[1]} multipliers, not {rows} of the joints")
+    if lengths.shape != (n_elements,) or lengths_b.ndim != 2 or len(lengths_b) != n_elements:
+        raise ValueError(f"lengths of shape {lengths.shape} for {n_elements} elements")
 
 
 def _layout(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> Layout:

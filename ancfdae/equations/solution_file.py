@@ -11,7 +11,7 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any, TypeAlias
@@ -25,8 +25,9 @@ from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict
 from ancfdae.numerics.arrays import Array
 
 # What is written, and the oldest version that is read: it lacks `control`, and 6 kinks of bodies;
-# before 8 all beams have the element of the layout.
-_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 8, 5
+# before 8 all beams have the element of the layout; before 9 HDF5 files have no checksum.
+_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 9, 5
+_CHECKED, _CHECKSUM = 9, "checksum"
 _HDF5, _SIGNATURE = (".h5", ".hdf5"), b"\x89HDF\r\n\x1a\n"
 # Arrays that are not worth compressing; bytes.
 _SMALL = 10_000
@@ -35,7 +36,7 @@ _DERIVATIVES = ("values", "q_b", "v_b", "a_b", "lam_b")
 #: Makes names of what `Naming.packed` gave.
 Unpack: TypeAlias = Callable[[Mapping[str, Array], Mapping[str, Any]], Naming]
 # Exceptions raised on reading a file that is damaged or not an archive.
-_DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
+_DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, AttributeError, MemoryError)
 
 
 def write(path: Path, fields: Mapping[str, Any]) -> Path:
@@ -95,16 +96,40 @@ def _put_hdf5(file: IO[bytes], arrays: Mapping[str, Array], text: str) -> None:
     memory = io.BytesIO()
     with _h5py().File(memory, "w") as hdf5:
         for name, array in arrays.items():
-            packed = {"compression": "gzip", "shuffle": True} if array.nbytes > _SMALL else {}
+            packed: dict[str, Any] = {"fletcher32": True} if array.size else {}
+            if array.nbytes > _SMALL:
+                packed |= {"compression": "gzip", "shuffle": True}
             hdf5.create_dataset(name, data=array, **packed)
         hdf5.create_dataset("meta", data=text)
+        hdf5.create_dataset(_CHECKSUM, data=_checksum(arrays, text))
     file.write(memory.getbuffer())
 
 
 def _get_hdf5(raw: IO[bytes]) -> tuple[dict[str, Array], str]:
     with _h5py().File(raw, "r") as hdf5:
         text = hdf5["meta"].asstr()[()]
-        return {name: hdf5[name][()] for name in hdf5 if name != "meta"}, text
+        arrays = {name: hdf5[name][()] for name in hdf5 if name not in ("meta", _CHECKSUM)}
+        kept = hdf5[_CHECKSUM][()] if _CHECKSUM in hdf5 else None
+    if kept is None:
+        # Files of earlier formats have none.
+        if int(json.loads(text)["format"].rpartition(" ")[2]) >= _CHECKED:
+            raise ValueError("no checksum")
+    elif int(kept) != _checksum(arrays, text):
+        raise ValueError("the checksum does not match")
+    return arrays, text
+
+
+def _checksum(arrays: Mapping[str, Array], text: str) -> int:
+    """Return a checksum of all that a file holds: names, types, shapes and numbers.
+
+    Checksums of HDF5 cover the numbers of a chunk alone, not what says how to read them.
+    """
+    total = zlib.crc32(text.encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        total = zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), total)
+        total = zlib.crc32(array.tobytes(), total)
+    return total
 
 
 def _h5py() -> Any:
@@ -157,10 +182,28 @@ def _packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]
     return arrays, meta
 
 
+def _require_shapes(arrays: Mapping[str, Array], names: Sequence[str] | None) -> None:
+    """Raise ValueError unless states and derivatives are numbers of shapes that fit together."""
+    n_t, n_q, n_lam = len(arrays["t"]), arrays["q"].shape[-1], arrays["lam"].shape[-1]
+    shapes = {"t": (n_t,), "q": (n_t, n_q), "v": (n_t, n_q), "a": (n_t, n_q), "lam": (n_t, n_lam)}
+    if names is not None:
+        n_b = len(names)
+        shapes["sensitivity_values"] = (n_b,)
+        shapes |= {f"sensitivity_{x}_b": (n_t, n_q, n_b) for x in "qva"}
+        shapes["sensitivity_lam_b"] = (n_t, n_lam, n_b)
+    for name, shape in shapes.items():
+        array = arrays[name]
+        if array.shape != shape or array.dtype.kind not in "fc" or not n_t:
+            raise ValueError(f"{name} of type {array.dtype} and shape {array.shape}, not {shape}")
+    if not np.all(np.diff(arrays["t"].real) > 0):
+        raise ValueError("instants that do not ascend")
+
+
 def _unpacked(
     arrays: Mapping[str, Array], meta: Mapping[str, Any], naming: Unpack
 ) -> dict[str, Any]:
     outcome = {**meta["outcome"], "verdict": Verdict[meta["outcome"]["verdict"]]}
+    _require_shapes(arrays, meta["names"])
     fields: dict[str, Any] = {name: arrays[name] for name in _STATES} | {
         "statistics": Statistics(**meta["statistics"]),
         "outcome": Outcome(**outcome),

@@ -268,11 +268,16 @@ TARGETS = ("ground_x", "ground_y", "ground_z")
 
 def reference_place(point: Point, member: _Member) -> Array:
     """Return where a point stands in the reference configuration as declared, shape (d,)."""
-    body = member(point.beam)
-    place, attached = body.place, body.attached
-    start = np.asarray(place) if attached is None else reference_place(attached, member)
-    arm = rotation(np.asarray(body.turn, float), body.dimension) @ body.at_origin(point)
-    return start + arm
+    arms, at = list[Array](), point
+    while True:
+        body = member(at.beam)
+        turn = rotation(np.asarray(body.turn, float), body.dimension)
+        arms.append(turn @ body.at_origin(at))
+        if body.attached is None:
+            break
+        at = body.attached
+    # From the place on: sums in the order in which the bodies are attached.
+    return sum(reversed(arms), start=np.asarray(body.place))
 
 
 def on_ground(part: _Any, member: _Member) -> _Any:

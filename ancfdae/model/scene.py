@@ -224,10 +224,13 @@ class Scene(SceneDesign):
         for name in self.lead:
             self.member(name)
         for body in self.members:
-            seen = [body.name]
-            while (point := self.member(seen[-1]).attached) is not None:
-                self._check_point(f"start of {seen[-1]!r}", point)
-                if point.beam in seen:
-                    rule, repair = "bodies may not start at one another", "Give one a place."
-                    raise InvalidInput(f"start of {body.name!r}", rule, seen, repair)
-                seen.append(point.beam)
+            if body.attached is not None:
+                self._check_point(f"start of {body.name!r}", body.attached)
+        ordered = {body.name for body in self.by_attachment}
+        for body in self.members:
+            if body.name not in ordered:
+                rule, repair = "bodies may not start at one another", "Give one a place."
+                circle = [body.name]
+                while (point := self.member(circle[-1]).attached) and point.beam not in circle:
+                    circle.append(point.beam)
+                raise InvalidInput(f"start of {body.name!r}", rule, circle, repair)

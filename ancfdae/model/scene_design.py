@@ -80,7 +80,29 @@ class SceneDesign(Designable):
 
     def member(self, name: str) -> BeamBody | RigidBody:
         """Return the beam or rigid body of this name, or raise UnknownName."""
-        return named("beam or body", name, self.members)
+        require_text("beam or body", name)
+        return self._members.get(name) or named("beam or body", name, self.members)
+
+    @cached_property
+    def _members(self) -> dict[str, BeamBody | RigidBody]:
+        return {body.name: body for body in self.members}
+
+    @cached_property
+    def by_attachment(self) -> tuple[BeamBody | RigidBody, ...]:
+        """All that has coordinates, each body after the one that it starts at.
+
+        Bodies that start at one another in a circle are left out.
+        """
+        carried: dict[str, list[BeamBody | RigidBody]] = {}
+        ordered = list[BeamBody | RigidBody]()
+        for body in self.members:
+            if body.attached is None:
+                ordered.append(body)
+            else:
+                carried.setdefault(body.attached.beam, []).append(body)
+        for body in ordered:  # It grows on the way.
+            ordered.extend(carried.get(body.name, ()))
+        return tuple(ordered)
 
     @cached_property
     def kinks(self) -> dict[str, tuple[int, ...]]:
@@ -98,6 +120,10 @@ class SceneDesign(Designable):
 
     def parts(self) -> dict[str, Part | RigidBody]:
         """Return bodies, joints and loads, of the start too; their numbers can be targets."""
+        return self._parts
+
+    @cached_property
+    def _parts(self) -> dict[str, Part | RigidBody]:
         parts = (*self.bodies, *self.joints, *self.loads, *self._rest_loads())
         return {part.name: part for part in parts}
 
