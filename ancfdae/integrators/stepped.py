@@ -133,6 +133,11 @@ class SteppedIntegrator(AdjointIntegrator):
         steps = self.steps.frozen(solution.t[:: self.degree])
         return self if steps is self.steps else self._changed(steps=steps)
 
+    @final
+    def with_steps(self, steps: StepControl) -> Self:
+        """Return the same integrator under another control of its steps."""
+        return self._changed(steps=steps)
+
     def refined(self, solution: Solution) -> Self:
         """Return the integrator that halves every step of a run."""
         steps, tolerance = self.steps.refined(solution.t[:: self.degree]), self.newton_tolerance

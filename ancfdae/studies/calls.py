@@ -27,6 +27,7 @@ from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, Un
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables import Observable, states_of
 from ancfdae.studies.parts import Keep, RunOfParts
+from ancfdae.studies.remedies import with_remedies
 from ancfdae.studies.tolerance.gradients import gradients_within
 from ancfdae.studies.tolerance.observables import Observed, observed_within
 
@@ -104,7 +105,7 @@ def simulate(
     run = Run(system, t_end, _required(integrator), progress, after)
     if keep is not None:
         return _thinned(run, keep)
-    return _warned(uninterrupted(run.solution()))
+    return _warned(with_remedies(model, run, uninterrupted(run.solution())))
 
 
 def _thinned(run: Run, keep: Keep) -> Solution:
@@ -160,7 +161,7 @@ def differentiate(
     method = Direct() if method is None else method
     require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
     run = Run(differentiable(model, design), t_end, integrator, progress, after)
-    return uninterrupted(method.differentiate(run))
+    return with_remedies(model, run, uninterrupted(method.differentiate(run)))
 
 
 def gradient(
@@ -244,7 +245,11 @@ def gradients(
         adjoint = isinstance(integrator, AdjointIntegrator)
         method = cheapest(system.n_b, len(objectives)) if adjoint else Direct()
     require_kind("method", method, (GradientMethod,), "For example Adjoint() or Direct().")
-    return method.gradients(Run(system, t_end, integrator, progress, after), objectives)
+    run = Run(system, t_end, integrator, progress, after)
+    try:
+        return method.gradients(run, objectives)
+    except UnfinishedRun as error:
+        raise UnfinishedRun(with_remedies(model, run, error.solution)) from error
 
 
 def _require_alone(**others: object) -> None:

@@ -92,13 +92,12 @@ def _patient(solver: StepSolver, system: MechanicalSystem, step: Step) -> Node |
 
 
 def _remedy(h: float, part: float) -> str:
-    """Return in words which step would do where only a part of h was solved; nothing if none."""
+    """Return in words how much of a step of size h was solved; nothing if all or none."""
     if not 0 < part < 1:
         return ""
-    fitting = h / 2.0 ** math.ceil(-math.log2(part))
     return (
-        f"From there the solution that belongs to the motion was found for steps up to "
-        f"{part * h:.3g}: try a step of {fitting:.3g}, or HHT(rtol=1e-3), which chooses its steps."
+        "From there the solution that belongs to the motion was found for steps up to "
+        f"{part * h:.3g}."
     )
 
 

@@ -1,0 +1,114 @@
+"""What is tried after a run has stopped, so that its outcome names what reached the end.
+
+A fixed step may be too long for waves that nothing damps: they grow until no solution of the next
+step belongs to the motion. Shorter steps, and the same step with damping, are tried over the whole
+motion. Only what was tried is named, and nothing replaces the run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from ancfdae.assembly import assemble
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
+from ancfdae.errors import AncfdaeError, Interrupted, Verdict
+from ancfdae.integrators.step_control import FixedSteps
+from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.model.material import Material
+from ancfdae.model.scene import Scene
+from ancfdae.sensitivity.method import Run
+
+# How often the step is halved.
+_HALVINGS = 4
+# Steps times coordinates and multipliers of all attempts together: some seconds (4 us and 0.7 us
+# for each coordinate, docs/measurements.md). A message should not take longer than the run.
+_MOST = 2e6
+
+
+def with_remedies(model: Scene | MechanicalSystem, run: Run, solution: Solution) -> Solution:
+    """Return a run; if it stopped at a fixed step, what was tried then is added to its outcome.
+
+    Raises Interrupted with the run if Ctrl-C ends an attempt.
+    """
+    integrator, outcome = run.integrator, solution.outcome
+    if outcome.verdict is not Verdict.NO_CONVERGENCE or not (
+        isinstance(integrator, SteppedIntegrator) and isinstance(integrator.steps, FixedSteps)
+    ):
+        return solution
+    budget = _Budget(run, solution, integrator)
+    words = outcome.advice, *_shorter(budget), *_damped(budget, model)
+    return replace(solution, outcome=replace(outcome, advice=" ".join(filter(None, words))))
+
+
+class _Budget:
+    """Attempts to reach the end of a run that stopped, as long as they are cheap."""
+
+    def __init__(self, run: Run, solution: Solution, integrator: SteppedIntegrator) -> None:
+        assert isinstance(integrator.steps, FixedSteps)
+        self.step, self._integrator = integrator.steps.step, integrator
+        self._run, self._stopped, self._left = run, solution, _MOST
+
+    def reaches_end(self, system: MechanicalSystem | None, step: float) -> bool | None:
+        """Whether a run reaches the end, of the same system by default; None if it is too long."""
+        system = self._run.system if system is None else system
+        self._left -= math.ceil(self._run.t_end / step) * (system.n_q + system.n_lam)
+        if self._left < 0:
+            return None
+        integrator = self._integrator.with_steps(FixedSteps(step))
+        outcome = integrator.integrate(system, self._run.t_end).outcome
+        if outcome.verdict is Verdict.INTERRUPTED:
+            raise Interrupted(self._stopped, str(self._stopped.outcome))
+        return outcome.success
+
+    def call(self, step: float) -> str:
+        """Return the integrator with a step as it is written."""
+        return f"{type(self._integrator).__name__}(step={step:.3g})"
+
+
+def _shorter(budget: _Budget) -> Iterator[str]:
+    """Tell which shorter step reached the end, or that those tried did not."""
+    stopped = list[str]()
+    for k in range(1, _HALVINGS + 1):
+        step = float(f"{budget.step / 2**k:.3g}")  # As it is written.
+        done = budget.reaches_end(None, step)
+        if done:
+            yield f"{budget.call(step)} was tried then and reached the end."
+            return
+        if done is None:
+            break
+        stopped.append(f"{step:.3g}")
+    if stopped:
+        yield f"Steps of {', '.join(stopped)} were tried then and stopped, too."
+
+
+def _damped(budget: _Budget, model: Scene | MechanicalSystem) -> Iterator[str]:
+    """Tell whether the step reaches the end with a retardation time of one step."""
+    if not isinstance(model, Scene):
+        return
+    time = float(f"{budget.step:.3g}")
+    beams = [_with_damping(beam, time) for beam in model.beams]
+    if all(one is other for one, other in zip(beams, model.beams, strict=True)):
+        return
+    try:
+        done = budget.reaches_end(assemble(replace(model, beams=beams)), budget.step)
+    except AncfdaeError:
+        return
+    if done:
+        yield (
+            f"Its waves are damped too little for this step: with damping_time={time:.3g} where "
+            "materials have less, it reached the end."
+        )
+
+
+def _with_damping(beam: Any, time: float) -> Any:
+    """Return a beam whose materials have this retardation time at least."""
+    several = not isinstance(beam.material, Material)
+    materials = tuple(beam.material) if several else (beam.material,)
+    if beam.rigid or all(x.damping_time >= time for x in materials):
+        return beam
+    damped = tuple(replace(x, damping_time=max(x.damping_time, time)) for x in materials)
+    return replace(beam, material=damped if several else damped[0])
