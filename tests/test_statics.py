@@ -8,11 +8,13 @@ from ancfdae import (
     HHT,
     Adjoint,
     Beam,
+    Circle,
     Clamp,
     ComplexStep,
     ContinuousAdjoint,
     CurvedBeam,
     Direct,
+    Distance,
     DistributedForce,
     Equilibrium,
     FiniteDifference,
@@ -582,3 +584,24 @@ def test_a_line_load_on_an_arc_is_its_arc_length_times_the_force(length):
     # The cubic through places 0.196 rad apart is longer by 0.196^4/720 = 2.1e-6.
     expected = np.pi / 2 if length is None else length
     assert observe(reaction("wall", 1), found.solution)[0] == pytest.approx(expected, rel=3e-6)
+
+
+@pytest.mark.parametrize("rigid", [True, False])
+@pytest.mark.parametrize("tilt", [0.0, 0.2])
+@pytest.mark.parametrize("links", ["distances", "rods"])
+def test_a_rod_that_spins_between_its_links_has_a_family_of_equilibria(rigid, tilt, links):
+    # Whatever the spin of a round rod it hangs alike: no angle is the equilibrium.
+    metal, round_ = Material(7850.0, 2e11, 0.3), Circle(0.01)
+    ends, above = ((0.0, 0.0, 0.0), (1.0, tilt, 0.0)), ((0.1, 0.5, 0.0), (1.1, 0.5, 0.1))
+    rod = Beam("rod", *ends, 2, round_, metal, rigid=rigid)
+    bodies, joints = [rod], []
+    for point, ground, end, name in zip((rod.at_start, rod.at_end), above, ends, "ab", strict=True):
+        if links == "distances":
+            joints.append(Distance(point, 0.5, ground=ground))
+        else:
+            link = Beam(name, ground, end, 1, round_, metal, rigid=True)
+            bodies.append(link)
+            joints += [Pin(link.at_start), Pin(link.at_end, point)]
+    scene = Scene(bodies, joints, (0.0, -G, 0.0), assemble=True)
+    with pytest.raises(FreeMechanism, match="rod turns about the axis"):
+        equilibrium(scene)

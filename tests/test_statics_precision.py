@@ -16,10 +16,13 @@ from ancfdae import (
     Material,
     Point,
     PointForce,
+    PointOnLine,
     Ramp,
     Rectangle,
     Revolute,
+    RigidBody,
     Scene,
+    SpringDamper,
     Traits,
     Uniform,
     Weld,
@@ -31,7 +34,7 @@ from ancfdae import (
 )
 from ancfdae.errors import Verdict
 
-E, NU = 1e9, 0.3
+E, NU, G = 1e9, 0.3, 9.81
 
 
 def thin(slenderness, deflection, elements=4, along=(1.0, 0.0), length=1.0):
@@ -167,3 +170,23 @@ def test_a_column_is_unstable_just_above_the_load_of_euler():
         push = PointForce(rod.at_end, (-share * critical, 0))
         found = equilibrium(Scene([rod], [Clamp(rod.at_start)], loads=[push]))
         assert (found.outcome.stable_to is None) is stable
+
+
+@pytest.mark.parametrize("origin", [0.0, 1e-9, 1.0, 1e3])
+@pytest.mark.parametrize("stiffness", [1.0, 1e3, 1e7])
+def test_a_mass_on_a_spring_hangs_wherever_it_stands(origin, stiffness):
+    # At the origin coordinates are as small as the sag, and only the spring knows where it hangs.
+    for mass, long in ((1e-3, 1.0), (1.0, 1.0), (1e3, 1.0), (1.0, 1e4)):
+        box = RigidBody("box", (origin, origin), mass=mass, inertia=0.1 * mass)
+        above = (origin, origin + long)
+        spring = SpringDamper(box.origin, stiffness, free_length=long, ground=above)
+        rail = [
+            PointOnLine(box.at(0.0, y), (0.0, 1.0), through=(origin, origin)) for y in (0.0, 1.0)
+        ]
+        scene = Scene(bodies=[box], joints=rail, gravity=(0.0, -G), loads=[spring])
+        found = equilibrium(scene)
+        assert found.outcome.success
+        sag = mass * G / stiffness
+        # Places carry eps of themselves, and lengths of the spring as much.
+        noise = 8 * np.finfo(float).eps * (long + origin + sag)
+        assert found.q[1] == pytest.approx(origin - sag, abs=noise)

@@ -1,5 +1,7 @@
 """Motions that start from an equilibrium: at rest, released, and with its derivatives."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -30,6 +32,7 @@ from ancfdae import (
     RigidMotion,
     Scene,
     SpringDamper,
+    StabilityWarning,
     Terminal,
     Verdict,
     assemble,
@@ -256,3 +259,17 @@ def test_nonsense_is_refused_in_words():
     ):
         with pytest.raises(InvalidInput, match=words):
             action()
+
+
+def test_a_start_that_is_unstable_is_warned_of():
+    # Just above the load of Euler the straight column is in balance, and grows away from there.
+    column = Beam("rod", (0.0, 0.0), (1.0, 0.0), 4, Rectangle(0.02, 0.02), Material(1e3, 1e7, 0.0))
+    euler = np.pi**2 / 4 * 1e7 * 0.02**4 / 12
+    for share, unstable in ((0.9, False), (1.2, True)):
+        push = PointForce(column.at_end, (-share * euler, 0.0))
+        scene = Scene([column], [Clamp(column.at_start)], loads=[push], start=[AtRest()])
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            assemble(scene).start()
+        assert [item.category for item in caught] == unstable * [StabilityWarning]
+    assert "unstable (buckled)" in str(caught[0].message)

@@ -99,6 +99,13 @@ class AncfSystem(PlannedSystem):
         self._turning = turns and TurningForces(turns, frame, inertia, self.pattern)
         self._describe()
         self.inputs = inputs
+        of_ground = (
+            abs(value)
+            for load in scene.loads
+            for name, value in load.parameters().items()
+            if name.startswith("ground_")
+        )
+        self.reach = max(of_ground, default=0.0)
         start = mapping, self._reference, self._constraints, self.pattern, self.b
         self._start = AssembledStart(scene, numbering, *start)
 
@@ -285,6 +292,14 @@ class AncfSystem(PlannedSystem):
         if self._turning is None:
             return P, P_q
         return P - self._turning.force(q, np.zeros_like(q)), P_q - self._turning.tangents[0]
+
+    def centred(self, q: Array) -> Array:
+        """Positions relative to their mean by weight; directions and slopes as they are."""
+        d = self._numbering.d
+        positions = np.concatenate([body.positions for body in self._numbering.bodies])
+        Z, w = q.reshape(-1, d).copy(), self.weights.reshape(-1, d)[positions, :1]
+        Z[positions] -= np.sum(w * Z[positions], axis=0) / np.sum(w)
+        return Z.ravel()
 
     def folded(self, q: Array) -> str:
         """Elements that are turned inside out, bent back on themselves, or crushed."""

@@ -136,6 +136,8 @@ class MechanicalSystem(ComplexSteps):
 
     n_lam: int
     traits: Traits = Traits()
+    #: Distance from the origin of places that forces refer to beside the coordinates; zero if none.
+    reach: float = 0.0
     #: Names of points and joints for the solution; None for a system without any.
     naming: Naming | None = None
 
@@ -238,6 +240,13 @@ class MechanicalSystem(ComplexSteps):
         it takes as they are at its start.
         """
         return np.zeros_like(q), np.zeros(self.pattern.size)
+
+    def centred(self, q: Array) -> Array:
+        """Return coordinates that do not change if the system stands elsewhere, of its size.
+
+        Here q: a system of equations has no place.
+        """
+        return q
 
     def folded(self, q: Array) -> str:
         """Say which parts are folded at q, in a way that no body can be; empty where none is.

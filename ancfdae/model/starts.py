@@ -88,7 +88,8 @@ class AtRest:
     """Start from an equilibrium: a mechanism that hangs, or is pre-stressed, at rest.
 
     The search for it starts from the reference configuration, or from the `NodeState` of a beam.
-    Its derivatives with respect to the design are part of those of the motion.
+    Its derivatives with respect to the design are part of those of the motion. A start in an
+    unstable equilibrium is warned of (`StabilityWarning`).
 
     Parameters
     ----------

@@ -34,6 +34,8 @@ _ROUNDINGS = 64
 _EPS = float(np.finfo(float).eps)
 # Loads below so many times their round-off are measured against that instead.
 _SEEN = 1e7
+# Samples of the round-off of forces, and a margin over the largest of them.
+_SAMPLES = 8
 # A correction of so many times the size of the system, or growth so many times, is divergence.
 _FAR, _GROWTHS = 100.0, 4
 
@@ -300,22 +302,48 @@ class Balance:
                 break
             q, lam = q + dq, lam + dlam
         size = float(sizes[0]) / self.extent
-        if self.is_round_off(R, K, q, lam):
+        if self.is_round_off(R, K, q, lam, dq):
             return q, lam, size
         return Unsolved(Verdict.NO_CONVERGENCE, size)
 
-    def is_round_off(self, R: Array, K: Array, q: Array, lam: Array) -> bool:
-        """Whether forces left are the round-off of this scene.
+    def is_round_off(
+        self, R: Array, K: Array, q: Array, lam: Array, dq: Array | None = None
+    ) -> bool:
+        """Whether forces left are the round-off of this scene; dq is the correction for them.
 
         Coordinates carry eps |q|, which forces multiply by K, and their sums round; all terms by
         their magnitude. What stays of R is a tenth of this (docs/measurements.md, section 12).
+        Where that does not explain it, as of a mass near the origin on a spring from afar, the
+        round-off is measured along parts of dq, if that is given.
         """
         system, pattern = self.system, self.system.pattern
         blur = pattern.dot(np.abs(K.real), np.abs(q.real))
         reactions = self.strength(self.reactions(self.Phi_q(q), lam))
         force = self.strength(system.force(self.t, q, np.zeros_like(q)))
         noise = max(system.traits.force_round_off, _EPS * self.strength(blur))
-        return self.strength(R.real) <= noise + _ROUNDINGS * _EPS * (force + reactions)
+        left, least = self.strength(R.real), noise + _ROUNDINGS * _EPS * (force + reactions)
+        if left <= least or dq is None:
+            return left <= least
+        # Those of places that forces refer to, and of some as far away as the system is large.
+        size = np.full(len(q), self.extent / np.sqrt(np.sum(system.weights)) + system.reach)
+        most = _ROUNDINGS * _EPS * self.strength(pattern.dot(np.abs(K.real), size))
+        return left <= most and left <= _SAMPLES * self._irregular(
+            K.real, q.real, lam.real, dq.real
+        )
+
+    def _irregular(self, K: Array, q: Array, lam: Array, dq: Array) -> float:
+        """Return the size of what forces change by, but for K, where q moves by parts of dq.
+
+        Twice the correction moves the roundings of what forces are made of; the curvature of
+        forces, which is of second order, is below this where Newton's method converges.
+        """
+        system, rng, sizes = self.system, np.random.default_rng(0), []
+        here = self.unbalanced(q, lam)
+        for _ in range(_SAMPLES):
+            moved = q + 2.0 * rng.uniform(-1.0, 1.0, len(q)) * dq
+            change = self.unbalanced(moved, lam) - here
+            sizes.append(self.strength(change + system.pattern.dot(K, moved - q)))
+        return max(sizes)
 
     def folds(self, before: Array, q: Array) -> bool:
         """Whether parts are folded at q and none was before."""
@@ -356,13 +384,15 @@ class Balance:
 
     @cached_property
     def position(self) -> float:
-        """Size of the coordinates at the start."""
-        return self.length(self.q_0)
+        """Size to which coordinates are solved: that of the system, and digits that they have."""
+        seen = 4.0 * _EPS / _TOLERANCE
+        return self.length(self.system.centred(self.q_0)) + seen * self.length(self.q_0)
 
     @cached_property
     def extent(self) -> float:
-        """Size of the system: of its coordinates, or of coordinates of one where all vanish."""
-        return self.position or float(np.sqrt(np.sum(self.system.weights)))
+        """Size of the system, wherever it stands, or of coordinates of one where all vanish."""
+        size = self.length(self.system.centred(self.q_0))
+        return size or self.length(self.q_0) or float(np.sqrt(np.sum(self.system.weights)))
 
     def strength(self, Q: Array) -> float:
         """Return the size of generalised forces."""
@@ -402,7 +432,7 @@ class _Convergence:
         self.diverged = moved > _FAR or self._growths >= _GROWTHS
         last, self._last = self._last, moved
         left = self.size * min(1.0, rate * rate)
-        stuck = last < math.inf and rate > 0.5 and b.is_round_off(R, K, q, lam)
+        stuck = last < math.inf and rate > 0.5 and b.is_round_off(R, K, q, lam, dq)
         if left <= _TOLERANCE or stuck:
             self._settled += 1
         return self._settled >= (3 if np.iscomplexobj(q) else 1)

@@ -46,8 +46,9 @@ class Tangent:
         self._factors: Factorization = balance.factor(self._K, self._Phi_q)
         R, Phi = balance.unbalanced(q, lam), system.constraint(t, q)
         # Not where a caller linearises about what is no equilibrium.
-        at_rest = balance.is_round_off(R, self._K, q, lam)
-        self._beyond = solve(self._factors, R, -Phi)[0] if at_rest else zero
+        beyond = solve(self._factors, R, -Phi)[0]
+        at_rest = balance.is_round_off(R, self._K, q, lam, beyond)
+        self._beyond = beyond if at_rest else zero
 
     def sensitivities(self) -> Parts:
         """Return q_b and lam_b, shapes (n_q, n_b) and (n_lam, n_b)."""

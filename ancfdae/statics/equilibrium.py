@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final
@@ -12,7 +13,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities, Statistics
-from ancfdae.errors import AncfdaeError, Verdict, uninterrupted
+from ancfdae.errors import AncfdaeError, StabilityWarning, Verdict, uninterrupted
 from ancfdae.errors.text import listed
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
@@ -162,11 +163,19 @@ class RestingStart:
         """The equilibrium.
 
         NoEquilibrium if there is none under the full load; `FreeMechanism` if nothing holds a
-        motion.
+        motion. Warns of one that is unstable (`StabilityWarning`).
         """
         at_rest = uninterrupted(find_equilibrium(self._system))
         if not at_rest.outcome.success:
             raise NoEquilibrium(at_rest)
+        if at_rest.outcome.stable_to is not None:
+            warnings.warn(
+                f"start at rest: {at_rest.outcome} Round-off grows in a motion that starts there, "
+                "and takes its derivatives with it. Start from another NodeState, near a stable "
+                "equilibrium, or declare what pushes it.",
+                StabilityWarning,
+                stacklevel=2,
+            )
         return at_rest
 
     @cached_property

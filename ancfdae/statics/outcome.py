@@ -100,8 +100,8 @@ class LoadOutcome:
             where = f" ({self.folded})" if self.folded else ""
             text = (
                 f"{self.verdict.value}{where} after {steps}: turned inside out, bent back on "
-                "itself or crushed, as no body can be; use more elements, or start from nodes near "
-                "the equilibrium (NodeState)"
+                "itself or crushed, as no body can be; use more elements, or start from "
+                "nodes near the equilibrium (NodeState)"
             )
         if self.stable_to is not None:
             above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""

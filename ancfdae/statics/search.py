@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import final
 
 import numpy as np
@@ -16,6 +17,11 @@ from ancfdae.statics.ways import LoadPath, PathPoint, Settling
 
 # Endings of a path that say nothing about the load.
 _FAILED = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.SINGULAR, Verdict.FOLDED)
+
+# Motions softer than this part of their diagonal may be neutral. A step of this part of the size of
+# the system, held by this part of the load, gets so far and then stays to this part, if what drives
+# it back is less than 1e-8 of the load; others come back by a tenth and more.
+_SOFT, _STEP, _PUSH, _MOVED, _STAYS = 1e-5, 0.05, 1e-3, 0.01, 1e-5
 
 
 @final
@@ -136,9 +142,14 @@ def _settled(balance: Balance, start: Softness | None, max_steps: int) -> Search
     q, lam, steps, residual = downhill.q, downhill.lam, downhill.steps, downhill.residual
     if downhill.gone and start and start.free.shape[1]:
         raise free_mechanism(balance.system.naming, balance.q_0, start.free)
-    if verdict is not Verdict.EQUILIBRIUM:
+    if verdict is Verdict.INTERRUPTED:
         return SearchEnd(q, lam, LoadOutcome(verdict, 0.0, steps, residual, downhill=True))
     end = softest(balance, 1.0, q, lam)
+    free = _neutral(balance, SearchEnd(q, lam, LoadOutcome(verdict, 1.0, steps, residual)), end)
+    if free.shape[1]:
+        raise free_mechanism(balance.system.naming, q, free)
+    if verdict is not Verdict.EQUILIBRIUM:
+        return SearchEnd(q, lam, LoadOutcome(verdict, 0.0, steps, residual, downhill=True))
     # Where the start is held, a motion without stiffness is that of a critical load.
     if end.free.shape[1] and start:
         raise free_mechanism(balance.system.naming, q, end.free)
@@ -149,3 +160,30 @@ def _settled(balance: Balance, start: Softness | None, max_steps: int) -> Search
     stable_to = None if end.stable else 0.0
     outcome = LoadOutcome(verdict, 1.0, steps, solved.correction, stable_to, downhill=True)
     return _polished(balance, SearchEnd(solved.q, solved.lam, outcome))
+
+
+def _neutral(balance: Balance, at: SearchEnd, soft: Softness) -> Array:
+    """Return the softest motions along which equilibria follow each other, shape (n_q, k).
+
+    Such a motion, as the spin of a rod that hangs by its ends, has a stiffness of round-off, of
+    either sign. A step along it, held by a small mu, ends at another equilibrium if a second one
+    from there stays: a critical load or a soft spring drives it back.
+    """
+    found = []
+    for kappa, motion in zip(soft.kappa, soft.motions.T, strict=True):
+        if kappa > _SOFT:
+            break
+        step = (_STEP * balance.extent / balance.length(motion)) * motion
+        inertia = balance.strength(balance.system.pattern.dot(balance.M_0, step))
+        mu, q, lam = _PUSH * balance.load / inertia, at.q, at.lam
+        places, anchor = [q], q + step
+        for _ in range(2):
+            solved = balance.solve(1.0, anchor, lam, mu, anchor)
+            if isinstance(solved, Unsolved):
+                break
+            places, anchor, lam = [*places, solved.q], solved.q, solved.lam
+        if len(places) == 3:
+            far, back = (balance.length(b - a) for a, b in pairwise(places))
+            if far > _MOVED * balance.length(step) and back <= _STAYS * far:
+                found.append(motion)
+    return np.array(found).reshape(len(found), len(at.q)).T
