@@ -43,8 +43,8 @@ _MOST_INTERVALS = 10**8
 
 # Why there are many, and what to use instead.
 _REMEDY = (
-    "an integrator of high order follows every wave and every fast decay of the mesh. HHT(step) and "
-    "HHT(rtol=...) step over those that do not matter (docs/howto/integrator.md)."
+    "an integrator of high order follows every wave and every fast decay of the mesh. HHT(step) "
+    "and HHT(rtol=...) step over those that do not matter (docs/howto/integrator.md)."
 )
 
 
