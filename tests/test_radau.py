@@ -30,6 +30,7 @@ from ancfdae import (
     Misfit,
     Pin,
     Point,
+    PointOnLine,
     Radau,
     Rectangle,
     Responses,
@@ -242,13 +243,15 @@ def test_they_agree_on_a_mechanism_of_beams():
 
 
 def test_they_agree_where_the_design_moves_joints_that_act_on_velocities():
-    """A link from a crank's end to a rod: (Phi')_b and (Phi'')_b of its length contain v."""
+    """(Phi')_b = n_b . v of a slot's direction; (Phi'')_b of a link's length contains |v|^2."""
     crank = Beam("crank", (0, 0), (0.2, 0), 1, Rectangle(0.02, 0.02), RUBBER, rigid=True)
     rod = Beam("rod", (0.2, -0.3), (0.5, -0.4), 1, Rectangle(0.02, 0.02), RUBBER, rigid=True)
     motor = Drive(crank.at_start, Harmonic(0.4, 9.0), name="motor")
     link = Distance(crank.at_end, 0.3, rod.at_start, name="link")
-    scene = Scene([crank, rod], [Pin(crank.at_start), motor, link], (0, -9.81), project_start=True)
-    system = assemble(scene, ["motor.frequency", "motor.amplitude", "link.length", "rod.length"])
+    slot = PointOnLine(rod.at_start, (0.3, 1.0), name="slot")
+    joints = [Pin(crank.at_start), motor, link, slot]
+    scene = Scene([crank, rod], joints, (0, -9.81), project_start=True)
+    system = assemble(scene, ["motor.frequency", "slot.direction_x", "link.length", "rod.length"])
     objective = Terminal(velocity(rod.at_end, 1)) + Integral(link_force("link", 0) ** 2)
     found = [
         gradient(system, objective, 0.5, Radau(0.05), method=each).gradient
