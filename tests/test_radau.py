@@ -15,6 +15,7 @@ from ancfdae import (
     ComplexStep,
     ControlledSteps,
     Direct,
+    Distance,
     Drive,
     Evaluate,
     Explicit,
@@ -29,6 +30,7 @@ from ancfdae import (
     Misfit,
     Pin,
     Point,
+    PointOnLine,
     Radau,
     Rectangle,
     Responses,
@@ -49,11 +51,14 @@ from ancfdae import (
     velocity,
 )
 from ancfdae.errors import Verdict
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.newton import StageSolver
 from ancfdae.integrators.radau.tableau import BUTCHER, EMBEDDED, GAMMA, PLACES, continued
+from ancfdae.integrators.recorder import Recorder
 from ancfdae.model import loads
 from ancfdae.model.loads import Load
 from ancfdae.sensitivity.method import UnfinishedRun
+from ancfdae.sensitivity.observables import multiplier as link_force
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
 
@@ -237,6 +242,24 @@ def test_they_agree_on_a_mechanism_of_beams():
     np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=0, atol=1e-11 * max(abs(found[0])))
 
 
+def test_they_agree_where_the_design_moves_joints_that_act_on_velocities():
+    """(Phi')_b = n_b . v of a slot's direction; (Phi'')_b of a link's length contains |v|^2."""
+    crank = Beam("crank", (0, 0), (0.2, 0), 1, Rectangle(0.02, 0.02), RUBBER, rigid=True)
+    rod = Beam("rod", (0.2, -0.3), (0.5, -0.4), 1, Rectangle(0.02, 0.02), RUBBER, rigid=True)
+    motor = Drive(crank.at_start, Harmonic(0.4, 9.0), name="motor")
+    link = Distance(crank.at_end, 0.3, rod.at_start, name="link")
+    slot = PointOnLine(rod.at_start, (0.3, 1.0), name="slot")
+    joints = [Pin(crank.at_start), motor, link, slot]
+    scene = Scene([crank, rod], joints, (0, -9.81), project_start=True)
+    system = assemble(scene, ["motor.frequency", "slot.direction_x", "link.length", "rod.length"])
+    objective = Terminal(velocity(rod.at_end, 1)) + Integral(link_force("link", 0) ** 2)
+    found = [
+        gradient(system, objective, 0.5, Radau(0.05), method=each).gradient
+        for each in (Direct(), Adjoint(), ComplexStep())
+    ]
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-10)
+
+
 def test_a_gradient_is_the_limit_of_differences():
     system, integrator = CartesianPendulum(-1.0, 2.0), Radau(0.07)
     ours = gradient(system, OBJECTIVE, 1.0, integrator).gradient
@@ -327,6 +350,33 @@ def test_derivatives_under_control():
     np.testing.assert_array_equal(run.t, check.t)
     assert_close(run, check, 1e-10)
     assert_close(run, differentiate(system, 1.0, Explicit(1e-10)), 3e-4, END)
+
+
+@pytest.mark.parametrize("atol", [1e-9, 1e-7])
+def test_the_error_of_derivatives_is_relative_to_their_own_sizes(atol):
+    """e = 2 max_j rms_i(delta_ij / (0.05 (rtol |x_ij| + atol X_i S_j)^(4/5))), of q_b and of v_b.
+
+    Of a pendulum of 1 kg m in 0.1 s sizes of q_b and v_b differ by factors of ten.
+    """
+    system, t_end, S = CartesianPendulum(-1.0, 2.0), 2.0, np.array([3.0, 0.5, 2.0, 1.0])
+    problem, rtol = Problem.of(system, t_end).differentiated(), 1e-7
+    integrator = Radau(ControlledSteps(rtol, atol=atol, sensitivities=True))
+    S = S[: system.n_b]
+    stepper = integrator._stepper(problem, t_end, S, Recorder(system, 9, 3, True))
+    before = stepper.start(0.1)
+    after = stepper.advance(0.1, before, 0.1)
+    parts = []
+    for k, scale in enumerate((problem.scales.q, problem.scales.v)):
+        share = 0.05 * np.array([rtol, atol]) ** 0.8
+        size = np.maximum(*np.abs(after.rows[1 + k][[0, -1]]))
+        motion = after.errors[k] / (share[0] * size + share[1] * scale)
+        size_b = np.abs(after.derivatives[k][-1])
+        derivatives = after.errors[2 + k] / (share[0] * size_b + share[1] * np.outer(scale, S))
+        parts += [np.sqrt(np.mean(motion**2)), 2 * np.sqrt(np.max(np.mean(derivatives**2, 0)))]
+    # Round-off that is added to the tolerance: 1e-16 / (0.05 (1e-7)^(4/5)) = 1e-9 of it, and the
+    # tenfold where it is divided by h.
+    assert stepper.error(0.1, before, after) == pytest.approx(max(parts), rel=1e-7)
+    assert max(parts) in parts[1::2]  # Derivatives decide here.
 
 
 def test_frozen_steps_repeat_a_controlled_run():

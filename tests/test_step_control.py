@@ -240,6 +240,7 @@ class NumbersOnly:
     """All that a controller reads of a method."""
 
     bears_jumps, breakpoints = False, ()
+    many, remedy = 1_000_000, "HHT."
 
     def __init__(self, order, e):
         self.order, self.e = order, e

@@ -117,6 +117,15 @@ class JointConstraints:
                 return item.joint.name
         return None
 
+    @property
+    def turns(self) -> bool:
+        """Whether a joint prescribes an angle."""
+        return self.factors.turns
+
+    def by_turn(self, q: Array, t: Array) -> Array:
+        """Return the derivatives of Phi in prescribed angles at many instants, (k, n_lam)."""
+        return constraints(self.plan, Constraints.RATE, self.factors.by_turn(t), None, q)
+
     # -- values, one instant -------------------------------------------------------------------
 
     def constraint(self, t: float, *motion: Array) -> Array:

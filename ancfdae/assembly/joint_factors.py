@@ -57,6 +57,21 @@ class JointFactors:
         factors = self.over(t, orders)
         return factors if self.driven else np.repeat(factors, len(t), axis=1)
 
+    @cached_property
+    def turns(self) -> bool:
+        """Whether a joint prescribes an angle."""
+        return bool(np.any(self.by_turn(np.zeros(1))))
+
+    def by_turn(self, t: Array) -> Array:
+        """Return the derivatives of the factors in prescribed angles, (1, k, n_parts)."""
+        each = [slot.item.by_turn(t).T for slot in self._slots]
+        return np.concatenate([np.zeros((len(t), 1)), *each], axis=1)[None]
+
+    def turn_rate(self, t: Array) -> Array:
+        """Return the largest rate of a prescribed angle, (k,); rad/s."""
+        rates = [np.abs(slot.item.turn_rate(t)) for slot in self._slots]
+        return np.max([np.zeros(len(t)), *rates], axis=0)
+
     def partials(self, t: Array, orders: int, n_b: int) -> Array | None:
         """Return the design partials of `spread`, (n_b, orders, k, n_parts), None without any."""
         active = self.active

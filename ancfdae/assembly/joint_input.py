@@ -79,6 +79,14 @@ class JointInput:
         """Return the time derivative of the factors, shape (n_factors, k)."""
         return self.joint.factors(self.p, t, order)
 
+    def by_turn(self, t: Array) -> Array:
+        """Return the derivatives of the factors in a prescribed angle, (n_factors, k)."""
+        return self.joint.by_turn(self.p, t)
+
+    def turn_rate(self, t: Array) -> Array:
+        """Return the rate of a prescribed angle, (k,); rad/s."""
+        return self.joint.turn_rate(self.p, t)
+
     def shaped(self, held: HeldAngles) -> JointInput:
         """Leave out right angles that are held without this joint."""
         c = self.joint.checked_coefficients(self.p, self.reference)

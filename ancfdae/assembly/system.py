@@ -319,6 +319,26 @@ class AncfSystem(PlannedSystem):
         """Total design derivative of Phi and its time derivatives."""
         return self._constraints.total(t, motion, motion_b)
 
+    @cached_property
+    def _sides(self) -> Array:
+        """Signs of the derivatives of Phi in prescribed angles at the start, (n_lam,)."""
+        return np.sign(self._constraints.by_turn(self.start()[0].real[None], np.zeros(1))[0])
+
+    def off_root(self, t: Array, q: Array) -> tuple[int, str] | None:
+        """Compare the signs of derivatives in prescribed angles with those at the start."""
+        if not self._constraints.turns or np.iscomplexobj(q) or np.iscomplexobj(self.b):
+            return None
+        off = self._constraints.by_turn(q, t) * self._sides < 0
+        instants = np.flatnonzero(np.any(off, axis=1))
+        if not len(instants):
+            return None
+        first = int(instants[0])
+        return first, self.constraint_names[int(np.argmax(off[first]))]
+
+    def turn_rate(self, t: Array) -> Array:
+        """Return the rate of the fastest law of an angle."""
+        return self._constraints.factors.turn_rate(t)
+
     # -- the residual f = M a + Phi_q^T lam - Q ----------------------------------------------------
 
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:

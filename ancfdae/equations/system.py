@@ -268,6 +268,20 @@ class MechanicalSystem(ComplexSteps):
         pairs = zip(motion, motion_b, strict=True)
         return self._total(lambda system, *x: system.constraint(t, *x), *pairs)
 
+    # -- prescribed turns --------------------------------------------------------------------------
+
+    def off_root(self, t: Array, q: Array) -> tuple[int, str] | None:
+        """Return the first of k instants at which a constraint holds at a wrong root, and its name.
+
+        The equation of a prescribed angle holds half a turn off as well. t has the shape (k,), q
+        (k, n_q). None if all roots are right; by default, of constraints with one root.
+        """
+        return None
+
+    def turn_rate(self, t: Array) -> Array:
+        """Return the largest rate at which constraints prescribe an angle, (k,); rad/s."""
+        return np.zeros(len(t))
+
     # -- the residual f = M a + Phi_q^T lam - Q ----------------------------------------------------
 
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:

@@ -17,6 +17,7 @@ class Verdict(Enum):
     INTERRUPTED = "the run was interrupted"
     STEP_LIMIT = "the limit of steps (max_steps) was reached"
     ERROR_TEST = "no step, however small, passed the error test"
+    OFF_ROOT = "a step ended at another solution of the joints than the motion leads to"
     TOO_ACCURATE = "the tolerance is below what round-off allows"
     EQUILIBRIUM = "the equilibrium was reached"
     FOLDED = "what was found in balance is folded"

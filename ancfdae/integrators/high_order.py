@@ -6,7 +6,6 @@ accurate than what a solver carries along. Integrals follow the steps, not the i
 """
 
 import abc
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
@@ -18,7 +17,6 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import (
     InvalidInput,
-    ManySteps,
     Outcome,
     SingularMatrix,
     Verdict,
@@ -26,6 +24,8 @@ from ancfdae.errors import (
 )
 from ancfdae.integrators.integrand import Integrand
 from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
+from ancfdae.integrators.pace import Pace
+from ancfdae.integrators.prescribed_motion import Rows, lock, lost
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.recorder import Recorder
@@ -35,61 +35,22 @@ from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.numerics.time_grid import TimeGrid, next_end
 
-# Steps that together advance by less than this share of the end time. Single steps may be lost in
-# round-off: at tight tolerances Newton's method meets it, and SUNDIALS tries shorter steps until it
-# gets on (a pendulum of IDA at 3e-13: five in a row, and the end time is reached).
-_STEPS, _SHARE = 100, 1e-12
-# Share of the advance of one quarter that the next one makes, at least, where steps are what they
-# will be.
-_SLOWER = 0.1
 # Steps of which a run warns: Explicit takes 20 s for them in a small system (5,000 a second).
 _MANY = 100_000
 # Each interval has eight instants more.
 _MOST_INTERVALS = 10**8
 
 
-@final
-class Progress:
-    """Watches the times that a solver reaches."""
+# Why there are many, and what to use instead.
+_REMEDY = (
+    "an integrator of high order follows every wave and every fast decay of the mesh. HHT(step) "
+    "and HHT(rtol=...) step over those that do not matter (docs/howto/integrator.md)."
+)
 
-    def __init__(self, t_end: float) -> None:
-        self._mark, self._least, self._taken = 0.0, _SHARE * t_end, 0
-        self._t_end, self._told = t_end, False
-        self._half, self._quarter = 0.0, 0.0
 
-    def stalls(self, t: float) -> bool:
-        """Take note of a step to t; return whether the last hundred led nowhere.
-
-        This ends runs that diverge, meet a jump too large to integrate, or integrate noise. Of the
-        first hundred the second half tells how many steps the run takes: the first ones grow. Where
-        the last quarter hardly advances the run is about to stall, and its steps tell nothing.
-        """
-        self._taken += 1
-        if 2 * self._taken == _STEPS:
-            self._half = t
-        if 4 * self._taken == 3 * _STEPS:
-            self._quarter = t
-        if self._taken < _STEPS:
-            return False
-        stalled = t - self._mark < self._least
-        stalls = t - self._quarter < _SLOWER * (self._quarter - self._half)
-        if not (stalled or stalls or self._told):
-            self._tell(t, (t - self._half) / (_STEPS / 2))
-        self._mark, self._taken = t, 0
-        return stalled
-
-    def _tell(self, t: float, h: float) -> None:
-        """Warn, once, of a run that will take many steps of the size h."""
-        self._told, steps = True, _STEPS + (self._t_end - t) / h
-        if steps > _MANY:
-            warnings.warn(
-                f"about {steps:.2g} steps are to come, of {h:.2g} s each as the last ones: an "
-                "integrator of high order follows every wave and every fast decay of the mesh. "
-                "HHT(step) and HHT(rtol=...) step over those that do not matter "
-                "(docs/howto/integrator.md). Ctrl-C ends the run and keeps what is done.",
-                ManySteps,
-                stacklevel=2,
-            )
+def pace(t_end: float) -> Pace:
+    """Return what watches the times that a solver of high order reaches."""
+    return Pace(t_end, _MANY, _REMEDY)
 
 
 @final
@@ -113,7 +74,7 @@ class March(abc.ABC):
     ) -> None:
         self.steps = self.iterations = self.factorisations = self.residuals = 0
         self.residual, self._t, self._t_end, self._max_steps = 0.0, 0.0, t_end, max_steps
-        self._progress, self._context = Progress(t_end), context
+        self._pace, self._context = pace(t_end), context
         self._breakpoints = problem.system.traits.breakpoints
 
     @property
@@ -134,7 +95,7 @@ class March(abc.ABC):
                 trouble = self._step()
                 if trouble is not None:
                     return trouble
-                if self._progress.stalls(self._t):
+                if self._pace.stalls(self._t):
                     return Verdict.ERROR_TEST
             return self._state(t)
 
@@ -214,7 +175,7 @@ class HighOrder(QuadratureIntegrator):
         recorder = Recorder(system, len(grid.t), grid.degree, sensitivities)
         recorder.accepted = 0
         recorder.record(*problem.initial, problem.derivative or ())
-        verdict, march = Verdict.FINISHED, None
+        verdict, march, remedy = Verdict.FINISHED, None, ""
         quadrature = Quadrature(integrands, problem.accelerations, self.rtol)
         try:
             with np.errstate(all="ignore"):  # A blow-up is told by the outcome.
@@ -223,6 +184,12 @@ class HighOrder(QuadratureIntegrator):
                     point = march.to(float(t))
                     if isinstance(point, Verdict):
                         verdict = point
+                        break
+                    last = recorder.last(1)
+                    rows = np.append(last.t, t), np.vstack([last.q, point[0, :1]]), last.v
+                    missed = lost(system, Rows(*rows), False)
+                    if missed is not None:
+                        verdict, remedy = Verdict.OFF_ROOT, missed.remedy
                         break
                     _record(problem, recorder, float(t), point)
                 else:
@@ -240,7 +207,11 @@ class HighOrder(QuadratureIntegrator):
             recorder.residuals = march.residuals
             recorder.factorisations += march.factorisations
             size = 0.0 if verdict is Verdict.FINISHED else march.residual
-        return recorder.solution(Outcome(verdict, recorder.time, recorder.accepted, size))
+        if verdict in (Verdict.NO_CONVERGENCE, Verdict.ERROR_TEST):
+            last = recorder.last(1)
+            remedy = lock(system, float(last.t[0]), last.q[0], t_end)
+        outcome = Outcome(verdict, recorder.time, recorder.accepted, size, advice=remedy)
+        return recorder.solution(outcome)
 
 
 def _record(problem: Problem, recorder: Recorder, t: float, state: Array) -> None:

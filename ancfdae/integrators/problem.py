@@ -3,7 +3,8 @@
 **Sizes.** Coordinates are compared in the weighted form sqrt(w_i) q_i, which has one unit for all
 of them. The scale of q is the root mean square of the start in that form; that of v is the speed
 that the start has or that its accelerations reach over that length; that of the multipliers follows
-from the forces at the start through the rows of Phi_q.
+from the forces at the start through the rows of Phi_q. Forces that are round-off count as zero: of
+a mechanism at rest they would give a speed of no meaning, 1e-8 of that which it is to have.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 
+# Forces at rest that are smaller than this many times their round-off have no size.
+_ROUND_OFF = 100.0
 # Starts of one system, computed twice, differ by round-off of their projection.
 _SAME = 1e-7
 
@@ -69,8 +72,9 @@ class Scales:
         reactions = reaction(system, t, q, initial.lam)
         Q = system.force(t, q, initial.v)
         inverse = 1 / system.weights
-        load = max(norm(x, inverse) for x in (Q, reactions)) / count
-        load = max(load, norm(initial.a, system.weights) / count)
+        forces = norm(Q, inverse), norm(reactions, inverse), norm(initial.a, system.weights)
+        least = _ROUND_OFF * system.traits.force_round_off
+        load = max(size if size > least else 0.0 for size in forces) / count
         v_0 = norm(initial.v, system.weights) / count
         position = norm(q, system.weights) / count
         position = position or v_0 * t_end or load * t_end**2 or 1.0

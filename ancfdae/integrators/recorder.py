@@ -9,6 +9,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities, Statistics
 from ancfdae.errors import InvalidInput, Outcome
+from ancfdae.integrators.prescribed_motion import Rows
 from ancfdae.numerics.arrays import Array
 
 # Rows of q, v, a and lam.
@@ -117,6 +118,15 @@ class Recorder:
         """Count rows that were written, at these instants."""
         self._arrays[0][self._rows : self._rows + len(t)] = t
         self._rows += len(t)
+
+    def last(self, count: int) -> Rows:
+        """Return the last instants, with coordinates and velocities."""
+        t, q, v, *_ = (x[self._rows - count : self._rows] for x in self._arrays)
+        return Rows(t, q, v)
+
+    def drop(self, count: int) -> None:
+        """Forget the last instants."""
+        self._rows -= count
 
     def restart(self) -> None:
         """Forget all instants but the first."""

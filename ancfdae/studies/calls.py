@@ -70,8 +70,8 @@ def simulate(
 ) -> Solution | Observed:
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
 
-    Warns of errors estimated larger than the motion (`StabilityWarning`), of more than 100,000
-    steps of high order (`ManySteps`) and of a tolerance out of reach (`ToleranceMissed`).
+    Warns of errors estimated larger than the motion (`StabilityWarning`), of very many steps under
+    error control (`ManySteps`) and of a tolerance out of reach (`ToleranceMissed`).
 
     Parameters
     ----------

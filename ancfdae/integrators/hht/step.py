@@ -29,6 +29,7 @@ from ancfdae.integrators.hht.equations import (
 from ancfdae.integrators.hht.newton import StepSolver
 from ancfdae.integrators.hht.small_steps import ConstraintRow
 from ancfdae.integrators.hht.start import RecurrenceStart
+from ancfdae.integrators.prescribed_motion import turn_error
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
@@ -48,6 +49,13 @@ class HHTStepper(OneStepMethod[State]):
     """
 
     order: ClassVar[int] = 2
+    # A step of a small mechanism takes 0.2 to 2 ms.
+    many: ClassVar[int] = 20_000
+    remedy: ClassVar[str] = (
+        "error control follows every undamped wave that its tolerance sees. Give the material a "
+        "damping_time, or take a fixed step, HHT(step=...), which steps over those that do not "
+        "matter (docs/howto/integrator.md)."
+    )
 
     def __init__(
         self,
@@ -58,7 +66,7 @@ class HHTStepper(OneStepMethod[State]):
         recorder: Recorder,
     ) -> None:
         self._problem, self._alpha = problem, alpha
-        self.breakpoints = problem.system.traits.breakpoints
+        self.system, self.breakpoints = problem.system, problem.system.traits.breakpoints
         self._solver = StepSolver(problem.system, problem.matrices, *newton, recorder)
         self._tolerance, self._recorder = tolerance, recorder
         rules = self._solver.rules(alpha)
@@ -131,9 +139,11 @@ class HHTStepper(OneStepMethod[State]):
             return 0.0
         (old, old_b), (new, new_b) = before, after
         size = np.maximum(np.abs(old.q.real), np.abs(new.q.real))
+        turn, rise = turn_error(self.system, new.t, h, self.order), (new.a - old.a).real
         if old_b is None or new_b is None:
-            return self._error(h, (new.a - old.a).real, size)
-        return self._error(h, (new.a - old.a).real, size, new_b.a_b - old_b.a_b, np.abs(new_b.q_b))
+            return float(np.maximum(turn, self._error(h, rise, size)))
+        error = self._error(h, rise, size, new_b.a_b - old_b.a_b, np.abs(new_b.q_b))
+        return float(np.maximum(turn, error))
 
     def start_error(self) -> float:
         """Return e of a first step of size 1, from the third derivative at the start."""

@@ -12,6 +12,12 @@ IV.8). With a_0 of the state before, e its weights and k = gamma, in the scaled 
     dv = k dq/h - r_q,
 
 applied twice, the second time to r_q = k dq/h, r_v = k dv/h: stiff vibrations in a_0 must not pass.
+What joints prescribe, across the directions that they leave free, is known at the stages, and no
+filter applies: with the completed velocities v_i
+
+    Phi_q dq = (h/k) Phi_q h sum e_i x_i,    Phi_q dv = (h/k) Phi_q (a_0 + sum e_i (v_i - v_0)/h)
+
+are added, with K dq + Phi_q^T [.] = 0 for the matrix K above: bodies follow at rest.
 """
 
 from __future__ import annotations
@@ -23,6 +29,7 @@ import numpy as np
 from ancfdae.equations import Linearisation
 from ancfdae.equations.saddle_points import solve
 from ancfdae.integrators.completion import completed
+from ancfdae.integrators.prescribed_motion import turn_error
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.linear_passes import LinearStages
 from ancfdae.integrators.radau.newton import SolvedStages, StageSolver
@@ -43,6 +50,7 @@ from ancfdae.numerics.arrays import Array
 
 # Parts of a run that first steps are tried with, each an eighth of the one before.
 _FIRST = [0.05 * 8.0**-k for k in range(8)]
+_EPS = float(np.finfo(float).eps)
 # Shortest part of a step by way of which it is solved.
 _SHORTEST = 1e-3
 
@@ -69,6 +77,12 @@ class RadauStepper(OneStepMethod[State]):
 
     order: ClassVar[int] = 4
     bears_jumps: ClassVar[bool] = True
+    # A step of a small mechanism takes 3 to 30 ms.
+    many: ClassVar[int] = 5_000
+    remedy: ClassVar[str] = (
+        "Radau under error control follows every wave that its tolerance sees. HHT(step=...) steps "
+        "over those that do not matter (docs/howto/integrator.md)."
+    )
 
     def __init__(
         self,
@@ -79,7 +93,7 @@ class RadauStepper(OneStepMethod[State]):
     ) -> None:
         self._problem, self._recorder, self._tolerances = problem, recorder, tolerances
         self._solver = StageSolver(problem, *newton, recorder)
-        self.breakpoints = problem.system.traits.breakpoints
+        self.system, self.breakpoints = problem.system, problem.system.traits.breakpoints
         self._matrices = None if problem.derivative is None else stage_matrices(problem)
 
     def consistent(self) -> Record:
@@ -142,7 +156,8 @@ class RadauStepper(OneStepMethod[State]):
     def _controlled(self, x: Array, before: State, after: State) -> State:
         """Add the estimated errors, and derivatives with theirs."""
         middle = linearised(self._problem.system, *(row[2:3] for row in after.rows))
-        errors = self._embedded(middle, after.h, before.rows[3][-1].real, x.real)
+        rates = after.rows[2].real, before.rows[3][-1].real
+        errors = self._embedded(middle, after.h, rates, x.real)
         if self._matrices is None:
             return after._replace(errors=errors)
         self._recorder.factorisations += 1
@@ -151,18 +166,22 @@ class RadauStepper(OneStepMethod[State]):
         first = [x[-1:] for x in before.derivatives]
         rows, x_b = steps.advance(0, self._matrices, first[0][0], first[1][0])
         derivatives = tuple(map(np.concatenate, zip(first, rows, strict=True)))
-        errors += self._embedded(middle, after.h, first[2][0], x_b)
+        errors += self._embedded(middle, after.h, (derivatives[1], first[2][0]), x_b)
         return after._replace(derivatives=derivatives, errors=errors)
 
-    def _embedded(self, local: Linearisation, h: float, a: Array, x: Array) -> tuple[Array, ...]:
-        """Return dq and dv; columns of derivatives alike."""
+    def _embedded(
+        self, local: Linearisation, h: float, rates: tuple[Array, Array], x: Array
+    ) -> tuple[Array, ...]:
+        """Return dq and dv of velocities at start and stages and a at the start; columns alike."""
         system, (M, f_q, f_v) = self._problem.system, (local.M[0], local.f_q[0], local.f_v)
+        (v, a), e = rates, at_stages(EMBEDDED, x)[0]
         terms: tuple[tuple[float, Array], ...] = (GAMMA**2, M), (h**2, f_q)
         if f_v is not None:
             terms = (*terms, (GAMMA * h, f_v[0]))
         self._recorder.factorisations += 1
         factors = self._problem.matrices.factor_sum(terms, local.Phi_q[0])
-        dq, dv = h * at_stages(EMBEDDED, x)[0], a + at_stages(EMBEDDED @ INVERSE, x)[0]
+        dq, dv = h * e, a + at_stages(EMBEDDED @ INVERSE, x)[0]
+        prescribed = dq, a + at_stages(EMBEDDED, (v[1:] - v[0]) / h)[0]
         side = np.zeros((system.n_lam, *dq.shape[1:]))
         for share in (1.0, GAMMA / h):
             r_q, r_v = share * dq, share * dv
@@ -171,19 +190,34 @@ class RadauStepper(OneStepMethod[State]):
                 right = right + system.pattern.dot(f_v[0], r_q)
             dq = solve(factors, h**2 * right, side)[0]
             dv = GAMMA / h * dq - r_q
-        return dq, dv
+        across = (system.constraint_pattern.dot(local.Phi_q[0], x) for x in prescribed)
+        none = np.zeros_like(dq)
+        lifted = (solve(factors, none, h / GAMMA * x)[0] for x in across)
+        return tuple(x + y for x, y in zip((dq, dv), lifted, strict=True))
 
     def error(self, h: float, before: State, after: State) -> float:
-        """Return the largest e, of positions, velocities and their derivatives."""
-        errors = [0.0]
+        """Return the largest e, of positions, velocities, their derivatives and turns."""
+        if not self._tolerances:
+            return 0.0
+        errors = [turn_error(self.system, float(after.rows[0][-1]), h, self.order)]
         for k, tolerance in enumerate(self._tolerances):
             # The tolerance divides by the share of the step in the run; here it is the whole error.
             T, size = tolerance.t_end, np.abs(after.rows[1 + k][[0, -1]].real).max(axis=0)
-            errors.append(tolerance.of_motion(T, after.errors[k], size))
+            blur = self._round_off(h, k, after.rows[1][-1].real, 1.0)
+            errors.append(tolerance.of_motion(T, after.errors[k], size, blur))
             if after.derivatives:
                 size_b = np.abs(after.derivatives[k][-1])
-                errors.append(tolerance.of_derivatives(T, after.errors[2 + k], size_b))
+                blur_b = self._round_off(h, k, after.derivatives[0][-1], tolerance.sizes_b)
+                errors.append(tolerance.of_derivatives(T, after.errors[2 + k], size_b, blur_b))
         return float(np.max(errors))  # NaN if one is.
+
+    def _round_off(self, h: float, k: int, q: Array, sizes: Array | float) -> Array:
+        """Return the round-off of the estimate, of positions over h for velocities (k = 1).
+
+        x has that of positions over h^2. Sizes of derivatives that are infinite are not known yet.
+        """
+        least = np.multiply.outer(self._problem.scales.q, np.where(np.isfinite(sizes), sizes, 0.0))
+        return np.asarray(_EPS * (np.abs(q) + least) / h**k)
 
     def start_error(self) -> float:
         """Return e of the first step that can be solved, relative to its size^order."""

@@ -10,8 +10,10 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import Outcome, SingularMatrix, Verdict
+from ancfdae.integrators.prescribed_motion import Lost, Rows, lock, lost
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
@@ -25,6 +27,8 @@ Record = tuple[float | Array, Array, Array, Array, Array, tuple[Array, ...]]
 
 
 _NONE = np.zeros(0)
+# Ends of runs for which joints that lock may be the reason.
+_STUCK = (Verdict.NO_CONVERGENCE, Verdict.ERROR_TEST)
 
 
 class Failure(NamedTuple):
@@ -36,15 +40,19 @@ class Failure(NamedTuple):
 
 
 class OneStepMethod(abc.ABC, Generic[State]):
-    """A run of a method that goes from state to state; how far, others decide.
+    """A run of a method that goes from state to state of a system; how far, others decide.
 
     Its e falls with the step to the power `order`. Where accelerations and multipliers suffer from
     a step that jumps, which is the rule, steps change slowly. Controlled steps end at breakpoints.
+    A run under control that will take more steps than `many` warns, with the remedy in words.
     """
 
     order: ClassVar[int]
     bears_jumps: ClassVar[bool] = False
+    many: ClassVar[int] = 20_000
+    remedy: ClassVar[str] = ""
     breakpoints: tuple[float, ...] = ()
+    system: MechanicalSystem
 
     @abc.abstractmethod
     def consistent(self) -> Record:
@@ -180,6 +188,9 @@ def march(
         except KeyboardInterrupt:
             end = Failure(Verdict.INTERRUPTED, 0.0)
     verdict, correction, remedy = end
+    if verdict in _STUCK:
+        t, q, _ = recorder.last(1)
+        remedy = f"{lock(method.system, float(t[0]), q[0], t_end)} {remedy}".strip()
     outcome = Outcome(verdict, recorder.time, recorder.steps, correction, advice=remedy)
     return recorder.solution(outcome), reached
 
@@ -197,9 +208,18 @@ def _next(
     sizes, ends = controller.known(n)
     if len(sizes):
         taken, after = method.march(before, sizes, ends)
+        missed = lost(method.system, recorder.last(taken + 1), True) if taken else None
+        if missed is not None:
+            recorder.drop(taken - missed.first)
+            return Failure(Verdict.OFF_ROOT, 0.0, missed.remedy)
         if taken:
             return Reached(n + taken, float(ends[taken - 1]), float(sizes[taken - 1]), after)
     after = method.advance(h, before, end)
+    missed = (
+        None if isinstance(after, Failure) else _missed(method, recorder, after, len(sizes) > 0)
+    )
+    if missed is not None:
+        after = Failure(Verdict.OFF_ROOT, 0.0, missed.remedy)
     failed = isinstance(after, Failure)
     if failed and after.verdict is Verdict.SINGULAR:
         return after
@@ -214,3 +234,10 @@ def _next(
         return reached
     recorder.restart()
     return _NOWHERE
+
+
+def _missed(method: OneStepMethod[Any], recorder: Recorder, after: Any, known: bool) -> Lost | None:
+    """Check a step that is not recorded yet."""
+    last, (t, q, v, *_) = recorder.last(1), method.recorded(after)
+    rows = np.append(last.t, t), np.vstack([last.q, q]), np.vstack([last.v, v])
+    return lost(method.system, Rows(*rows), known)

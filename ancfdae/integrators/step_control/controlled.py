@@ -22,6 +22,7 @@ import numpy as np
 
 from ancfdae.errors import Verdict, require_count, require_kind, require_positive
 from ancfdae.integrators.integrator import require_rtol
+from ancfdae.integrators.pace import Pace
 from ancfdae.integrators.step_control.contracts import (
     Controller,
     OneStepMethod,
@@ -160,6 +161,7 @@ class _Filter(Controller):
         self._last_wish = self._last_ratio = 1.0
         self._memory = 0.0
         self._remaining, self._last_h = 0, self._h
+        self._pace = Pace(t_end, method.many, method.remedy)
         if state:
             self._h, self._start, self._last_wish, self._last_ratio, self._memory = state[:5]
             self._last_h, taken, remaining = state[5:]
@@ -213,7 +215,7 @@ class _Filter(Controller):
         self._last_wish, self._last_ratio = wish, ratio
         self._remaining = max(self._remaining - 1, 0)
         self._h, self._last_h = h * ratio, h
-        return n + 1
+        return Verdict.ERROR_TEST if self._pace.stalls(t + h) else n + 1
 
     def _reject(self, n: int, t: float, h: float, why: Verdict) -> int | Verdict:
         """Choose a smaller step; near the start, which is made for its step, begin anew with it."""
@@ -225,6 +227,8 @@ class _Filter(Controller):
             self._memory = 0.0
         self._h = self._last_h = h
         self._last_wish, self._last_ratio, self._remaining = 1.0, 1.0, 0
+        if anew:
+            self._pace.restart(0.0)
         return 0 if anew else n
 
 

@@ -44,18 +44,21 @@ class Tolerance:
     sizes: Array
     sizes_b: Array
 
-    def of_motion(self, h: float, delta: Array, size: Array) -> float:
-        """Return e of the motion; `size` is abs(q)."""
-        return self._of(h, delta, size, self.sizes)
+    def of_motion(self, h: float, delta: Array, size: Array, blur: Array | float = 0.0) -> float:
+        """Return e of the motion; `size` is abs(q), and delta below `blur` is round-off."""
+        return self._of(h, delta, self.rtol * size + self.atol * self.sizes + blur)
 
-    def of_derivatives(self, h: float, delta_b: Array, size_b: Array) -> float:
+    def of_derivatives(
+        self, h: float, delta_b: Array, size_b: Array, blur_b: Array | float = 0.0
+    ) -> float:
         """Return the largest e of the derivatives; `size_b` is abs(q_b)."""
         seen = self.sizes_b > 0
-        least = self.sizes[:, None] * self.sizes_b[seen]
-        return _FED * self._of(h, delta_b[:, seen], size_b[:, seen], least)
+        least = self.sizes[:, None] * self.sizes_b
+        allowed = self.rtol * size_b + self.atol * least + blur_b
+        return _FED * self._of(h, delta_b[:, seen], allowed[:, seen])
 
-    def _of(self, h: float, delta: Array, size: Array, least: Array) -> float:
-        ratio = delta * (self.t_end / h) / (self.rtol * size + self.atol * least)
+    def _of(self, h: float, delta: Array, allowed: Array) -> float:
+        ratio = delta * (self.t_end / h) / allowed
         return float(np.sqrt(np.max(np.mean(ratio * ratio, axis=0), initial=0.0)))
 
 

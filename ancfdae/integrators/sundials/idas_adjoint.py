@@ -20,7 +20,7 @@ import numpy as np
 
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import PassFailed, Verdict
-from ancfdae.integrators.high_order import HighOrder, NotFinite, Progress
+from ancfdae.integrators.high_order import HighOrder, NotFinite, pace
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.start import AccelerationsAdjoint, InitialState
@@ -83,7 +83,7 @@ class BackwardRun:
         self._bindings, self._problem, self._form = bindings, problem, form
         self._rtol, self._max_steps = settings.rtol, settings.max_steps
         self._solution, self._t_end = solution, float(solution.t[-1])
-        self._progress, self._calls = Progress(self._t_end), 0
+        self._pace, self._calls = pace(self._t_end), 0
         self._seeds = AdjointSeeds(problem, solution, seeds)
         s, size = problem.scales, self._seeds.size or 1.0
         self._scale, self._b_scale = np.concatenate([s.q, s.v]) / size, s.b / size
@@ -219,7 +219,7 @@ class BackwardRun:
         array = self._bindings.array
         # This is called once or twice a step; IDAS itself counts from checkpoint to checkpoint.
         self._calls += 1
-        stalls, limit = self._progress.stalls(self._t_end - t), 2 * self._max_steps
+        stalls, limit = self._pace.stalls(self._t_end - t), 2 * self._max_steps
         if stalls or self._calls > limit:
             raise PassFailed(Verdict.ERROR_TEST if stalls else Verdict.STEP_LIMIT)
         _, on_b = self._rates(t, *self._form.coordinates(array(y)), array(z) / self._scale)

@@ -90,9 +90,18 @@ class Drive(DrivenJoint):
     def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
         """Whether the derivative in the angle has the sign that it has in the reference."""
         cosine, sine = self.moving(p, reference)
-        of_cosine, of_sine = self.factors(p, np.array([t]), 0)[:, 0]
-        rate = of_cosine * sine.at(U)[0] - of_sine * cosine.at(U)[0]
+        on_cosine, on_sine = self.by_turn(p, np.array([t]))[:, 0]
+        rate = on_cosine * cosine.at(U)[0] + on_sine * sine.at(U)[0]
         return bool(rate * sine.at(reference)[0] > 0)
+
+    def by_turn(self, p: Array, t: Array) -> Array:
+        """Minus sine and cosine of the angle."""
+        cosine, sine = self.factors(p, t, 0)
+        return np.array([-sine, cosine])
+
+    def turn_rate(self, p: Array, t: Array) -> Array:
+        """Rate of the law."""
+        return self.angle.derivative(self.split(p)[0], t, 1)
 
     def factors(self, p: Array, t: Array, order: int) -> Array:
         """Cosine and sine of the angle."""

@@ -142,6 +142,18 @@ class Joint(Part):
         """Whether vectors that meet the equations stand where the law says, not half a turn off."""
         return True
 
+    def by_turn(self, p: Array, t: Array) -> Array:
+        """Return the derivatives of the factors in a prescribed angle, (n_factors, k).
+
+        They are zero where the law prescribes no angle. The equations of an angle hold half a turn
+        off as well; their derivative in the angle has the opposite sign there.
+        """
+        return np.zeros_like(self.factors(p, t, 0))
+
+    def turn_rate(self, p: Array, t: Array) -> Array:
+        """Return the rate of a prescribed angle, (k,), zero without one; rad/s."""
+        return np.zeros(len(t))
+
 
 class DrivenJoint(Joint):
     """A joint whose coefficients depend on time: `coefficients` + sum_k factor_k(t) moving_k."""
