@@ -135,6 +135,9 @@ def precise_modes(small: Linearised, X: Array) -> Modes:
 def _rigid_motions(precise: Precise, factors: Factorization) -> Array:
     """Return all of them, orthonormal in M; `factors` are those of P = K + shift D, D = |diag K|.
 
+    The block grows until it contains a motion stiffer than shift D: all that are softer, rigid or
+    not, keep their size, and Ritz's method tells them apart only where all of them are in it.
+
     x - P^-1 K x leaves them as they are, and of others what shift D is of P. In the norm of D a
     spin about the axis of a thin body counts as much as a translation.
 
@@ -148,8 +151,11 @@ def _rigid_motions(precise: Precise, factors: Factorization) -> Array:
         X = small.solve(factors, root * random.standard_normal((len(root), count)))
         for _ in range(_CLEANED):
             X = X - small.solve(factors, precise.times(X))
-        X = distinct(X, root**2 * X)
+        X = _basis(root * X) / root
         kappa, W = np.linalg.eigh(X.T @ precise.times(X))
+        if np.all(kappa < _SHIFT) and count < small.n_free:
+            count *= _MORE
+            continue
         X = X @ W[:, kappa < _SHIFT]
         X = X / np.sqrt(_squares(small, X))
         z = np.einsum("ij,ij->j", X, precise.times(X))
@@ -159,6 +165,12 @@ def _rigid_motions(precise: Precise, factors: Factorization) -> Array:
         if R.shape[1] < count or count == small.n_free:
             return distinct(R, small.times(small.M, R))
         count *= _MORE
+
+
+def _basis(X: Array) -> Array:
+    """Return an orthonormal basis of columns, of every part that is more than their round-off."""
+    U, sizes, _ = np.linalg.svd(X / np.linalg.norm(X, axis=0), full_matrices=False)
+    return np.asarray(U[:, sizes > ROUND_OFF * EPS * sizes[0]])
 
 
 def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array) -> Modes:
@@ -185,7 +197,9 @@ def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array)
         sizes = np.abs(last) + small.round_off(small.K, X[:, :count])
         if np.all(change <= _SETTLED * sizes):
             z, X = z[:count], X[:, :count]
-            return z, X, np.maximum(_noise(precise, X, z), change)
+            # What is wrong with R is in X, too: a part c / z of R, which moves z by c^2 / z.
+            mixed = np.sum((R.T @ precise.times(X)) ** 2, axis=0) / np.abs(z)
+            return z, X, np.maximum(_noise(precise, X, z), change) + mixed
     raise NoModes(_TOO_THIN)
 
 

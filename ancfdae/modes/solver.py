@@ -107,17 +107,32 @@ def _undamped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     pairs = _finished(small, z[order], X[:, order])
     left = _left(small, pairs, change[order])
     missing = lost(pairs.z, left)
-    if highest or not len(missing):
+    if highest or not (len(missing) or _mixed(small, pairs)):
         return pairs
     try:
         z, X, noise = precise_modes(small, pairs.X)
+        # Before round-off is named zero: the rigid motions are, and no other is one of them.
+        refuse_lost(z, noise)
         precise = _sorted(_finished(small, z, X, noise))
-        refuse_lost(precise.z, precise.noise)
     except NoModes:
         if _freed(pairs.z, left, missing):
             return pairs
         raise
     return precise
+
+
+def _mixed(small: Linearised, pairs: Eigenpairs) -> bool:
+    """Whether modes with z = 0 may be, or contain, others that are not rigid.
+
+    `separated` leaves them a part (sigma / z)^3 of a shape with z, which takes its square of z; and
+    all shapes with z below sigma are zero to round-off.
+    """
+    zero = pairs.z == 0
+    if not np.any(zero):
+        return False
+    sigma = ROUND_OFF * float(np.max(floor(small, pairs.X[:, zero])))
+    least = np.min(np.abs(pairs.z[~zero]), initial=np.inf)
+    return bool(sigma > ALLOWED ** (1 / 6) * least)
 
 
 def _sorted(pairs: Eigenpairs) -> Eigenpairs:
@@ -212,7 +227,9 @@ def _rank(small: Linearised, s: Array, X: Array) -> Array:
 def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Array]:
     """Sweeps of inverse iteration with all shapes of a symmetric pencil, and Ritz's method.
 
-    Returns what the last sweep changed in z, too.
+    Returns the error left in z, too: what the last sweep changed, d, is d rho^2 / (1 - rho^2) and
+    less, as parts of shapes that are not in the block fall by rho = (z - shift) / (top - shift) or
+    more, where top is the largest z in it. Far from zero a shift changes nothing, and is no proof.
 
     Dense eigenvalues are good to round-off of the largest one, which in a thin beam is far above
     the lowest; those of Ritz's method to that of the largest here, which would hide a rigid motion.
@@ -235,8 +252,16 @@ def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Arr
             return z, X, change
         X = Z @ W
         last, z = z, np.einsum("ij,ij->j", X, small.times(small.K, X)) / small.squares(X)
-        change = np.abs(z - last)
+        change = np.abs(z - last) / _falling(z, shift, len(z) == small.n_free)
     return z, X, change
+
+
+def _falling(z: Array, shift: float, complete: bool) -> Array:
+    """Return 1 - rho^2 of a sweep for each value; 1 for the largest, of which nothing is known."""
+    top = np.max(z)
+    rho = (z - shift) / (top - shift)
+    same = top - z <= ALLOWED * np.abs(top)
+    return np.where(same | complete, 1.0, 1 - rho**2)
 
 
 def _each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Array]:
