@@ -34,6 +34,9 @@ from ancfdae.errors import Verdict
 E, NU = 1e9, 0.3
 
 
+pytestmark = pytest.mark.rounding
+
+
 def thin(slenderness, deflection, elements=4, along=(1.0, 0.0), length=1.0):
     """A cantilever of square section whose tip moves by the given part of its length."""
     h, along = slenderness * length, np.array(along)

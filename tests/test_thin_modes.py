@@ -65,6 +65,7 @@ def free_beam(slenderness, elements, nu, turned):
     return Scene([Beam("rod", (0, 0, 0), tuple(rotation[:, 0]), elements, section, material)], [])
 
 
+@pytest.mark.rounding
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("nu", [0.0, 0.2, 0.49])
 @pytest.mark.parametrize("elements", [2, 3, 4])

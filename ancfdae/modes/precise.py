@@ -181,8 +181,7 @@ def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array)
     def corrected(force: Array) -> Array:
         return _without(R, inertia, small.solve(factors, force - inertia @ (R.T @ force)))
 
-    more = min(_GUARDS, small.n_free - X.shape[1])
-    push = np.random.default_rng(2).standard_normal((small.system.n_q, more))
+    push = np.random.default_rng(2).standard_normal((small.system.n_q, _GUARDS))
     push *= np.sqrt(small.system.weights)[:, None]
     X = _without(R, inertia, X / np.sqrt(_squares(small, X)))
     X = np.hstack([distinct(X, small.times(small.M, X)), corrected(push)])
@@ -235,17 +234,38 @@ def lost(z: Array, noise: Array) -> Array:
     return np.flatnonzero((z != 0) & (noise > ALLOWED * np.abs(z)))
 
 
-def refuse_lost(z: Array, noise: Array) -> None:
+def refuse_lost(small: Linearised, z: Array, noise: Array) -> None:
     """Refuse modes that are not rigid and whose values round-off moves by too much."""
     missing = lost(z, noise)
-    if len(missing):
-        j = int(missing[0])
-        raise NoModes(
-            f"mode {j}: round-off moves the square of its frequency by "
-            f"{noise[j] / np.abs(z[j]):.1g} of itself; the body is too thin for its numbers. "
-            "Linearise about an equilibrium (at=equilibrium(...)), where less is lost, or use "
-            "fewer elements."
-        )
+    if not len(missing):
+        return
+    j = int(missing[0])
+    size = np.abs(z[j])
+    gaps = np.abs(np.delete(z, j) - z[j])
+    moved = f"mode {j}: round-off moves its value by {noise[j] / size:.1g} of itself"
+    if not small.symmetric or small.D is not None:
+        gap = float(np.min(gaps, initial=np.inf))
+        if gap <= ALLOWED**0.5 * size:
+            repair = (
+                "Change the load, the damping or the design by more than a millionth of itself."
+                if z[j].imag or small.D is None
+                else "Motions that creep crowd next to -1 over the retardation time: shorten it, "
+                "ask for fewer modes, or pass damped=False."
+            )
+            raise NoModes(
+                f"{moved}; another one differs by {gap / size:.1g}, and next to a double root a "
+                f"relative error e of the matrices becomes its root. {repair}"
+            )
+    balance = (
+        ""
+        if small.unbalanced == 0
+        else ("linearise about an equilibrium (at=equilibrium(...)), where less is lost, or ")
+    )
+    raise NoModes(
+        f"{moved}: the stiffest motions are too many orders of magnitude stiffer than this one. To "
+        f"keep more digits {balance}use fewer elements, thicker sections or rigid bodies for the "
+        "stiffest parts (the body is too thin for its numbers)."
+    )
 
 
 def _ritz(precise: Precise, Z: Array) -> tuple[Array, Array]:

@@ -112,7 +112,7 @@ def _undamped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     try:
         z, X, noise = precise_modes(small, pairs.X)
         # Before round-off is named zero: the rigid motions are, and no other is one of them.
-        refuse_lost(z, noise)
+        refuse_lost(small, z, noise)
         precise = _sorted(_finished(small, z, X, noise))
     except NoModes:
         if _freed(pairs.z, left, missing):
@@ -151,7 +151,7 @@ def _asymmetric(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     z, X, change = _with_rigid(rigid, *_each_sharpened(small, z[order], X[:, order]))
     order = np.argsort(-z.real if highest else z.real, kind="stable")[:count]
     pairs = _finished(small, z[order], X[:, order])
-    refuse_lost(pairs.z, _left(small, pairs, change[order]))
+    refuse_lost(small, pairs.z, _left(small, pairs, change[order]))
     return pairs
 
 
@@ -183,17 +183,18 @@ def _damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
         around = _undamped(replace(small, D=None), more, highest)
         size = float(np.sqrt(np.max(np.abs(around.z))))
         s, X = sparse.damped(small, count, size, highest, rigid)
-    order = np.argsort(-np.abs(s) if highest else _rank(small, s, X), kind="stable")[:count]
+    order = np.argsort(-np.abs(s), kind="stable") if highest else _ranked(small, s, X)
+    order = order[:count]
     if not highest:
         # Before they are sharpened some grow by round-off, which would take the place of others.
-        order = np.union1d(order, np.argsort(np.abs(s), kind="stable")[:count])
+        order = np.union1d(order, np.argsort(np.where(s.imag, np.abs(s), np.inf))[:count])
     s, X, change = _each_sharpened(small, s[order], X[:, order])
     if not highest:
         s, X, change = _with_rigid(rigid, s, X, change)
-        order = np.argsort(_rank(small, s, X), kind="stable")
+        order = _ranked(small, s, X)
         s, X, change = s[order], X[:, order], change[order]
     pairs = _finished(small, s, X)
-    refuse_lost(pairs.z, _left(small, pairs, change))
+    refuse_lost(small, pairs.z, _left(small, pairs, change))
     return pairs
 
 
@@ -217,11 +218,16 @@ def _is_small(small: Linearised, count: int) -> bool:
     return small.n_free <= max(size, 3 * count + _ROOM)
 
 
-def _rank(small: Linearised, s: Array, X: Array) -> Array:
-    """Order of exponents: growing ones, fastest first, then by size."""
-    growing = s.real > ROUND_OFF * _noise(small, s, X)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.where(growing, -s.real, np.abs(s)))
+def _ranked(small: Linearised, s: Array, X: Array) -> Array:
+    """Return the order of exponents: growing ones, fastest first, rigid, vibrating, decaying ones.
+
+    Each kind by size. A body with internal damping has as many real exponents next to -1 over its
+    retardation time as motions that do not vibrate: in front they would hide those that do.
+    """
+    noise = _noise(small, s, X)
+    growing, vibrates = s.real > ROUND_OFF * noise, np.abs(s.imag) > _near(s, noise)
+    kind = np.where(growing, 0, np.where(s == 0, 1, np.where(vibrates, 2, 3)))
+    return np.lexsort((np.where(growing, -s.real, np.abs(s)), kind))
 
 
 def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Array]:
