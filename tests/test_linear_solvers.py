@@ -26,6 +26,9 @@ from setting import STEP, assert_close
 # ---------------------------------------------------------------- patterns
 
 
+pytestmark = pytest.mark.rounding
+
+
 @pytest.mark.parametrize("shape", [(4, 7), (250, 250)], ids=["dense", "sparse"])
 def test_pattern_products_are_those_of_the_dense_matrix(shape):
     rng = np.random.default_rng(1)

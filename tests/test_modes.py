@@ -20,6 +20,8 @@ from ancfdae import (
     PointOnLine,
     Rectangle,
     RedundantConstraints,
+    Revolute,
+    RigidBody,
     SaintVenantKirchhoff,
     Scene,
     Traits,
@@ -29,6 +31,7 @@ from ancfdae import (
     simulate,
     suggest_step,
 )
+from ancfdae.errors import AncfdaeError
 from ancfdae.modes import solver
 from ancfdae.modes import sparse as arpack
 
@@ -64,6 +67,46 @@ def test_what_creeps_does_not_vibrate():
     assert modes(Scene([still], [Clamp(still.at_start)]), 1).frequencies[0] > 2.0
     assert set(found.kinds) == {MotionKind.DECAYING}
     np.testing.assert_array_equal(found.frequencies, 0.0)
+
+
+def test_strongly_damped_vibrations_come_before_what_decays():
+    # s^2 + tau omega^2 s + omega^2 = 0 with Euler's omega = 3.51602 sqrt(E I/(rho A)) / L^2; all
+    # other motions have tau omega > 2 and decay at about -1/tau. Shear and rotary inertia: 2e-4.
+    beam = rod(8, (0, 0), (1, 0), 0.02, 2.1e11, 7800.0, damping_time=0.01)
+    found = modes(Scene([beam], [Clamp(beam.at_start)]), 3)
+    omega = 3.516015 * np.sqrt(2.1e11 * 0.02**2 / 12 / 7800.0)
+    expected = np.roots([1.0, 0.01 * omega**2, omega**2])
+    assert found.kinds[0] is MotionKind.VIBRATION
+    assert found.exponents[0] == pytest.approx(expected[expected.imag > 0][0], rel=2e-3)
+    assert set(found.kinds[1:]) == {MotionKind.DECAYING}
+    np.testing.assert_allclose(found.exponents[1:], -100.0, rtol=0.03)
+
+
+def test_a_double_root_is_refused_as_such_and_not_as_a_thin_body():
+    beam = rod(8, (0, 0), (1, 0), 0.02, 2.1e11, 7800.0, damping_time=1.0)
+    with pytest.raises(AncfdaeError, match="double root") as refused:
+        modes(Scene([beam], [Clamp(beam.at_start)]), 3)
+    assert "thin" not in str(refused.value)
+    assert "damped=False" in str(refused.value)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.01, -0.3])
+def test_a_step_for_a_pendulum_out_of_balance_is_that_of_its_swing(tilt):
+    """A rod of 1 m, hinged: sqrt(3 g / 2 L); level it has no stiffness, wherever it hangs."""
+    for origin in (0.0, 1e3):
+        c, s = np.cos(tilt), np.sin(tilt)
+        body = RigidBody(
+            "rod",
+            (origin + c / 2, origin, origin - s / 2),
+            mass=1.0,
+            inertia=(1e-3, 1 / 12, 1 / 12),
+            frame=[[c, 0, s], [0, 1, 0], [-s, 0, c]],
+        )
+        hinge = Revolute(body.at(-0.5, 0, 0), axis=(0, 1, 0))
+        scene = Scene([], [hinge], bodies=[body], gravity=(0, 0, -9.81))
+        swing = 2 * np.pi / np.sqrt(1.5 * 9.81)
+        # What weight still pulls along the rod slows the turn down: to cos(0.3)^(1/2) of it.
+        assert suggest_step(scene, follow=1).slowest == pytest.approx(swing, rel=0.03)
 
 
 class Stuck(ComplexStepSystem):

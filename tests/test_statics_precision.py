@@ -37,6 +37,9 @@ from ancfdae.errors import Verdict
 E, NU, G = 1e9, 0.3, 9.81
 
 
+pytestmark = pytest.mark.rounding
+
+
 def thin(slenderness, deflection, elements=4, along=(1.0, 0.0), length=1.0):
     """A cantilever of square section whose tip moves by the given part of its length."""
     h, along = slenderness * length, np.array(along)

@@ -206,6 +206,39 @@ def test_forward_and_backward_whirl_are_those_of_the_shaft_with_a_disc():
     assert np.abs(at_rest[0]) > 0.9
 
 
+def test_torsion_keeps_its_frequency_at_rest_and_signs_do_not_jump():
+    """Rates change neither GI_p nor the polar inertia: omega = (pi/2 L) sqrt(G/rho)."""
+    E, rho = 2e11, 7800.0
+    bar = Beam("bar", (0, 0, 0), (1, 0, 0), 4, Circle(0.025), Material(rho, E, 0.3))
+    scene = Scene([bar], [Clamp(bar.at_start)], frame=TurningFrame(0.0, axis=(1, 0, 0)))
+    diagram = campbell(scene, [0.0, 100.0, 600.0], 8)
+    speeds, torsion = diagram.whirl_speeds, np.pi / 2 * np.sqrt(E / 2.6 / rho)
+    column = np.argmin(np.abs(speeds[0] - torsion))
+    # Linear in each of four elements: (pi/2/4)^2 / 24 of the frequency; cubic ones are better.
+    np.testing.assert_allclose(speeds[:, column], torsion, rtol=7e-3)
+    np.testing.assert_allclose(speeds[:, column], speeds[0, column], rtol=1e-3)
+    circles = np.abs(diagram.whirl) > 0.99
+    assert np.all(circles == circles[0])
+    # Gyroscopic forces on a thin shaft change speeds of bending by 1 % here; a jump is a sign.
+    turned = speeds[:, circles[0]]
+    np.testing.assert_allclose(turned, np.tile(turned[0], (3, 1)), rtol=0.02)
+    assert sorted(np.sign(turned[0])) == [-1.0] * 4 + [1.0] * 4
+
+
+def test_energy_in_a_turning_frame_counts_the_centrifugal_potential_once():
+    """A mass m at a distance r from the axis has -m w^2 r^2 / 2 there, by hand."""
+    body = RigidBody("bead", (0.6, 0.0), mass=2.0, inertia=0.5)
+    turning, still = (
+        assemble(Scene([], bodies=[body], frame=TurningFrame(rate, through=(0.1, 0.0))))
+        for rate in (5.0, 0.0)
+    )
+    q = turning.start()[0]
+    rest = np.zeros((1, turning.n_q))
+    left = turning.energies.total(q[None], rest) - still.energies.total(q[None], rest)
+    # A plane body that turns has its inertia about the axis: m r^2 + J.
+    np.testing.assert_allclose(left, -0.5 * 25.0 * (2.0 * 0.5**2 + 0.5), rtol=1e-12)
+
+
 def test_lines_of_a_campbell_diagram_are_smooth_where_they_cross():
     diagram = campbell(shaft(), np.linspace(50.0, 200.0, 7), 5)
     w, w_b, h = diagram.frequencies, diagram.frequencies_b[:, :, 0], 25.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ancfdae import (
     Beam,
@@ -16,7 +17,8 @@ from ancfdae import (
     modes,
 )
 from ancfdae.errors import AncfdaeError
-from validation.thin_beams import cantilever_frequencies, thin_cantilever
+from ancfdae.modes.precise import NoModes
+from validation.thin_beams import cantilever_frequencies, euler_frequencies, thin_cantilever
 
 E, RHO = 1e9, 1000.0
 
@@ -54,6 +56,36 @@ def test_a_free_thin_beam_has_all_rigid_motions(slenderness, d, elements, nu):
     unit = np.sqrt(E * slenderness**2 / 12 / RHO)
     # Three elements are 0.3 % too stiff.
     np.testing.assert_allclose(found.frequencies[rigid:] / unit, 22.3733, rtol=3e-3)
+
+
+def free_beam(slenderness, elements, nu, turned):
+    """A free square bar of 1 m in space, along x or in a direction without a zero component."""
+    rotation = Rotation.from_rotvec((0.3, -1.1, 0.7)).as_matrix() if turned else np.eye(3)
+    section, material = Rectangle(slenderness, slenderness), Material(RHO, E, nu)
+    return Scene([Beam("rod", (0, 0, 0), tuple(rotation[:, 0]), elements, section, material)], [])
+
+
+@pytest.mark.rounding
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("nu", [0.0, 0.2, 0.49])
+@pytest.mark.parametrize("elements", [2, 3, 4])
+@pytest.mark.parametrize(
+    "slenderness", [3e-4, 2.06e-4, 1.53e-4, 1.33e-4, 1.16e-4, 3e-5, 1.24e-5, 5.17e-6, 1.98e-6]
+)
+def test_free_thin_beams_in_space_bend_as_cubic_elements_or_are_refused(
+    slenderness, elements, nu, turned
+):
+    """Round-off of the spin, of next to no inertia, is larger than the stiffness of bending."""
+    try:
+        found = modes(free_beam(slenderness, elements, nu, turned), 8)
+    except NoModes:
+        assert slenderness < 1e-5
+        return
+    assert found.kinds == (MotionKind.RIGID,) * 6 + (MotionKind.VIBRATION,) * 2
+    unit = np.sqrt(E * slenderness**2 / 12 / RHO)
+    expected = euler_frequencies(elements)[2:4]
+    # Half of the 2e-6 of omega^2 that are promised; shear and rotary inertia are 4 (h/L)^2 = 4e-7.
+    np.testing.assert_allclose(found.frequencies[6:] / unit, expected[0], rtol=1.4e-6)
 
 
 def linkage(kind, d, slenderness, elements):

@@ -25,7 +25,7 @@ from ancfdae import (
 )
 from validation.report import Agreement, Report
 
-__all__ = ["cantilever_frequencies", "fill", "thin_cantilever"]
+__all__ = ["cantilever_frequencies", "euler_frequencies", "fill", "thin_cantilever"]
 
 _E, _RHO = 1e9, 1000.0
 
@@ -68,6 +68,15 @@ def fill(report: Report, quick: bool) -> None:
 
 def cantilever_frequencies(elements: int) -> npt.NDArray[np.float64]:
     """Frequencies of a cantilever of cubic elements, in units of sqrt(E I / (rho A L^4))."""
+    return euler_frequencies(elements, held=2)
+
+
+def euler_frequencies(elements: int, held: int = 0) -> npt.NDArray[np.float64]:
+    """Frequencies of cubic elements of Euler's beam, in units of sqrt(E I / (rho A L^4)).
+
+    The first `held` coordinates, deflection and slope of the first node, are zero; of a free beam
+    the first two frequencies are rigid motions, with round-off.
+    """
     l = 1 / elements
     k = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]]) / l**3
     m = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
@@ -77,8 +86,10 @@ def cantilever_frequencies(elements: int) -> npt.NDArray[np.float64]:
         rows = slice(2 * element, 2 * element + 4)
         K[rows, rows] += k
         M[rows, rows] += m * l / 420
-    squares: npt.NDArray[np.float64] = scipy.linalg.eigh(K[2:, 2:], M[2:, 2:], eigvals_only=True)
-    return np.sqrt(squares)
+    squares: npt.NDArray[np.float64] = scipy.linalg.eigh(
+        K[held:, held:], M[held:, held:], eigvals_only=True
+    )
+    return np.sqrt(np.maximum(squares, 0.0))
 
 
 def thin_cantilever(

@@ -6,12 +6,12 @@ from typing import final
 import numpy as np
 import scipy
 
-from ancfdae.equations import MechanicalSystem, Solution
+from ancfdae.equations import MechanicalSystem, Solution, reaction
 from ancfdae.errors import AncfdaeError, InvalidInput, Verdict
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.solver import solve
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.threads import in_one_thread
 
 
@@ -49,8 +49,9 @@ def suggestion(
 ) -> StepSuggestion:
     """Return a step that follows the slowest `follow` motions, or all; see `suggest_step`."""
     small = Linearised.of(system, at, False)
-    fastest = 2 * np.pi / _speeds(small, 1, True)[-1]
-    slow = 2 * np.pi / _speeds(small, 1 if follow is None else follow, False)
+    turning = _turning(small, 1 if follow is None else follow)
+    slow = 2 * np.pi / _speeds(small, 1 if follow is None else follow, False, turning)
+    fastest = 2 * np.pi / _speeds(small, 1, True, turning)[-1]
     resolved = fastest if follow is None else float(slow[min(follow, len(slow)) - 1])
     return StepSuggestion(
         resolved / per_period, float(fastest), float(slow[0]), float(resolved), per_period
@@ -106,8 +107,35 @@ def advised(system: MechanicalSystem, run: Solution) -> Solution:
     return replace(run, outcome=replace(outcome, advice=f"{outcome.advice} {periods}".lstrip()))
 
 
-def _speeds(small: Linearised, count: int, highest: bool) -> Array:
-    """Return |s| of the given number of motions that are not rigid, in increasing order."""
+def _turning(small: Linearised, follow: int) -> float:
+    """Return the rate at which forces out of balance turn the slow motions that they drive; 1/s.
+
+    Of an acceleration a from rest, Phi_q a' = -Phi_qq[a, a] is what the joints add as it goes on:
+    a^2/l of a pendulum of length l, so that |a'|/|a| is the square of its rate, g/l where it is
+    level and has no stiffness. Zero in an equilibrium and where all joints are linear.
+    """
+    system, at = small.system, small.at
+    if small.unbalanced == 0 or not system.n_lam:
+        return 0.0
+    force = system.force(at.t, at.q, np.zeros(system.n_q)) - reaction(system, at.t, at.q, at.lam)
+    X = solve(small, follow, False).X
+    a = X @ (X.T @ force)
+    size = float(small.squares(a[:, None])[0]) ** 0.5
+    if size == 0:
+        return 0.0
+    # A unit of a, so that neither its size nor that of q matters.
+    a = a / size
+    slope = np.imag(system.constraint_q(at.t, at.q + 1j * STEP * a)) / STEP
+    turned = system.constraint_pattern.dot(slope, a)
+    change = small.mass_factors.solve(np.concatenate([0 * a, -turned]))[: len(a)]
+    return float((size * small.squares(change[:, None])[0] ** 0.5) ** 0.5)
+
+
+def _speeds(small: Linearised, count: int, highest: bool, turning: float) -> Array:
+    """Return |s| of the given number of motions that are not rigid, in increasing order.
+
+    None is less than the rate at which forces out of balance turn the motion.
+    """
     asked = count
     while True:
         z = solve(small, asked, highest).z
@@ -115,6 +143,8 @@ def _speeds(small: Linearised, count: int, highest: bool) -> Array:
         if len(speeds) >= count or asked >= small.n_free:
             break
         asked = min(2 * asked + 6, small.n_free)
+    if not len(speeds) and turning:
+        return np.array([turning])
     if not len(speeds):
         raise InvalidInput(
             "suggest_step",
@@ -122,4 +152,4 @@ def _speeds(small: Linearised, count: int, highest: bool) -> Array:
             "rigid motions only",
             "Choose the step from the speed of the motion.",
         )
-    return np.asarray(speeds)
+    return np.asarray(np.maximum(speeds, turning))

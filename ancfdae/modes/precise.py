@@ -135,6 +135,9 @@ def precise_modes(small: Linearised, X: Array) -> Modes:
 def _rigid_motions(precise: Precise, factors: Factorization) -> Array:
     """Return all of them, orthonormal in M; `factors` are those of P = K + shift D, D = |diag K|.
 
+    The block grows until it contains a motion stiffer than shift D: all that are softer, rigid or
+    not, keep their size, and Ritz's method tells them apart only where all of them are in it.
+
     x - P^-1 K x leaves them as they are, and of others what shift D is of P. In the norm of D a
     spin about the axis of a thin body counts as much as a translation.
 
@@ -148,8 +151,11 @@ def _rigid_motions(precise: Precise, factors: Factorization) -> Array:
         X = small.solve(factors, root * random.standard_normal((len(root), count)))
         for _ in range(_CLEANED):
             X = X - small.solve(factors, precise.times(X))
-        X = distinct(X, root**2 * X)
+        X = _basis(root * X) / root
         kappa, W = np.linalg.eigh(X.T @ precise.times(X))
+        if np.all(kappa < _SHIFT) and count < small.n_free:
+            count *= _MORE
+            continue
         X = X @ W[:, kappa < _SHIFT]
         X = X / np.sqrt(_squares(small, X))
         z = np.einsum("ij,ij->j", X, precise.times(X))
@@ -161,6 +167,12 @@ def _rigid_motions(precise: Precise, factors: Factorization) -> Array:
         count *= _MORE
 
 
+def _basis(X: Array) -> Array:
+    """Return an orthonormal basis of columns, of every part that is more than their round-off."""
+    U, sizes, _ = np.linalg.svd(X / np.linalg.norm(X, axis=0), full_matrices=False)
+    return np.asarray(U[:, sizes > ROUND_OFF * EPS * sizes[0]])
+
+
 def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array) -> Modes:
     """Modes beside rigid motions R, from a guess X of all of them."""
     small, count = precise.small, X.shape[1] - R.shape[1]
@@ -169,8 +181,7 @@ def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array)
     def corrected(force: Array) -> Array:
         return _without(R, inertia, small.solve(factors, force - inertia @ (R.T @ force)))
 
-    more = min(_GUARDS, small.n_free - X.shape[1])
-    push = np.random.default_rng(2).standard_normal((small.system.n_q, more))
+    push = np.random.default_rng(2).standard_normal((small.system.n_q, _GUARDS))
     push *= np.sqrt(small.system.weights)[:, None]
     X = _without(R, inertia, X / np.sqrt(_squares(small, X)))
     X = np.hstack([distinct(X, small.times(small.M, X)), corrected(push)])
@@ -185,7 +196,9 @@ def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array)
         sizes = np.abs(last) + small.round_off(small.K, X[:, :count])
         if np.all(change <= _SETTLED * sizes):
             z, X = z[:count], X[:, :count]
-            return z, X, np.maximum(_noise(precise, X, z), change)
+            # What is wrong with R is in X, too: a part c / z of R, which moves z by c^2 / z.
+            mixed = np.sum((R.T @ precise.times(X)) ** 2, axis=0) / np.abs(z)
+            return z, X, np.maximum(_noise(precise, X, z), change) + mixed
     raise NoModes(_TOO_THIN)
 
 
@@ -221,17 +234,38 @@ def lost(z: Array, noise: Array) -> Array:
     return np.flatnonzero((z != 0) & (noise > ALLOWED * np.abs(z)))
 
 
-def refuse_lost(z: Array, noise: Array) -> None:
+def refuse_lost(small: Linearised, z: Array, noise: Array) -> None:
     """Refuse modes that are not rigid and whose values round-off moves by too much."""
     missing = lost(z, noise)
-    if len(missing):
-        j = int(missing[0])
-        raise NoModes(
-            f"mode {j}: round-off moves the square of its frequency by "
-            f"{noise[j] / np.abs(z[j]):.1g} of itself; the body is too thin for its numbers. "
-            "Linearise about an equilibrium (at=equilibrium(...)), where less is lost, or use "
-            "fewer elements."
-        )
+    if not len(missing):
+        return
+    j = int(missing[0])
+    size = np.abs(z[j])
+    gaps = np.abs(np.delete(z, j) - z[j])
+    moved = f"mode {j}: round-off moves its value by {noise[j] / size:.1g} of itself"
+    if not small.symmetric or small.D is not None:
+        gap = float(np.min(gaps, initial=np.inf))
+        if gap <= ALLOWED**0.5 * size:
+            repair = (
+                "Change the load, the damping or the design by more than a millionth of itself."
+                if z[j].imag or small.D is None
+                else "Motions that creep crowd next to -1 over the retardation time: shorten it, "
+                "ask for fewer modes, or pass damped=False."
+            )
+            raise NoModes(
+                f"{moved}; another one differs by {gap / size:.1g}, and next to a double root a "
+                f"relative error e of the matrices becomes its root. {repair}"
+            )
+    balance = (
+        ""
+        if small.unbalanced == 0
+        else ("linearise about an equilibrium (at=equilibrium(...)), where less is lost, or ")
+    )
+    raise NoModes(
+        f"{moved}: the stiffest motions are too many orders of magnitude stiffer than this one. To "
+        f"keep more digits {balance}use fewer elements, thicker sections or rigid bodies for the "
+        "stiffest parts (the body is too thin for its numbers)."
+    )
 
 
 def _ritz(precise: Precise, Z: Array) -> tuple[Array, Array]:

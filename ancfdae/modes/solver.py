@@ -107,17 +107,32 @@ def _undamped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     pairs = _finished(small, z[order], X[:, order])
     left = _left(small, pairs, change[order])
     missing = lost(pairs.z, left)
-    if highest or not len(missing):
+    if highest or not (len(missing) or _mixed(small, pairs)):
         return pairs
     try:
         z, X, noise = precise_modes(small, pairs.X)
+        # Before round-off is named zero: the rigid motions are, and no other is one of them.
+        refuse_lost(small, z, noise)
         precise = _sorted(_finished(small, z, X, noise))
-        refuse_lost(precise.z, precise.noise)
     except NoModes:
         if _freed(pairs.z, left, missing):
             return pairs
         raise
     return precise
+
+
+def _mixed(small: Linearised, pairs: Eigenpairs) -> bool:
+    """Whether modes with z = 0 may be, or contain, others that are not rigid.
+
+    `separated` leaves them a part (sigma / z)^3 of a shape with z, which takes its square of z; and
+    all shapes with z below sigma are zero to round-off.
+    """
+    zero = pairs.z == 0
+    if not np.any(zero):
+        return False
+    sigma = ROUND_OFF * float(np.max(floor(small, pairs.X[:, zero])))
+    least = np.min(np.abs(pairs.z[~zero]), initial=np.inf)
+    return bool(sigma > ALLOWED ** (1 / 6) * least)
 
 
 def _sorted(pairs: Eigenpairs) -> Eigenpairs:
@@ -136,7 +151,7 @@ def _asymmetric(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     z, X, change = _with_rigid(rigid, *_each_sharpened(small, z[order], X[:, order]))
     order = np.argsort(-z.real if highest else z.real, kind="stable")[:count]
     pairs = _finished(small, z[order], X[:, order])
-    refuse_lost(pairs.z, _left(small, pairs, change[order]))
+    refuse_lost(small, pairs.z, _left(small, pairs, change[order]))
     return pairs
 
 
@@ -168,17 +183,18 @@ def _damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
         around = _undamped(replace(small, D=None), more, highest)
         size = float(np.sqrt(np.max(np.abs(around.z))))
         s, X = sparse.damped(small, count, size, highest, rigid)
-    order = np.argsort(-np.abs(s) if highest else _rank(small, s, X), kind="stable")[:count]
+    order = np.argsort(-np.abs(s), kind="stable") if highest else _ranked(small, s, X)
+    order = order[:count]
     if not highest:
         # Before they are sharpened some grow by round-off, which would take the place of others.
-        order = np.union1d(order, np.argsort(np.abs(s), kind="stable")[:count])
+        order = np.union1d(order, np.argsort(np.where(s.imag, np.abs(s), np.inf))[:count])
     s, X, change = _each_sharpened(small, s[order], X[:, order])
     if not highest:
         s, X, change = _with_rigid(rigid, s, X, change)
-        order = np.argsort(_rank(small, s, X), kind="stable")
+        order = _ranked(small, s, X)
         s, X, change = s[order], X[:, order], change[order]
     pairs = _finished(small, s, X)
-    refuse_lost(pairs.z, _left(small, pairs, change))
+    refuse_lost(small, pairs.z, _left(small, pairs, change))
     return pairs
 
 
@@ -202,17 +218,24 @@ def _is_small(small: Linearised, count: int) -> bool:
     return small.n_free <= max(size, 3 * count + _ROOM)
 
 
-def _rank(small: Linearised, s: Array, X: Array) -> Array:
-    """Order of exponents: growing ones, fastest first, then by size."""
-    growing = s.real > ROUND_OFF * _noise(small, s, X)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.where(growing, -s.real, np.abs(s)))
+def _ranked(small: Linearised, s: Array, X: Array) -> Array:
+    """Return the order of exponents: growing ones, fastest first, rigid, vibrating, decaying ones.
+
+    Each kind by size. A body with internal damping has as many real exponents next to -1 over its
+    retardation time as motions that do not vibrate: in front they would hide those that do.
+    """
+    noise = _noise(small, s, X)
+    growing, vibrates = s.real > ROUND_OFF * noise, np.abs(s.imag) > _near(s, noise)
+    kind = np.where(growing, 0, np.where(s == 0, 1, np.where(vibrates, 2, 3)))
+    return np.lexsort((np.where(growing, -s.real, np.abs(s)), kind))
 
 
 def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Array]:
     """Sweeps of inverse iteration with all shapes of a symmetric pencil, and Ritz's method.
 
-    Returns what the last sweep changed in z, too.
+    Returns the error left in z, too: what the last sweep changed, d, is d rho^2 / (1 - rho^2) and
+    less, as parts of shapes that are not in the block fall by rho = (z - shift) / (top - shift) or
+    more, where top is the largest z in it. Far from zero a shift changes nothing, and is no proof.
 
     Dense eigenvalues are good to round-off of the largest one, which in a thin beam is far above
     the lowest; those of Ritz's method to that of the largest here, which would hide a rigid motion.
@@ -235,8 +258,16 @@ def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Arr
             return z, X, change
         X = Z @ W
         last, z = z, np.einsum("ij,ij->j", X, small.times(small.K, X)) / small.squares(X)
-        change = np.abs(z - last)
+        change = np.abs(z - last) / _falling(z, shift, len(z) == small.n_free)
     return z, X, change
+
+
+def _falling(z: Array, shift: float, complete: bool) -> Array:
+    """Return 1 - rho^2 of a sweep for each value; 1 for the largest, of which nothing is known."""
+    top = np.max(z)
+    rho = (z - shift) / (top - shift)
+    same = top - z <= ALLOWED * np.abs(top)
+    return np.where(same | complete, 1.0, 1 - rho**2)
 
 
 def _each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Array]:

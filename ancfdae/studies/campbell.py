@@ -16,6 +16,7 @@ from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.model.turning_frame import TurningFrame
 from ancfdae.modes import Modes, MotionKind
+from ancfdae.modes.linearised import EPS
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.statics import Equilibrium, NoEquilibrium
 from ancfdae.studies.modes import modes
@@ -25,6 +26,8 @@ from ancfdae.studies.statics import equilibrium
 _RATE = "scene.rate"
 # Weight of decay beside distance where a line has two ways to go on.
 _FALLS = 1e-3
+# Size of whirl, from 0 to 1, from which a motion counts as a circle.
+_CIRCLES = 0.5
 
 
 @final
@@ -70,11 +73,14 @@ class Campbell:
     def whirl_speeds(self) -> Array:
         """Speeds of circular motions seen at rest, shape (k, count); rad/s.
 
-        Positive forward, in the sense of the axis, negative backward. Of a shaft that is alike in
-        all directions; where `whirl` is not near 1 or -1 a mode has two frequencies there.
+        Positive forward, in the sense of the axis, negative backward. Motions to and fro, |whirl|
+        below 1/2, keep the frequency that they have in the frame, as torsion about the axis and
+        stretch along it do; sideways, as of a shaft that is not alike in all directions, they have
+        two frequencies at rest, which differ from it by the rate.
         """
-        sense = np.where(self.whirl < 0, -1.0, 1.0)
-        return np.asarray(self.rates[:, None] + sense * self.frequencies)
+        circles = np.abs(self.whirl) >= _CIRCLES
+        turned = self.rates[:, None] + np.sign(self.whirl) * self.frequencies
+        return np.where(circles, turned, self.frequencies)
 
     def __repr__(self) -> str:
         head = ["rate", *(f"mode {j}" for j in range(self.exponents.shape[1]))]
@@ -151,10 +157,20 @@ class _Lines:
         J, X = scene.frame.turn(numbers, scene.dimension)[1], modes.shapes.astype(complex)
         turned = np.einsum("ij,vjm->vim", J, X.reshape(-1, len(J), X.shape[1])).reshape(X.shape)
         M_turned = assemble(scene).mass_times(modes.configuration.q, turned)
-        along = np.imag(np.einsum("nm,nm->m", X.conj(), M_turned))
-        size = np.real(np.einsum("nm,nm->m", turned.conj(), M_turned))
-        whirl = along / np.where(size == 0, 1.0, size)
-        return _Lines(modes.exponents, modes.derivatives.exponents_b, whirl)
+        along = (X.conj().T @ M_turned - M_turned.conj().T @ X) / 2j
+        sizes = turned.conj().T @ M_turned
+        size = np.real(np.diagonal(sizes))
+        whirl = np.real(np.diagonal(along)) / np.where(size == 0, 1.0, size)
+        s_b = modes.derivatives.exponents_b
+        for group in map(np.array, modes.coincide):
+            # Any combination of modes that coincide is one. Circles are those that part as the
+            # rate grows: the forward one falls in the frame, as no polar inertia is more than the
+            # sum of the two others.
+            within = np.ix_(group, group)
+            circles = _quotients(along[within], sizes[within])
+            if len(circles) == len(group):
+                whirl[group[np.argsort(-s_b[group, 0].imag)]] = circles
+        return _Lines(modes.exponents, s_b, whirl)
 
     def chosen(self, which: Array) -> _Lines:
         return _Lines(self.s[which], self.s_b[which], self.whirl[which])
@@ -175,6 +191,14 @@ class _Lines:
         slopes = 2 * self.s * self.s_b[:, 0]
         # Infinite where two exponents part.
         return self.s**2 + step * np.where(np.isfinite(slopes), slopes, 0.0)
+
+
+def _quotients(A: Array, B: Array) -> Array:
+    """Return the eigenvalues of A - w B, ascending, in the space where B is not round-off."""
+    squares, V = np.linalg.eigh(B)
+    kept = squares > EPS**0.5 * squares[-1]
+    V = V[:, kept] / np.sqrt(squares[kept])
+    return np.asarray(np.linalg.eigvalsh(V.conj().T @ A @ V))
 
 
 def _lowest(modes: Modes, count: int) -> Array:

@@ -42,7 +42,9 @@ def modes(
     """Return natural frequencies and shapes of small motions about a configuration at rest.
 
     Joints are kept exactly; those that are driven are held. Lowest first: growing motions (of an
-    unstable equilibrium), rigid ones (s = 0), then vibrations by frequency.
+    unstable equilibrium), rigid ones (s = 0), vibrations by |s|, then motions that only decay, by
+    |s|. Large damped systems (more than 120 independent motions and 3 `count` + 40) find those of
+    least distance from the natural frequencies without damping.
 
     Parameters
     ----------
