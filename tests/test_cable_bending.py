@@ -73,7 +73,7 @@ def test_a_released_cable_bends_with_its_own_length_and_stiffness(strain):
 
 
 def test_the_cable_of_space_bends_as_that_of_the_plane():
-    """A cantilever under a tip force across it, out of both axes, deflected by 0.4 of its length."""
+    """A cantilever under a tip force across it, out of both axes: a deflection of 0.4."""
     radius = 0.02
     inertia, forces = np.pi * radius**4 / 4, []
     for element in (CABLE_2D, CABLE_3D):

@@ -27,7 +27,7 @@ Array = npt.NDArray[Any]
 class Block(NamedTuple):
     """Elements of one kind: their law, (n or 1, ...), and their node vectors, (n, n_a).
 
-    `bending`, (n or 1, 2), holds E I and the length of cables, E I = 0 of beams; None without cables.
+    `bending`, (n or 1, 2), holds E I and the length of cables, zeros of beams; None without cables.
 
     Vector k has the coordinates d k to d k + d - 1 of n_q; tau, (n,), is None without damping.
     """

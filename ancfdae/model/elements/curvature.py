@@ -9,8 +9,8 @@ per length of the reference configuration, however the cable is stretched, and t
 deflections, whose kappa is linear along an element. Forces and tangents of simulations are those of
 `kernels/bending.h`; here the same formulas stand in vectors, for energies and section forces.
 
-`bending`, (n or 1, 2), holds the flexural stiffness E I and the length l; both are zero in beams. Y,
-(..., n, n_y, d), are relative node vectors, of which the chord, r_x1 and r_x2 count.
+`bending`, (n or 1, 2), holds the flexural stiffness E I and the length l; both are zero in beams.
+Y, (..., n, n_y, d), are relative node vectors, of which the chord, r_x1 and r_x2 count.
 """
 
 import numpy as np

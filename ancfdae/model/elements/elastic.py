@@ -11,8 +11,8 @@ relative node vectors Y (docs/theory/02-strain-energy.md):
 Forces and tangents, with the strains and products that they consist of, are those of
 `ancfdae.kernels`. tau is the retardation time of Kelvin-Voigt damping, stress = C (E + tau E').
 Y and V have shape (..., n, n_y, d): leading axes are instants. A has shape (n, n_g, n_g), or
-(1, n_g, n_g) when all elements share it. Cables have the energy of bending in addition, whose stress
-and second partials in g are added to p and A (`curvature`).
+(1, n_g, n_g) when all elements share it. Cables have the energy of bending in addition, whose
+stress and second partials in g are added to p and A (`curvature`).
 """
 
 import math

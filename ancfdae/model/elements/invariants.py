@@ -7,8 +7,8 @@ stress, which is the reference configuration but for initial strain, every eleme
     m_ab = int rho s_a s_b dV_o            (eq. 10; M_e = m (x) I_d).
 
 A (15 x 15 planar, 28 x 28 spatial) and m carry everything that eqs. (15), (18)
-and (10) carry. Cables have the energy of bending in addition (`curvature`): a flexural stiffness, and the
-length of the element.
+and (10) carry. Cables have the energy of bending in addition (`curvature`): a flexural stiffness,
+and the length of the element.
 """
 
 from collections.abc import Iterable, Sequence
