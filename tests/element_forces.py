@@ -18,10 +18,10 @@ def coordinates(Y):
     return nodes.reshape(*Y.shape[:-3], -1)
 
 
-def own_block(A, g_o, Y, tau=None, p_o=None):
+def own_block(A, g_o, Y, tau=None, bending=None):
     n, n_y, d = Y.shape[-3:]
     vectors = np.arange(n * (n_y + 1)).reshape(n, n_y + 1)
-    return kernels.Block(A, g_o, p_o, tau, vectors, d, n * (n_y + 1) * d)
+    return kernels.Block(A, g_o, bending, tau, vectors, d, n * (n_y + 1) * d)
 
 
 def in_Y(Q, Y):
@@ -34,32 +34,32 @@ def in_Y(Q, Y):
     return nodes[..., [second, *slopes], :]
 
 
-def force(A, g_o, Y, V=None, tau=None, p_o=None):
-    own = own_block(A, g_o, Y, tau, p_o)
+def force(A, g_o, Y, V=None, tau=None, bending=None):
+    own = own_block(A, g_o, Y, tau, bending)
     return in_Y(kernels.forces(own, coordinates(Y), None if V is None else coordinates(V)), Y)
 
 
 def force_partial(law, partial, Y, V=None, tau=None):
-    """Partials of the forces, of a law (A, g_o, p_o) in one variable of all elements."""
-    A, g_o, p_o = law
+    """Partials of the forces, of a law (A, g_o, bending) in one variable of all elements."""
+    A, g_o, bending = law
     n, states = Y.shape[-3], (coordinates(Y), None if V is None else coordinates(V))
-    own = own_block(A, g_o, Y, tau, p_o)
-    rest_b = np.stack([partial.g_o, partial.p_o], axis=1)
+    own = own_block(A, g_o, Y, tau, bending)
+    rest_b = np.concatenate([partial.g_o, partial.bending], axis=1)
     pairs = np.zeros(0), np.arange(n + 1), np.arange(n), np.zeros(n, dtype=int)
     rows = kernels.force_partials(own, *states, None, partial.A, rest_b, *pairs, 1)
     return in_Y(rows.reshape(states[0].shape), Y)
 
 
-def force_rate(A, g_o, Y, V, Z, tau=None, p_o=None):
-    own = own_block(A, g_o, Y, tau, p_o)
+def force_rate(A, g_o, Y, V, Z, tau=None, bending=None):
+    own = own_block(A, g_o, Y, tau, bending)
     q, v, a = map(coordinates, (Y, V, Z))
     if tau is None:
         return in_Y(kernels.forces_along(own, q, None, v[None], None)[0], Y)
     return in_Y(kernels.forces_along(own, q, v, v[None], a[None])[0], Y)
 
 
-def tangent(A, g_o, Y, V=None, tau=None, p_o=None):
-    return _tangent(own_block(A, g_o, Y, tau, p_o), Y, V, False)
+def tangent(A, g_o, Y, V=None, tau=None, bending=None):
+    return _tangent(own_block(A, g_o, Y, tau, bending), Y, V, False)
 
 
 def damping_tangent(A, Y, tau):

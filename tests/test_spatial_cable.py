@@ -38,6 +38,7 @@ from ancfdae import (
     load_solution,
     maximum_stress,
     modes,
+    observe,
     position,
     reaction,
     shear_force,
@@ -116,6 +117,21 @@ def test_a_hanging_cable_is_irvines_catenary_with_its_derivatives(element):
         # Per relative change of each variable, on the sag or pull: it hardly depends on E A.
         change = (found.gradient - np.array(exact)[:, k]) * values
         assert np.max(np.abs(change)) <= 1e-6 * size
+
+
+@pytest.mark.parametrize("element", [CABLE_2D, CABLE_3D])
+def test_the_tension_of_a_catenary_is_right_at_any_point(element):
+    """N = H cosh(x/a) = sqrt(H^2 + s^2) of a unit weight, s from the middle: nodes included."""
+    n, scene = 20, hanging(element, 20)
+    pull, rope = irvine(1.0, 1.0, 0.8, EA)[1].real, scene.beams[0]
+    found, system = equilibrium(scene).solution, assemble(scene)
+    for s in np.array([0, 0.25, 1, 4.5, 9.75, 10, 13.25, 19, 20]) / n:
+        for point in {rope.at(s), rope.at(s, before=s > 0)}:
+            expected = np.hypot(pull, s - 0.5)
+            # The mesh leaves 2e-5 of the pull.
+            assert observe(axial_force(point), found, system)[0] == pytest.approx(
+                expected, rel=3e-5
+            )
 
 
 # ---- frequencies of a sagging cable (Irvine & Caughey 1974)

@@ -21,7 +21,7 @@ class ElementBlock:
 
     A: Array  # (n, ...) or (1, ...) when all elements are alike
     g_o: Array  # (n, ...) or (1, ...) when all elements are alike
-    p_o: Array | None  # as g_o: linear term of the energy
+    bending: Array | None  # (n or 1, 2), as g_o: E I and length of cables; None without cables
     m: Array  # (n, n_a, n_a)
     # (n,), or None: damping times; None when no element is damped and no design variable could
     # change that.
@@ -31,7 +31,7 @@ class ElementBlock:
     damping_pairs: Array  # of int
     mass_pairs: Array  # of int
     A_b: Array  # (n_stiffness_pairs, ...)
-    rest_b: Array  # (n_stiffness_pairs, 2, n_g): of g_o and of p_o, zero where there is none
+    rest_b: Array  # (n_stiffness_pairs, n_g + 2): of g_o and of `bending`
     c_b: Array  # (n_stiffness_pairs, ...)
     # (n_mass_pairs, n_a, n_a): derivatives in the design variable of the pair (weight included).
     m_b: Array
@@ -64,7 +64,7 @@ def element_block(
     mass = np.flatnonzero(~np.isin(mapping.parameters, _WEIGHTLESS))
     A_b = np.zeros((len(stiffness), *distinct.A.shape[1:]), dtype=distinct.A.dtype)
     c_b = np.zeros((len(stiffness), distinct.A.shape[1]), dtype=distinct.A.dtype)
-    rest_b = np.zeros((len(c_b), 2, c_b.shape[1]), dtype=c_b.dtype)
+    rest_b = np.zeros((len(c_b), c_b.shape[1] + 2), dtype=c_b.dtype)
     m_b = np.zeros((len(mass), *distinct.m.shape[1:]), dtype=distinct.m.dtype)
     for which, partial in distinct.partials.items():
         at = mapping.parameters[stiffness] == which
@@ -72,8 +72,8 @@ def element_block(
         weight = mapping.weights[stiffness][at]
         A_b[at] = partial.A[source] * weight[:, None, None]
         c_b[at] = partial.c[source] * weight[:, None]
-        rest_b[at, 0] = partial.g_o[source] * weight[:, None]
-        rest_b[at, 1] = partial.p_o[source] * weight[:, None]
+        rest_b[at, :-2] = partial.g_o[source] * weight[:, None]
+        rest_b[at, -2:] = partial.bending[source] * weight[:, None]
         at = mapping.parameters[mass] == which
         source = index[mapping.elements[mass][at]]
         m_b[at] = partial.m[source] * mapping.weights[mass][at][:, None, None]
@@ -82,7 +82,7 @@ def element_block(
     return ElementBlock(
         A=distinct.A[chosen],
         g_o=distinct.g_o[chosen],
-        p_o=None if distinct.p_o is None else distinct.p_o[chosen],
+        bending=None if distinct.bending is None else distinct.bending[chosen],
         m=distinct.m[index],
         tau=tau if is_damped else None,
         stiffness_pairs=stiffness,
@@ -125,7 +125,7 @@ def _no_elements(element: BeamElement, parameters: Array) -> ElementBlock:
     A, g = np.zeros((0, n_g, n_g), parameters.dtype), np.zeros((0, n_g), parameters.dtype)
     m = np.zeros((0, element.n_a, element.n_a), parameters.dtype)
     return ElementBlock(
-        A, g, None, m, None, none, none, none, A, np.zeros((0, 2, n_g), A.dtype), g, m
+        A, g, None, m, None, none, none, none, A, np.zeros((0, n_g + 2), A.dtype), g, m
     )
 
 

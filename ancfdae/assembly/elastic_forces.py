@@ -19,7 +19,7 @@ from ancfdae.kernels import (
     stressed,
     tangents,
 )
-from ancfdae.model.elements import elastic
+from ancfdae.model.elements import curvature, elastic
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
 
@@ -43,7 +43,7 @@ class ElasticForces:
     ) -> None:
         self._block, self._n_b, self._size = block, n_b, pattern.size
         vectors, d = numbering.vectors, numbering.d
-        invariants = block.A, block.g_o, block.p_o, block.tau
+        invariants = block.A, block.g_o, block.bending, block.tau
         self._elements = Block(*invariants, vectors, d, numbering.n_q)
         n, size = len(vectors), vectors.shape[1] * d
         self._coordinates = numbering.coordinates(vectors).reshape(n, size)
@@ -76,8 +76,8 @@ class ElasticForces:
         places, (n, size) = self._coordinates, self._coordinates.shape
         apart = np.arange(n * size**2, dtype=np.int32).reshape(n, size**2)
         block = self._elements
-        p_o = None if block.p_o is None else block.p_o.real
-        real = block._replace(A=block.A.real, g_o=block.g_o.real, p_o=p_o, tau=None)
+        bending = None if block.bending is None else block.bending.real
+        real = block._replace(A=block.A.real, g_o=block.g_o.real, bending=bending, tau=None)
         K = np.abs(tangents(real, q.real, None, False, apart, apart.size)).reshape(n, size, size)
         F = np.matmul(K, np.abs(q)[places][..., None])
         Q = np.finfo(float).eps * np.bincount(places.ravel(), F.ravel(), minlength=len(q))
@@ -170,22 +170,28 @@ class ElasticForces:
     def energies(self, q: Array) -> Array:
         """Strain energy of every element, shape (k, n)."""
         block = self._block
-        return elastic.energy(block.A, block.g_o, self.relative(q), block.p_o)
+        return elastic.energy(block.A, block.g_o, self.relative(q), block.bending)
 
     def energy_q(self, q: Array, chosen: Array) -> Array:
         """Gradient of the energy of the chosen elements, shape (k, n_q)."""
         block, Y = self._block, self.relative(q)
         p = elastic.apply_invariant(block.A, strain(block.g_o, Y, None, None))
-        p = p if block.p_o is None else p + block.p_o
-        return lifted(self._elements, stressed(p * chosen[:, None], Y))
+        F = stressed(p * chosen[:, None], Y)
+        if block.bending is not None:
+            F = F + chosen[:, None, None] * curvature.forces(block.bending, Y)
+        return lifted(self._elements, F)
 
     def energy_b(self, q: Array, chosen: Array) -> Array:
         """Design partial of the energy of the chosen elements, shape (k, n_b)."""
         block, pairs = self._block, self._pair_element[: self._stiff]
-        dg = strain(block.g_o, self.relative(q), None, None)[:, pairs]
-        # d(1/2 dg^T A dg + p_o^T dg) = 1/2 dg^T A_b dg - dg^T c_b; the reference, which has no
-        # energy whatever its length, has p_o^T g_ob = 0.
+        Y = self.relative(q)
+        dg = strain(block.g_o, Y, None, None)[:, pairs]
+        # d(1/2 dg^T A dg) = 1/2 dg^T A_b dg - dg^T c_b.
         per_pair = np.sum(dg * (0.5 * elastic.apply_invariant(block.A_b, dg) - block.c_b), axis=2)
+        if block.bending is not None:
+            bending = np.broadcast_to(block.bending, (len(self._coordinates), 2))[pairs]
+            change = block.rest_b[:, -2:]
+            per_pair = per_pair + curvature.energy_along(bending, change, Y[:, pairs])
         result = np.zeros((len(q), self._n_b), dtype=per_pair.dtype)
         np.add.at(result.T, self._pair_variable[: self._stiff], (per_pair * chosen[pairs]).T)
         return result

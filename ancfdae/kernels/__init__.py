@@ -27,12 +27,14 @@ Array = npt.NDArray[Any]
 class Block(NamedTuple):
     """Elements of one kind: their law, (n or 1, ...), and their node vectors, (n, n_a).
 
+    `bending`, (n or 1, 2), holds E I and the length of cables, zeros of beams; None without cables.
+
     Vector k has the coordinates d k to d k + d - 1 of n_q; tau, (n,), is None without damping.
     """
 
     A: Array
     g_o: Array
-    p_o: Array | None
+    bending: Array | None
     tau: Array | None
     vectors: Array
     d: int

@@ -39,8 +39,8 @@ def force_totals(
 
     Row i + 1 belongs to design variable i. What variables change is said pair by pair of an element
     and a variable: element e has pairs[first[e]] to pairs[first[e + 1] - 1], sorted by variables.
-    One below len(A_b) changes A by A_b, (n, n_g, n_g), and g_o and p_o by rest_b, (n, 2, n_g), the
-    further ones change tau by tau_b.
+    One below len(A_b) changes A by A_b, (n, n_g, n_g), and g_o and bending by rest_b,
+    (n, n_g + 2), the further ones change tau by tau_b.
     """
 
 def force_partials(

@@ -1,6 +1,6 @@
 /* Loops over the elements of a block at many instants, for one scalar type.
  *
- * A block holds n elements; A, g_o and p_o are those of all, or of one where all are alike. An
+ * A block holds n elements; A, g_o and bending are those of all, or of one where all are alike. An
  * element has n_a = n_y + 1 node vectors: n_a / 2 at each node, its position first. Relative node
  * vectors are r_2 - r_1, then the slopes as they are.
  */
@@ -8,14 +8,14 @@
 typedef struct {
     npy_intp n, n_q, alike, k;
     const npy_int64 *vectors;
-    const T *A, *g_o, *p_o, *tau;
+    const T *A, *g_o, *bending, *tau;
 } NAME(block);
 
 INLINE NAME(element) NAME(element_of)(int n_g, const NAME(block) *b, npy_intp e)
 {
     npy_intp at = b->alike ? 0 : e;
     NAME(element) own = {b->A + at * n_g * n_g, b->g_o + at * n_g,
-                         b->p_o ? b->p_o + at * n_g : NULL, b->tau ? b->tau[e] : 0};
+                         b->bending ? b->bending + at * 2 : NULL, b->tau ? b->tau[e] : 0};
     return own;
 }
 
@@ -169,6 +169,7 @@ INLINE void NAME(packed_)(int n_y, int d, const NAME(block) *b, int one, const T
     switch (n_y * 10 + d) {                                                                        \
     case 73: NAME(f)(7, 3, __VA_ARGS__); break;                                                    \
     case 52: NAME(f)(5, 2, __VA_ARGS__); break;                                                    \
+    case 33: NAME(f)(3, 3, __VA_ARGS__); break;                                                    \
     case 32: NAME(f)(3, 2, __VA_ARGS__); break;                                                    \
     default: NAME(f)(n_y, d, __VA_ARGS__);                                                         \
     }

@@ -7,7 +7,7 @@
  */
 
 typedef struct {
-    const T *A, *g_o, *p_o; /* p_o is NULL where the energy has no linear term. */
+    const T *A, *g_o, *bending; /* bending is NULL where no element bends as cables do. */
     T tau;
 } NAME(element);
 
@@ -66,22 +66,31 @@ INLINE void NAME(strain)(int n_y, int d, const T *g_o, const T *Y, T tau, const 
         x[k] += tau * rate[k];
 }
 
-/* p = A x + p_o. */
-INLINE void NAME(stress_of)(int n_g, const NAME(element) *e, const T *x, T *p)
+/* Whether the element bends as cables do. */
+INLINE int NAME(is_cable)(int n_y, const NAME(element) *e)
 {
+    return n_y > 2 && e->bending && e->bending[0] != 0;
+}
+
+/* p = dU/dg = A x, and in cables the part of bending. */
+INLINE void NAME(stress_of)(int n_y, int d, const NAME(element) *e, const T *x, const T *Y, T *p)
+{
+    int n_g = n_y * (n_y + 1) / 2;
     for (int k = 0; k < n_g; k++)
-        p[k] = e->p_o ? e->p_o[k] : 0;
+        p[k] = 0;
     NAME(apply)(n_g, e->A, x, p);
+    if (NAME(is_cable)(n_y, e))
+        NAME(bend_stress)(n_y, d, e->bending, Y, p);
 }
 
 INLINE void NAME(stress)(int n_y, int d, const NAME(element) *e, const T *Y, const T *V, T *p)
 {
     T x[MOST_G];
     NAME(strain)(n_y, d, e->g_o, Y, e->tau, V, x);
-    NAME(stress_of)(n_y * (n_y + 1) / 2, e, x, p);
+    NAME(stress_of)(n_y, d, e, x, Y, p);
 }
 
-/* F += W(p) Y with p = A x + p_o (eqs. 13, 17). */
+/* F += W(p) Y (eqs. 13, 17). */
 INLINE void NAME(force)(int n_y, int d, const NAME(element) *e, const T *Y, const T *V, T *F)
 {
     T p[MOST_G];
@@ -112,6 +121,8 @@ INLINE void NAME(force_along)(int n_y, int d, const NAME(element) *e, const T *p
     for (int k = 0; k < n_g; k++)
         change[k] = p_b ? p_b[k] : 0;
     NAME(apply)(n_g, e->A, x, change);
+    if (NAME(is_cable)(n_y, e))
+        NAME(bend_stress_along)(n_y, d, e->bending, Y, U, change);
     NAME(stressed)(n_y, d, change, Y, F);
     NAME(stressed)(n_y, d, p, U, F);
 }
@@ -151,12 +162,28 @@ INLINE void NAME(widened)(int n_y, int d, int wide, T scale, const T *Y, T *wide
             wide_Y[i * wide + c] = c < d ? scale * Y[i * d + c] : 0;
 }
 
-/* K^T of K = W(p) (x) I_d + G(Y)^T A (G(Y) + tau G(V)) (eq. 19): m rows of n_y times `wide`. */
+/* A + d^2U/dg^2 of bending. */
+INLINE void NAME(stiffness_of_cable)(int n_y, int d, const NAME(element) *e, const T *Y, T *A)
+{
+    int row[3], at[6], n_g = n_y * (n_y + 1) / 2;
+    T M[6][6];
+    NAME(bend_places)(n_y, row, at);
+    NAME(bend_stiffness)(n_y, d, e->bending, Y, M);
+    for (int k = 0; k < n_g * n_g; k++)
+        A[k] = e->A[k];
+    for (int k = 0; k < 6; k++)
+        for (int j = 0; j < 6; j++)
+            A[at[k] * n_g + at[j]] += M[k][j];
+}
+
+/* K^T of K = W(p) (x) I_d + G(Y)^T A (G(Y) + tau G(V)) (eq. 19): m rows of n_y times `wide`. In
+ * cables bending adds to A, but not to damping. */
 INLINE void NAME(tangent)(int n_y, int d, int wide, const NAME(element) *e, const T *Y, const T *V,
                           T *K)
 {
     int row = n_y * wide;
-    T p[MOST_G], X[MOST_WIDE], wide_Y[MOST_WIDE];
+    T p[MOST_G], X[MOST_WIDE], wide_Y[MOST_WIDE], A[MOST_G * MOST_G];
+    int bends = NAME(is_cable)(n_y, e);
     for (int k = 0; k < n_y * d * row; k++)
         K[k] = 0;
     NAME(stress)(n_y, d, e, Y, V, p);
@@ -167,7 +194,13 @@ INLINE void NAME(tangent)(int n_y, int d, int wide, const NAME(element) *e, cons
                 K[(j * d + c) * row + i * wide + c] += p[k];
             }
     NAME(widened)(n_y, d, wide, 1, Y, wide_Y);
-    NAME(widened)(n_y, d, wide, 1, Y, X);
+    if (bends) {
+        NAME(stiffness_of_cable)(n_y, d, e, Y, A);
+        NAME(add_stress_columns)(n_y, d, wide, A, wide_Y, wide_Y, K);
+        if (V == NULL)
+            return;
+    }
+    NAME(widened)(n_y, d, wide, bends ? 0 : 1, Y, X);
     for (int i = 0; V && i < n_y; i++)
         for (int c = 0; c < d; c++)
             X[i * wide + c] += e->tau * V[i * d + c];

@@ -98,6 +98,7 @@ static double seconds_now(void)
 #define MATH(x) x
 #define ANGLE_OF angle_of_real
 #define CLONES WITH_WIDE_VECTORS
+#include "bending.h"
 #include "elements.h"
 #include "blocks.h"
 #include "totals.h"
@@ -120,6 +121,7 @@ static double seconds_now(void)
 #define MATH(x) c##x
 #define ANGLE_OF angle_of_complex
 #define CLONES
+#include "bending.h"
 #include "elements.h"
 #include "blocks.h"
 #include "totals.h"
@@ -246,9 +248,9 @@ static int within_64(PyArrayObject *array, npy_intp most)
 
 enum { BLOCK_ITEMS = 7, MOST_STATES = 6 };
 
-/* A block (A, g_o, p_o, tau, vectors, d, n_q) with states, all of one type. */
+/* A block (A, g_o, bending, tau, vectors, d, n_q) with states, all of one type. */
 typedef struct {
-    PyArrayObject *A, *g_o, *p_o, *tau, *vectors, *states[MOST_STATES];
+    PyArrayObject *A, *g_o, *bending, *tau, *vectors, *states[MOST_STATES];
     int n_y, d, type;
     npy_intp n, n_q;
 } Arguments;
@@ -257,7 +259,7 @@ static void dropped(Arguments *a)
 {
     Py_XDECREF(a->A);
     Py_XDECREF(a->g_o);
-    Py_XDECREF(a->p_o);
+    Py_XDECREF(a->bending);
     Py_XDECREF(a->tau);
     Py_XDECREF(a->vectors);
     for (int i = 0; i < MOST_STATES; i++)
@@ -276,7 +278,7 @@ static int filled(Arguments *a, PyObject *block, PyObject *const *states, int co
 {
     memset(a, 0, sizeof *a);
     if (!PyTuple_Check(block) || PyTuple_GET_SIZE(block) != BLOCK_ITEMS)
-        return wrong("a block is (A, g_o, p_o, tau, vectors, d, n_q)");
+        return wrong("a block is (A, g_o, bending, tau, vectors, d, n_q)");
     PyObject *items[BLOCK_ITEMS];
     npy_intp d;
     a->type = NPY_DOUBLE;
@@ -289,7 +291,7 @@ static int filled(Arguments *a, PyObject *block, PyObject *const *states, int co
         if (is_complex(states[i]))
             a->type = NPY_CDOUBLE;
     if (!taken(items[0], a->type, 3, &a->A) || !taken(items[1], a->type, 2, &a->g_o) ||
-        !taken_or_none(items[2], a->type, 2, &a->p_o) ||
+        !taken_or_none(items[2], a->type, 2, &a->bending) ||
         !taken_or_none(items[3], a->type, 1, &a->tau) ||
         !taken(items[4], NPY_INT64, 2, &a->vectors) || !taken_number(items[5], 3, &d) ||
         !taken_number(items[6], NPY_MAX_INTP, &a->n_q))
@@ -321,12 +323,13 @@ static int fitting(const Arguments *a, int count)
 static int lawful(const Arguments *a)
 {
     npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {n_g, n_g};
-    npy_intp laws = leading_size(a->A, 2);
+    npy_intp laws = leading_size(a->A, 2), two = 2;
     if (!ends_with(a->A, 2, shape) || !ends_with(a->g_o, 1, shape) ||
         leading_size(a->g_o, 1) != laws || (laws != 1 && laws != a->n) ||
-        (a->p_o && (!ends_with(a->p_o, 1, shape) || leading_size(a->p_o, 1) != laws)) ||
+        (a->bending && (a->n_y < 3 || !ends_with(a->bending, 1, &two) ||
+                        leading_size(a->bending, 1) != laws)) ||
         (a->tau && PyArray_SIZE(a->tau) != a->n))
-        return wrong("A, g_o and p_o must be those of one element or of all, and tau of all");
+        return wrong("A, g_o and bending must be those of one element or of all, and tau of all");
     return 1;
 }
 
@@ -342,7 +345,7 @@ enum { MUCH = 16 };
                       data_of(a.vectors),                                                          \
                       data_of(a.A),                                                                \
                       data_of(a.g_o),                                                              \
-                      data_of(a.p_o),                                                              \
+                      data_of(a.bending),                                                              \
                       data_of(a.tau)};
 #define FOR_TYPE(f, ...)                                                                           \
     do {                                                                                           \
@@ -434,7 +437,7 @@ static PyObject *py_forces_along(PyObject *const *args)
  * and n_b variables. */
 static int paired(const Arguments *a, int at, PyArrayObject *const *index, npy_intp n_b)
 {
-    npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {n_g, n_g}, two[] = {2, n_g};
+    npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {n_g, n_g}, rest = n_g + 2;
     PyArrayObject *A_b = a->states[at], *rest_b = a->states[at + 1], *tau_b = a->states[at + 2];
     npy_intp n_stiff = A_b ? leading_size(A_b, 2) : 0, n_damped = tau_b ? PyArray_SIZE(tau_b) : 0;
     const npy_int64 *first = PyArray_DATA(index[0]);
@@ -442,8 +445,8 @@ static int paired(const Arguments *a, int at, PyArrayObject *const *index, npy_i
     int in_order = PyArray_SIZE(index[0]) == a->n + 1 && first[0] == 0 && first[a->n] == size;
     for (npy_intp e = 0; in_order && e < a->n; e++)
         in_order = first[e] <= first[e + 1];
-    return (in_order && A_b && rest_b && ends_with(A_b, 2, shape) && ends_with(rest_b, 2, two) &&
-            leading_size(rest_b, 2) == n_stiff && (n_damped == 0 || a->states[1]) &&
+    return (in_order && A_b && rest_b && ends_with(A_b, 2, shape) && ends_with(rest_b, 1, &rest) &&
+            leading_size(rest_b, 1) == n_stiff && (n_damped == 0 || a->states[1]) &&
             size == PyArray_SIZE(index[2]) && within_64(index[1], n_stiff + n_damped - 1) &&
             within_64(index[2], n_b - 1)) ||
            wrong("partials must be those of pairs of elements and variables, one row each");

@@ -99,7 +99,7 @@ static int kept_block(Prepared *x, PyObject *object, PyObject *index)
         return 0;
     int good = filled(&a, object, NULL, 0) && lawful(&a) &&
                (a.type == NPY_DOUBLE || wrong("a plan is made of real numbers"));
-    PyArrayObject *own[] = {a.A, a.g_o, a.p_o, a.tau, a.vectors};
+    PyArrayObject *own[] = {a.A, a.g_o, a.bending, a.tau, a.vectors};
     for (int i = 0; i < 5; i++)
         if (own[i])
             x->kept[x->n_kept++] = (PyObject *)own[i];

@@ -2,7 +2,7 @@
 
 /* What design variables change in the law of elements, pair by pair of the two. Of element e these
  * are pairs[first[e]] to pairs[first[e + 1] - 1] in the order of their variables: one below n_stiff
- * changes A by A_b and, side by side in rest_b, g_o and p_o; one above changes tau by tau_b. */
+ * changes A by A_b and, side by side in rest_b, g_o and bending; one above changes tau by tau_b. */
 typedef struct {
     npy_intp n_stiff;
     const npy_int64 *first, *pairs, *variables;
@@ -18,11 +18,11 @@ INLINE void NAME(add_stress_partial)(int n_y, int d, const NAME(element) *e,
     int n_g = n_y * (n_y + 1) / 2;
     T rate[MOST_G];
     if (pair < of->n_stiff) {
-        const T *rest_b = of->rest_b + 2 * pair * n_g;
-        for (int k = 0; k < n_g; k++) {
+        const T *rest_b = of->rest_b + pair * (n_g + 2);
+        for (int k = 0; k < n_g; k++)
             g_b[k] += rest_b[k];
-            p_b[k] += rest_b[n_g + k];
-        }
+        if (NAME(is_cable)(n_y, e))
+            NAME(bend_stress_partial)(n_y, d, e->bending, rest_b + n_g, Y, p_b);
         NAME(apply)(n_g, of->A_b + pair * n_g * n_g, x, p_b);
         return;
     }
@@ -110,7 +110,7 @@ INLINE void NAME(force_totals_)(int n_y, int d, const NAME(block) *b, const NAME
         if (v)
             NAME(gather)(n_y, d, vectors, v, V);
         NAME(strain)(n_y, d, own.g_o, Y, own.tau, v ? V : NULL, x);
-        NAME(stress_of)(n_g, &own, x, p);
+        NAME(stress_of)(n_y, d, &own, x, Y, p);
         for (int i = 0; i < n_y * d; i++)
             F[i] = 0;
         NAME(stressed)(n_y, d, p, Y, F);

@@ -76,7 +76,7 @@ class StrainEnergyDensity(_OfBeams):
         assert elements is not None
         law = prepare(elements.element, elements.batch)
         Y = elements.relative(motion.q[:, elements.coordinates])
-        energy = elastic.energy(law.A, law.g_o, Y, law.p_o)
+        energy = elastic.energy(law.A, law.g_o, Y, law.bending)
         # m holds the mass of an element as what moves with both of its positions.
         positions = slice(None, None, elements.element.n_s)
         mass = law.m[:, positions, positions].sum(axis=(1, 2))

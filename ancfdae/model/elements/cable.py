@@ -4,11 +4,12 @@ Node vectors X = [r_1, r_x1, r_2, r_x2] (Berzeri & Shabana 2000; Gerstmayr & Sha
 line that stretches and bends, without shear, torsion and deformation of the section. Beam law, no
 Poisson effect:
 
-    U = int 1/2 E A eps^2 + 1/2 E I r_xx . r_xx dx,   eps = (r_x . r_x - 1)/2.
+    U = int 1/2 E A eps^2 + 1/2 (E I/lambda) kappa^2 dx,   eps = (r_x . r_x - 1)/2 + eps_i,
 
-|r_xx| is the curvature where the axial strain is small. r_xx . r_xx is linear in
-the Gram matrix and vanishes in a straight reference: it is the linear term p_o.
-All invariants are integrals over xi times moments of the section and powers of l.
+with the curvature kappa of the material (`curvature`) and the initial strain eps_i, free of which a
+reference length dx is lambda dx, lambda^2 = 1 - 2 eps_i. The stretch makes A, an integral over xi
+times E A and powers of l; bending has the flexural stiffness E I/lambda, which is
+E I for the length and the curvature of the cable free of stress.
 """
 
 from collections.abc import Iterable
@@ -29,12 +30,7 @@ from ancfdae.model.elements.element import (
     SectionPlace,
     StressLaw,
 )
-from ancfdae.model.elements.hermite import (
-    curvature_weights,
-    end_weight,
-    slope_weights,
-    tangent_weights,
-)
+from ancfdae.model.elements.hermite import end_weight, slope_weights, tangent_weights
 from ancfdae.model.elements.strain_fields import upper_triangle
 from ancfdae.model.elements.volume import change
 from ancfdae.model.sections import Section
@@ -42,8 +38,9 @@ from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.quadrature import box_rule
 
-# Powers of l in s_a and in the tangent; one more of 1/l in the second derivative.
+# Powers of l in s_a, in the tangent, and in the flexural stiffness.
 _S_POWER, _N_POWER = np.array([0, 1, 0, 1]), np.array([-1, 0, 0])
+_NO_POWER = np.zeros(1, dtype=int)
 # Share of the second moments by which those of a round section may differ: round-off.
 _ROUND = 1e-9
 
@@ -101,12 +98,12 @@ class Cable(BeamElement):
 
 @final
 class _CableIntegrals(Integrals):
-    """A, m and p_o of unit moduli, times those of each element."""
+    """A and m of unit moduli, times those of each element, and the flexural stiffness."""
 
     def __init__(self, batch: Batch) -> None:
         self._batch, self._moduli, self._units = batch, _moduli(batch), _integrals()
         of_g = _N_POWER[list(upper_triangle(3))].sum(axis=0)
-        self.powers = of_g[:, None] + of_g + 1, _S_POWER[:, None] + _S_POWER + 1, of_g - 1
+        self.powers = of_g[:, None] + of_g + 1, _S_POWER[:, None] + _S_POWER + 1, _NO_POWER
         self.values = self._times(self._moduli)
 
     def partial(self, which: ElementParameter) -> tuple[Array, ...]:
@@ -121,12 +118,13 @@ class _CableIntegrals(Integrals):
 
 
 def _moduli(batch: Batch) -> tuple[Array, Array, Array]:
-    """E A, rho A and E I, shape (n,) each; in space I is the mean, as all are alike."""
+    """E A, rho A and E I/lambda, shape (n,) each; in space I is the mean, as all are alike."""
     E, rho = batch.moduli[0], batch.of(ElementParameter.DENSITY)
     y, z, dA = batch.kind.section.points(batch.sizes, False)
     _, moments = central_moments(y, z, dA)
     area = dA.sum(axis=1)
-    return E * area, rho * area, E * np.mean(moments[:, : batch.d - 1], axis=1)
+    free = np.sqrt(1 - 2 * batch.of(ElementParameter.INITIAL_STRAIN))
+    return E * area, rho * area, E / free * np.mean(moments[:, : batch.d - 1], axis=1)
 
 
 def _shape(xi: Array) -> Array:
@@ -136,16 +134,14 @@ def _shape(xi: Array) -> Array:
 
 
 def _integrals() -> tuple[Array, Array, Array]:
-    """Return A, m and p_o of unit parameters; of degree 8, 6 and 2, five Gauss points are exact."""
+    """Return A and m of unit parameters; of degree 8 and 6, five Gauss points are exact."""
     points, rule = box_rule((5,))
     xi = points[:, 0]
     s, N = _shape(xi), tangent_weights(xi)
-    H = np.stack(curvature_weights(xi), axis=-1)
     rows, columns = upper_triangle(3)
     twice = np.where(rows == columns, 1.0, 2.0)
     P = 0.5 * twice * N[:, rows] * N[:, columns]
-    kappa_squared = twice * H[:, rows] * H[:, columns]
-    return (rule * P.T) @ P, (rule * s.T) @ s, 0.5 * rule @ kappa_squared
+    return (rule * P.T) @ P, (rule * s.T) @ s, np.ones(1)
 
 
 CABLE_2D, CABLE_3D = Cable("CABLE_2D", 2), Cable("CABLE_3D", 3)

@@ -1,7 +1,12 @@
 """Section forces and stresses of cables.
 
-The variation of U in r leaves the force E A eps r_x - E I r_xxx and the moment E I k with
-k = r_x x r_xx; eps, the initial strain included, with tau eps', linear as `_smoothing` has it.
+The axial force is that of the balance of nodes, as in `section_forces`: the force Q_c of an element
+on its chord is the mean of the section force, n = Q_c + (xi - 1/2) n' along the element with the
+slope n' of the means of elements beside it, and N = n . r_x/|r_x|. The strain of the axis
+oscillates along an element of a bent thin cable, by far more than its mean, and is right in the
+middle only. The shear force is that of -E I r_xxx, the moment E I k with k = r_x x r_xx/|r_x|^2.
+Stresses take the strain eps, the initial one included, with tau eps', linear as `_smoothing` has
+it.
 Stresses are those of the strain eps of the axis and of the curvature: E (eps - y k_z) at a height y
 over the centroid of a planar cable. Sections of a cable in space have no axes, they may lie turned
 by any angle about the tangent: its shear force and bending moment are their sizes, and the stress
@@ -15,6 +20,7 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.model.elements import curvature
 from ancfdae.model.elements.element import (
     Batch,
     ElementParameter,
@@ -23,6 +29,7 @@ from ancfdae.model.elements.element import (
     StressLaw,
 )
 from ancfdae.model.elements.hermite import curvature_weights, end_weight_xi, tangent_weights
+from ancfdae.model.elements.section_forces import slope_of_means
 from ancfdae.model.elements.stresses import SMALL_STRAIN, scaled
 from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import Array
@@ -51,13 +58,24 @@ class _Line:
     def strains(self, Y: Array, V: Array) -> Array:
         """Return the initial strain + eps + tau eps', shape (..., n, n_xi)."""
         places, weights = _smoothing(self.xi)
+        return np.asarray(self._strains_at(places, Y, V) @ weights.T)
+
+    def _strains_at(self, places: Array, Y: Array, V: Array) -> Array:
+        """Return the strains of the law at places in xi."""
         along, along_v = (tangent_weights(places) @ x for x in (Y, V))
         strains = 0.5 * (np.sum(along * along, axis=-1) - 1.0) + self.initial[:, None]
-        strains = strains + self.tau[:, None] * np.sum(along * along_v, axis=-1)
-        return np.asarray(strains @ weights.T)
+        return np.asarray(strains + self.tau[:, None] * np.sum(along * along_v, axis=-1))
+
+    def force_on_chord(self, Y: Array, V: Array) -> Array:
+        """Return the force of the stretch on r_2 - r_1 over E A, shape (..., n, d)."""
+        corner, rule = box_rule((5,))
+        places = corner[:, 0]
+        weights = rule * end_weight_xi(places)
+        along = tangent_weights(places) @ Y
+        return np.asarray(weights @ (self._strains_at(places, Y, V)[..., None] * along))
 
     def tangents(self, Y: Array) -> tuple[Array, Array]:
-        """r_x and r_xx, shape (..., n, n_xi, 3): with zeros along z in the plane."""
+        """Return r_x and r_xx, shape (..., n, n_xi, 3): with zeros along z in the plane."""
         H = np.stack(curvature_weights(self.xi), axis=-1)
         r_x, r_xx = tangent_weights(self.xi) @ Y, H @ Y / self.l[:, None, None]
         return in_space(r_x), in_space(r_xx)
@@ -85,21 +103,26 @@ class CableSectionLaw(SectionLaw):
 
     def __init__(self, run: Batch, place: SectionPlace, stiffness: tuple[Array, ...]) -> None:
         self._element = [place.element]
-        batch = run[np.array(self._element)]
-        self._E_A, self._E_I = (x[self._element] for x in stiffness)
+        batch, (E_A, E_I) = run[np.array(self._element)], stiffness
+        self._run, self._run_E_A = _Line.of(run, np.zeros(1)), E_A
+        self._bending = np.stack([E_I, run.lengths], axis=1)
+        self._place, self._slope = place, slope_of_means(run.lengths, place)
+        self._E_I = E_I[self._element]
         self._l, self._line = batch.lengths, _Line.of(batch, np.array([place.xi]))
 
     def forces(self, Y: Array, V: Array) -> Array:
         """N, V_y and M_z; in space the sizes of shear force and moment in the place of these."""
         l, E_I, d = self._l[:, None], self._E_I[:, None], Y.shape[-1]
+        force = in_space(self._force(Y, V))
         Y, V = (scaled(x[..., self._element, :, :], self._l) for x in (Y, V))
         r_x, r_xx = (x[..., 0, :] for x in self._line.tangents(Y))
         r_xxx = in_space(_THIRD @ Y / l**2)
-        n = (self._E_A * self._line.strains(Y, V)[..., 0])[..., None] * r_x - E_I * r_xxx
-        tangent = r_x / np.sqrt(np.sum(r_x * r_x, axis=-1, keepdims=True))
-        shear, moment = np.cross(tangent, n), E_I * np.cross(r_x, r_xx)
-        forces = np.zeros((*n.shape[:-1], 6), dtype=n.dtype)
-        forces[..., 0] = np.sum(n * tangent, axis=-1)
+        square = np.sum(r_x * r_x, axis=-1, keepdims=True)
+        tangent = r_x / np.sqrt(square)
+        shear, moment = np.cross(tangent, -E_I * r_xxx), E_I * np.cross(r_x, r_xx) / square
+        axial = np.sum(force[..., None, :] * tangent, axis=-1)
+        forces = np.zeros((*axial.shape, 6), dtype=axial.dtype)
+        forces[..., 0] = axial
         if d == 2:
             forces[..., 1], forces[..., 5] = shear[..., 2], moment[..., 2]
         else:
@@ -108,6 +131,15 @@ class CableSectionLaw(SectionLaw):
             forces[..., 1] = np.sqrt(np.sum(shear * shear, axis=-1) + (small / self._l) ** 2)
             forces[..., 5] = np.sqrt(np.sum(moment * moment, axis=-1) + small**2)
         return forces[..., 0, :]
+
+    def _force(self, Y: Array, V: Array) -> Array:
+        """Return the section force out of what nodes get, shape (..., d)."""
+        means = curvature.forces(self._bending, Y)[..., 0, :]
+        stretched = self._run.force_on_chord(scaled(Y, self._run.l), scaled(V, self._run.l))
+        means = means + self._run_E_A[:, None] * stretched
+        slope = np.einsum("n,...nd->...d", self._slope, means)
+        place = self._place
+        return np.asarray(means[..., place.element, :] + (place.xi - 0.5) * slope)
 
 
 @final

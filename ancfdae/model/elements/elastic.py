@@ -3,15 +3,16 @@
 Everything is a product of the invariant A with the packed Gram matrix of the
 relative node vectors Y (docs/theory/02-strain-energy.md):
 
-    U = 1/2 dg^T A dg + p_o^T dg,   dg = g(Y) - g_o,
-    force   = W(p) Y,    p = A (dg + tau g') + p_o,   g' = dg/dt     (eqs. 13, 17)
+    U = 1/2 dg^T A dg,   dg = g(Y) - g_o,
+    force   = W(p) Y,    p = A (dg + tau g'),   g' = dg/dt     (eqs. 13, 17)
     tangent = W(p) (x) I_d + G(Y)^T A (G(Y) + tau G(V))        (eq. 19)
     damping tangent = tau G(Y)^T A G(Y),        G(Y) = dg/dY
 
 Forces and tangents, with the strains and products that they consist of, are those of
 `ancfdae.kernels`. tau is the retardation time of Kelvin-Voigt damping, stress = C (E + tau E').
 Y and V have shape (..., n, n_y, d): leading axes are instants. A has shape (n, n_g, n_g), or
-(1, n_g, n_g) when all elements share it. Most elements have no p_o.
+(1, n_g, n_g) when all elements share it. Cables have the energy of bending in addition, whose
+stress and second partials in g are added to p and A (`curvature`).
 """
 
 import math
@@ -19,6 +20,7 @@ import math
 import numpy as np
 
 from ancfdae.kernels import strain
+from ancfdae.model.elements import curvature
 from ancfdae.numerics.arrays import Array
 
 
@@ -39,8 +41,8 @@ def apply_invariant(A: Array, x: Array) -> Array:
     return product
 
 
-def energy(A: Array, g_o: Array, Y: Array, p_o: Array | None = None) -> Array:
+def energy(A: Array, g_o: Array, Y: Array, bending: Array | None = None) -> Array:
     """Return the strain energy of each element, shape (..., n)."""
     dg = strain(g_o, Y, None, None)
-    p = 0.5 * apply_invariant(A, dg)
-    return np.sum(dg * (p if p_o is None else p + p_o), axis=-1)
+    U = np.asarray(np.sum(dg * (0.5 * apply_invariant(A, dg)), axis=-1))
+    return U if bending is None else U + curvature.energy(bending, Y)

@@ -157,9 +157,8 @@ class InvariantPartial:
 
     A: Array  # (n, n_g, n_g)
     g_o: Array  # (n, n_g)
-    p_o: Array  # (n, n_g)
-    # (n, n_g): A (dg_o/db) - dp_o/db: minus what the stress gains with g held, beside A_b dg.
-    c: Array
+    bending: Array  # (n, 2)
+    c: Array  # (n, n_g): A (dg_o/db), minus what the stress gains with g held, beside A_b dg
     m: Array  # (n, n_a, n_a)
 
 
@@ -173,7 +172,9 @@ class Invariants:
     # but for initial strain.
     g_o: Array
     m: Array  # (n, n_a, n_a): mass invariant
-    p_o: Array | None  # (n, n_g): linear term of the energy
+    # (n, 2): flexural stiffness E I and length of elements that bend as cables do (`curvature`),
+    # zero stiffness of those that do not; None where no element does.
+    bending: Array | None
     # Derivatives by element parameter, only those asked for; none for the damping time, which no
     # invariant depends on.
     partials: dict[ElementParameter, InvariantPartial]
@@ -182,7 +183,8 @@ class Invariants:
 class Integrals(abc.ABC):
     """Invariants but for the powers of the length l that their entries go with."""
 
-    values: tuple[Array, ...]  # A, m, and p_o where the element has one
+    # A, m, and the flexural stiffness E I, (n, 1), of elements that bend as cables do.
+    values: tuple[Array, ...]
     powers: tuple[Array, ...]  # the power of l of each entry of these
 
     @abc.abstractmethod

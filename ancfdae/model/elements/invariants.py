@@ -3,13 +3,12 @@
 With Y the relative node vectors, g the packed Y Y^T and g_o its value where the element is free of
 stress, which is the reference configuration but for initial strain, every element states
 
-    U = 1/2 (g - g_o)^T A (g - g_o) + p_o^T (g - g_o),
+    U = 1/2 (g - g_o)^T A (g - g_o),
     m_ab = int rho s_a s_b dV_o            (eq. 10; M_e = m (x) I_d).
 
 A (15 x 15 planar, 28 x 28 spatial) and m carry everything that eqs. (15), (18)
-and (10) carry. The linear term p_o exists only for elements with a strain
-measure that is no difference to the reference; the reference must be in
-balance under it.
+and (10) carry. Cables have the energy of bending in addition (`curvature`): a flexural stiffness,
+and the length of the element.
 """
 
 from collections.abc import Iterable, Sequence
@@ -64,7 +63,7 @@ def _invariants(
     lengths = [batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
     whole = [x * size for x, size in zip(integrals.values, sizes, strict=True)]
-    A, m, *linear = whole
+    A, m, *flexural = whole
     Y_o, partials = _free(batch), {}
     for which in wanted:
         changes = [x * size for x, size in zip(integrals.partial(which), sizes, strict=True)]
@@ -72,12 +71,15 @@ def _invariants(
         if which is ElementParameter.LENGTH:
             by_l = zip(whole, integrals.powers, lengths, strict=True)
             changes = [x_b + x * k / l for x_b, (x, k, l) in zip(changes, by_l, strict=True)]
-        A_b, m_b, *linear_b = changes
+        A_b, m_b, *flexural_b = changes
         g_ob = gram(Y_o, Y_b)
-        p_ob = linear_b[0] if linear_b else np.zeros_like(g_ob)
-        c = np.einsum("nij,nj->ni", A, g_ob) - p_ob
-        partials[which] = InvariantPartial(A_b, g_ob, p_ob, c, m_b)
-    return Invariants(A, packed_gram(Y_o), m, linear[0] if linear else None, partials)
+        bending_b = np.zeros((len(A), 2), dtype=A.dtype)
+        if flexural_b:
+            bending_b = np.insert(flexural_b[0], 1, which is ElementParameter.LENGTH, axis=1)
+        c = np.einsum("nij,nj->ni", A, g_ob)
+        partials[which] = InvariantPartial(A_b, g_ob, bending_b, c, m_b)
+    bending = np.insert(flexural[0], 1, batch.lengths, axis=1) if flexural else None
+    return Invariants(A, packed_gram(Y_o), m, bending, partials)
 
 
 def _free(batch: Batch) -> Array:
@@ -98,14 +100,18 @@ def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invarian
 
     partials = {
         which: InvariantPartial(
-            **fields([piece.partials[which] for piece in pieces], "A", "g_o", "p_o", "c", "m")
+            **fields([piece.partials[which] for piece in pieces], "A", "g_o", "bending", "c", "m")
         )
         for which in pieces[0].partials
     }
-    linear = [np.zeros_like(piece.g_o) if piece.p_o is None else piece.p_o for piece in pieces]
+    none = all(piece.bending is None for piece in pieces)
+    bending = [
+        np.zeros_like(piece.g_o[:, :2]) if piece.bending is None else piece.bending
+        for piece in pieces
+    ]
     return Invariants(
         **fields(pieces, "A", "g_o", "m"),
-        p_o=None if all(piece.p_o is None for piece in pieces) else together(linear),
+        bending=None if none else together(bending),
         partials=partials,
     )
 
@@ -136,8 +142,7 @@ def widened(narrow: Invariants, element: BeamElement, wider: BeamElement) -> Inv
         return {**wide, "m": placed(part.m, at, wider.n_a)}
 
     partials = {
-        which: InvariantPartial(**fields(part, "A", "g_o", "p_o", "c"))
+        which: InvariantPartial(**fields(part, "A", "g_o", "c"), bending=part.bending)
         for which, part in narrow.partials.items()
     }
-    p_o = None if narrow.p_o is None else placed(narrow.p_o, of_g, n_g)
-    return Invariants(**fields(narrow, "A", "g_o"), p_o=p_o, partials=partials)
+    return Invariants(**fields(narrow, "A", "g_o"), bending=narrow.bending, partials=partials)

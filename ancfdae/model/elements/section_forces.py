@@ -41,7 +41,7 @@ class ContinuumSectionLaw(SectionLaw):
         self._l, self._tau = run.lengths, run.of(ElementParameter.DAMPING_TIME)
         self._g_o, self._A, self._d, self._place = packed_gram(run.Y_free), A, run.d, place
         self._arms = _arms(1.0) - _arms(place.xi) - np.outer([0, 1 / 12], [0, 0, 1])
-        self._slope = _slope(self._l, place)
+        self._slope = slope_of_means(self._l, place)
 
     def forces(self, Y: Array, V: Array) -> Array:
         """Return what the nodes get, carried to the section by statics."""
@@ -64,7 +64,7 @@ class ContinuumSectionLaw(SectionLaw):
         return parts.reshape(*parts.shape[:-2], 6)
 
 
-def _slope(l: Array, place: SectionPlace) -> Array:
+def slope_of_means(l: Array, place: SectionPlace) -> Array:
     """Weights of the means of the elements of a run in the slope n_2 - n_1, shape (n,)."""
     k, weights = place.element, np.zeros(len(l), dtype=l.dtype)
     smooth = [side for side in (-1, 1) if place.smooth[max(side, 0)]]

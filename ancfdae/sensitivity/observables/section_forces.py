@@ -9,8 +9,8 @@ any point (docs/theory/02-strain-energy.md). A load or joint between nodes sprea
 
 At an inner node forces jump by what a joint, load or point mass does there. ``rod.at(0.5)`` is just
 after it, in the element that begins there, ``rod.at(0.5, before=True)`` just before; the end of a
-beam belongs to the last element. In cables, whose forces are those of their strains, axial forces
-are best in the middle of an element, moments at 1/2 -+ 1/(2 sqrt 3) of it. A cable in space has no
+beam belongs to the last element. In cables shear forces and moments are those of their
+curvature: moments are best at 1/2 -+ 1/(2 sqrt 3) of an element. A cable in space has no
 axes across it: its shear force along 1 and its moment about 2 are the sizes of the vectors.
 """
 
