@@ -11,6 +11,7 @@ from ancfdae import (
     Beam,
     Clamp,
     ComplexStep,
+    ComplexStepSystem,
     CriticalValue,
     CurvedBeam,
     DesignVariable,
@@ -18,6 +19,7 @@ from ancfdae import (
     Distance,
     InvalidInput,
     Material,
+    Moment,
     NoCriticalPoint,
     Pin,
     PointForce,
@@ -27,6 +29,8 @@ from ancfdae import (
     Scene,
     SpringDamper,
     Terminal,
+    TorsionSpring,
+    Traits,
     UnknownName,
     Weld,
     critical_load,
@@ -339,7 +343,7 @@ def test_derivatives_of_the_holding_force():
     tau_aa, tau_ab = point.in_a
     np.testing.assert_allclose(point.tau_a, (held(h).tau - held(-h).tau) / (2 * h), rtol=1e-5)
     np.testing.assert_allclose(tau_aa, (held(h).tau_a - held(-h).tau_a) / (2 * h), rtol=1e-5)
-    tau_pb = point.in_p(0)
+    tau_pb = point.in_p(0, 5.0)
     for j, b in enumerate(system.b):
         change = 1e-3 * b * np.eye(len(system.b))[j]
         ends = held(0.0, change), held(0.0, -change)
@@ -388,3 +392,220 @@ def test_a_path_that_can_be_followed_in_the_smallest_steps_only_ends_the_search(
     monkeypatch.setattr(critical, "_ERRORS", 8)
     with pytest.raises(NoCriticalPoint, match="move too fast to follow"):
         critical_load(column(n=1), "load.force_x", -1e3)
+
+
+# -- against closed forms, wherever they stand --------------------------------------------------
+
+
+def link(o, stiffness=10.0):
+    """A bar of length one from (o, o), on a torsion spring, a force along it: P = k / L."""
+    bar = RigidBody("bar", (o + 0.5, o), mass=1.0, inertia=1.0)
+    foot = bar.at(-0.5, 0)
+    spring = TorsionSpring(foot, stiffness, name="spring")
+    load = PointForce(bar.at(0.5, 0), (0.0, 0.0), name="load")
+    return Scene(joints=[Pin(foot)], bodies=[bar], loads=[spring, load])
+
+
+@pytest.mark.parametrize("o", [0.0, 10.0, 1000.0, -3e5])
+def test_a_link_on_a_torsion_spring_buckles_alike_wherever_it_stands(o):
+    found = critical_load(link(o), "load.force_x", -30.0, design=["spring.stiffness"])
+    assert found.kind == "bifurcation"
+    # Positions round to eps o, and turn the link by as much: (eps o)^2 of the load, and eps o where
+    # forces are differences of positions.
+    near = 1e-9 + 4 * np.finfo(float).eps * abs(o)
+    np.testing.assert_allclose(found.value, -10.0, rtol=near)
+    np.testing.assert_allclose(found.gradient, [-1.0], rtol=near)
+    here = critical_load(link(0.0), "load.force_x", -30.0)
+    # The motion is as large as the link.
+    turns = [x.motion / np.max(np.abs(x.motion)) for x in (found, here)]
+    sizes = [np.max(np.abs(x.motion)) for x in (found, here)]
+    np.testing.assert_allclose(turns[0], turns[1], atol=1e-6 + near)
+    np.testing.assert_allclose(sizes[0], sizes[1], rtol=1e-6 + near)
+
+
+class Shallow(ComplexStepSystem):
+    """A mass at (o, o) on two springs from feet at (-a, -h) and (a, -h) from it: a von Mises truss.
+
+    Design variables are the force P upward on the mass, k, h and a.
+    """
+
+    n_q, n_lam = 2, 0
+    design_names = ("P", "k", "h", "a")
+    traits = Traits(constant_mass=True, linear_constraints=True, symmetric=True)
+
+    def __init__(self, b, o):
+        self.o = o
+        super().__init__(b)
+
+    def with_values(self, b):
+        return Shallow(b, self.o)
+
+    def start(self):
+        return np.full(2, self.o, dtype=self.b.dtype), np.zeros(2, dtype=self.b.dtype)
+
+    def mass_matrix(self, q):
+        return np.eye(2)
+
+    def position_constraint(self, t, q):
+        return np.zeros(0)
+
+    def force(self, t, q, v):
+        P, k, h, a = self.b
+        x, y = q[..., 0] - self.o, q[..., 1] - self.o + h
+        free, F_x, F_y = (a * a + h * h) ** 0.5, 0.0, P
+        for foot in (-a, a):
+            length = ((x - foot) ** 2 + y * y) ** 0.5
+            F_x = F_x - k * (1 - free / length) * (x - foot)
+            F_y = F_y - k * (1 - free / length) * y
+        return np.stack([F_x, F_y], axis=-1)
+
+
+def snap(k, h, a):
+    """The limit load: the force P(y) = 2 k (1 - l_0 / l) y is least at l^3 = l_0 a^2."""
+    free = np.sqrt(a * a + h * h)
+    l = np.cbrt(free * a * a)
+    return -2 * k * (free / l - 1) * np.sqrt(l * l - a * a)
+
+
+@pytest.mark.parametrize("o", [1.0, 1000.0])
+def test_a_von_mises_truss_snaps_at_its_limit_load(o):
+    design = np.array([100.0, 0.3, 1.0])
+    found = critical_load(Shallow((0.0, *design), o), "P", -5.0)
+    assert found.kind == "limit point"
+    # Positions round to eps o of 0.3.
+    near = 1e-10 + 8 * np.finfo(float).eps * o
+    np.testing.assert_allclose(found.value, snap(*design), rtol=near)
+    steps = 1e-5 * np.diag(design)
+    slopes = [(snap(*(design + x)) - snap(*(design - x))) / (2 * max(x)) for x in steps]
+    # Central differences of the formula err by (1e-5)^2 times a few.
+    np.testing.assert_allclose(found.gradient, slopes, rtol=1e-8 + near)
+
+
+class Window(ComplexStepSystem):
+    """One coordinate of the stiffness (p - p_1)(p - 0.1): unstable between p_1 and 0.1 only."""
+
+    n_q, n_lam = 1, 0
+    design_names = ("p", "p_1")
+    traits = Traits(constant_mass=True, linear_constraints=True, symmetric=True)
+
+    def with_values(self, b):
+        return Window(b)
+
+    def start(self):
+        return np.full(1, 0.5, dtype=self.b.dtype), np.zeros(1, dtype=self.b.dtype)
+
+    def mass_matrix(self, q):
+        return np.eye(1)
+
+    def position_constraint(self, t, q):
+        return np.zeros(0)
+
+    def force(self, t, q, v):
+        p, p_1 = self.b
+        x = q[..., 0] - 0.5
+        return np.stack([-(p - p_1) * (p - 0.1) * x - x**3], axis=-1)
+
+
+@pytest.mark.parametrize("to", [0.3, 1.0, 100.0])
+def test_a_window_of_instability_is_not_stepped_over(to):
+    found = critical_load(Window((0.0, 0.0156)), "p", to)
+    np.testing.assert_allclose(found.value, 0.0156, rtol=1e-9)
+    np.testing.assert_allclose(found.gradient, [1.0], rtol=1e-6)
+
+
+class Ziegler(ComplexStepSystem):
+    """Two links of length one on torsion springs k, a force P at the end; a part of it follows.
+
+    In angles: k [2, -1; -1, 1] - P [1, -f; 0, 1 - f]. Below f = 1/2 they diverge.
+    """
+
+    n_q, n_lam = 2, 0
+    design_names = ("P", "k", "f")
+    traits = Traits(constant_mass=True, linear_constraints=True)
+
+    def with_values(self, b):
+        return Ziegler(b)
+
+    def start(self):
+        return np.zeros(2, dtype=self.b.dtype), np.zeros(2, dtype=self.b.dtype)
+
+    def mass_matrix(self, q):
+        return np.array([[3.0, 1.0], [1.0, 1.0]])
+
+    def position_constraint(self, t, q):
+        return np.zeros(0)
+
+    def force(self, t, q, v):
+        P, k, f = self.b
+        one, two = q[..., 0], q[..., 1]
+        at = f * two
+        M_1 = P * (np.sin(one) * np.cos(at) - np.cos(one) * np.sin(at))
+        M_2 = P * (np.sin(two) * np.cos(at) - np.cos(two) * np.sin(at))
+        return np.stack([-k * (2 * one - two) + M_1, k * (one - two) + M_2], axis=-1)
+
+
+def diverges(k, f):
+    """The smaller root of (2 k - P)(k - (1 - f) P) = k (k - f P)."""
+    B = 3 - 3 * f
+    return k * (B - np.sqrt(B * B - 4 * (1 - f))) / (2 * (1 - f))
+
+
+@pytest.mark.parametrize("f", [0.0, 0.3])
+def test_links_under_a_force_that_follows_in_part_diverge(f):
+    found = critical_load(Ziegler((0.0, 5.0, f)), "P", 10.0)
+    assert found.kind == "bifurcation"
+    np.testing.assert_allclose(found.value, diverges(5.0, f), rtol=1e-10)
+    h = 1e-6
+    slope = (diverges(5.0, f + h) - diverges(5.0, f - h)) / (2 * h)
+    np.testing.assert_allclose(found.gradient, [diverges(1.0, f), slope], rtol=1e-7)
+
+
+def test_links_under_a_force_that_follows_do_not_diverge():
+    # They flutter, which statics do not see.
+    with pytest.raises(NoCriticalPoint, match="every equilibrium"):
+        critical_load(Ziegler((0.0, 5.0, 1.0)), "P", 40.0)
+
+
+@pytest.mark.parametrize(("h", "n"), [(1e-3, 32), (1e-3, 200), (1e-4, 8)])
+def test_thin_columns_buckle_at_eulers_load(h, n):
+    euler = -(np.pi**2) * E * h**4 / 12 / 4
+    scene = column(n, h=h)
+    found = critical_load(scene, "load.force_x", 3 * euler, design=["rod.height"])
+    assert found.kind == "bifurcation"
+    # Shear and shortening 4 h^2; eight elements 2.2e-6; K has round-off of (n/h)^2 1e-16.
+    near = 4 * h * h + 0.01 / n**4 + 1e-16 * (n / h) ** 2
+    np.testing.assert_allclose(found.value, euler, rtol=near)
+    np.testing.assert_allclose(found.gradient * h / found.value, [3.0], rtol=10 * near)
+
+
+def test_a_column_buckles_alike_beside_a_soft_strip():
+    rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.01, 0.01), Material(7850, E, 0.3))
+    strip = Beam("strip", (0, 1), (1, 1), 8, Rectangle(0.001, 0.01), Material(1000, 1e5, 0.3))
+    load = PointForce(rod.at_end, (0.0, 0.0), name="load")
+    joints = [Clamp(rod.at_start), Clamp(strip.at_start)]
+    both = critical_load(
+        Scene([rod, strip], joints, loads=[load]), "load.force_x", -4e3, design=["rod.height"]
+    )
+    alone = critical_load(column(), "load.force_x", -4e3, design=["rod.height"])
+    assert both.kind == alone.kind == "bifurcation"
+    np.testing.assert_allclose(both.value, alone.value, rtol=1e-8)
+    np.testing.assert_allclose(both.gradient, alone.gradient, rtol=1e-7)
+
+
+def test_a_shaft_that_is_free_at_its_end_does_not_buckle_under_torque():
+    # H. Ziegler (1968): a moment about a fixed axis bends it along T z' = E I y'', T y' = -E I z'',
+    # which leaves y' + i z' of constant size: only zero at the clamp. Below Greenhill's load.
+    rod = Beam("rod", (0, 0, 0), (1, 0, 0), 8, Rectangle(0.01, 0.01), Material(7850, E, 0.3))
+    load = Moment(rod.at_end, (0.0, 0.0, 0.0), name="load")
+    scene = Scene([rod], [Clamp(rod.at_start)], loads=[load])
+    with pytest.raises(NoCriticalPoint, match="every equilibrium"):
+        critical_load(scene, "load.moment_x", 2 * np.pi * E * 1e-8 / 12)
+
+
+@pytest.mark.parametrize("share", [0.6, 0.97])
+def test_a_critical_point_beyond_the_range_is_none(share):
+    found = critical_load(column(2), "load.force_x", -1000.0)
+    with pytest.raises(NoCriticalPoint, match="every equilibrium up to"):
+        critical_load(column(2), "load.force_x", share * found.value)
+    near = critical_load(column(2), "load.force_x", (2 - share) * found.value)
+    np.testing.assert_allclose(near.value, found.value, rtol=1e-8)

@@ -116,6 +116,14 @@ class SceneNaming(Naming):
         """Return a name for each coordinate."""
         return self.layout.coordinate_names()
 
+    def centred(self, q: Array, weights: Array) -> Array:
+        """Return coordinates moved as a whole to where the mean of positions is zero."""
+        X, w = (x.reshape(-1, self.layout.d) for x in (q, weights))
+        places = np.concatenate([body.positions for body in self.layout.bodies])
+        X = X.copy()
+        X[places] -= np.average(X[places], axis=0, weights=w[places])
+        return X.ravel()
+
     def stepped(self, variable: int, step: complex) -> SceneNaming:
         """Return the names where a design variable is larger by a step."""
         return replace(self, lengths=self.lengths + step * self.lengths_b[:, variable])

@@ -40,6 +40,10 @@ class Naming(abc.ABC):
         """Return a name for each coordinate."""
 
     @abc.abstractmethod
+    def centred(self, q: Array, weights: Array) -> Array:
+        """Return coordinates, (n_q,), moved as a whole to where the mean of positions is zero."""
+
+    @abc.abstractmethod
     def stepped(self, variable: int, step: complex) -> Naming:
         """Return the names where a design variable is larger by a step."""
 

@@ -12,7 +12,7 @@ the load then falls as a root of the change, and has no derivative.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, final
 
@@ -23,24 +23,30 @@ from ancfdae.errors import AncfdaeError, InvalidInput, require_finite, uninterru
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.balance import Balance
+from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.equilibrium import Equilibrium, find_equilibrium, resting
-from ancfdae.statics.held_coordinate import HeldPoint, HeldSystem
+from ancfdae.statics.held_coordinate import HeldPoint, HeldSystem, stiffness_total
+from ancfdae.statics.outcome import FreeMechanism
 from ancfdae.statics.softness import softest
 
 Kind: TypeAlias = Literal["limit point", "bifurcation"]
 
-# The range of p is searched in so many steps. The one that loses stability is halved so often until
-# Newton's method starts, and again where that fails.
-_STEPS, _HALVINGS, _ITERATIONS = 8, (9, 13, 17, 21), 25
-# A step that needs more attempted steps of the load has met a critical point. So often that may
-# prove to be wrong.
-_ATTEMPTS, _ERRORS = 16, 64
-# Newton's method goes on, once p changes by less than this part of the width, while changes halve;
-# farther than so many widths it has left. Signs of stiffness are seen to this part of p.
-_CONVERGED, _FAR, _SEEN = 1e-6, 64.0, 1e-6
-# Part of what the parameter changes in tau over a motion as large as the system, below which tau,
-# and its change with a variable, are none; ratio of two stiffnesses that vanish together.
-_NONE, _DOUBLE = 1e-7, 1.01
+# The range of p is searched in at least so many steps, and in so many attempts at most. One is
+# no longer than this part of the way to where stiffness vanishes by its slope.
+_STEPS, _PLACES, _SAFE = 8, 200, 0.7
+# A step that needs more attempted steps of the load has met a critical point.
+_ATTEMPTS, _ITERATIONS = 16, 25
+# Newton's method is tried again at this part of the distance, and no more at that part of the whole
+# way. A step that is as small is not divided because of what may lie in it.
+_NEARER, _CLOSE, _LEAST = 0.4, 1e-7, 1e-3
+# Newton's method goes on, once p changes by less than this part of the distance, while changes
+# halve; farther than so many distances it has left. What it finds is accepted up to the next
+# number of them, since slopes see a limit point at twice its distance or less. Signs of stiffness
+# are seen to the last part of p.
+_CONVERGED, _FAR, _REACH, _SEEN = 1e-6, 64.0, 1.5, 1e-6
+# Cosine between what a variable changes and the motion below which it does no work; difference of
+# two losses, relative to the whole way, that are one; imaginary parts of a real number.
+_NONE, _DOUBLE, _REAL = 1e-7, 1e-6, 1e-8
 
 
 @final
@@ -107,10 +113,7 @@ class CriticalLoad:
             raise InvalidInput("size", "must not be zero", size, repair)
         step = size * float(self.motion[self._point.i])
         point, k = self._point, self._p
-        tau_aa, tau_ab = point.in_a
-        slope = tau_aa * step / 2
-        bent = tau_ab[k] if self.kind == "bifurcation" else point.tau_b[k] / step
-        p, q, lam = self.value - slope / bent, point.q, point.lam
+        p, q, lam = self.value, point.q, point.lam
         q, lam = q + step * point.motion[0], lam + step * point.motion[1]
         a, last = point.q[point.i] + step, np.inf
         for _ in range(_ITERATIONS):
@@ -139,12 +142,14 @@ def find_critical(system: MechanicalSystem, k: int, to: float) -> CriticalLoad:
     if not start.outcome.success or start.outcome.stable_to is not None:
         rule, repair = "needs a stable equilibrium to start from", "Start at another value."
         raise InvalidInput("critical_load", rule, str(start.outcome), repair)
+    begin = float(system.b[k])
     point, kind = _first_critical(system, k, to, start)
     motion = point.motion[0] * point.size
     motion = motion * np.sign(motion[np.argmax(np.abs(motion))])
     names = tuple(x for j, x in enumerate(system.design_names) if j != k)
     at = resting(point.system, point.q, point.lam, stable=True)
-    value, gradient = float(point.system.b[k]), np.delete(_gradient(point, k, kind), k)
+    value = float(point.system.b[k])
+    gradient = np.delete(_gradient(point, k, kind, abs(value - begin)), k)
     return CriticalLoad(system.design_names[k], value, kind, motion, at, names, gradient, point, k)
 
 
@@ -161,83 +166,156 @@ def _moved(system: MechanicalSystem, k: int, p: float) -> MechanicalSystem:
 def _first_critical(
     system: MechanicalSystem, k: int, to: float, start: Equilibrium
 ) -> tuple[HeldPoint, Kind]:
-    """Start Newton's method nearer and nearer to the loss of stability until it converges to it."""
-    for p, lost, at in _losses(system, k, to, start):
-        search = _Search(system, k, p, lost, at)
-        found = None if search.double else search.bifurcation() or search.limit_point()
-        if found is not None:
-            return found
-    name = system.design_names[k]
-    if search.double:
-        raise InvalidInput(
-            "critical_load",
-            "one motion must lose its stiffness, not two at once",
-            f"two beyond {name} = {p:g}",
-            "Hold one of them, or make their stiffness differ, as that of a square section.",
-        )
-    rule = f"{name!r}: stiffness is lost beyond {p:g}"
-    raise NoCriticalPoint(f"{rule}, but Newton's method finds no critical point there.")
+    """Follow stable equilibria, and start Newton's method nearer and nearer to the first loss."""
+    name, begin = system.design_names[k], float(system.b[k])
+    place = _Place.of(system, k, np.sign(to - begin), start)
+    path = _Path(begin, to)
+    for _ in range(_PLACES):
+        left = path.left(place)
+        if left <= path.next_trial(place):
+            path.tried = left
+            if place.is_double(begin):
+                raise InvalidInput(
+                    "critical_load",
+                    "one motion must lose its stiffness, not two at once",
+                    f"two beyond {name} = {place.p:g}",
+                    "Hold one, or make their stiffness differ, as that of a square section.",
+                )
+            search = _Search(place, k, (begin, to), left)
+            found = search.bifurcation() or search.limit_point()
+            if found is not None:
+                return found
+        if left <= _CLOSE * max(abs(place.p - begin), _LEAST * abs(to - begin)):
+            rule = f"{name!r}: stiffness is lost beyond {place.p:g}"
+            raise NoCriticalPoint(f"{rule}, but Newton's method finds no critical point there.")
+        if place.p == to:
+            raise NoCriticalPoint(f"{name!r}: every equilibrium up to {to:g} is stable.")
+        place = path.step(system, k, place)
+    rule = f"{name!r}: beyond {place.p:g} equilibria move too fast to follow."
+    raise NoCriticalPoint(rule)
 
 
-def _losses(
-    system: MechanicalSystem, k: int, to: float, at: Equilibrium
-) -> Iterator[tuple[float, float, Equilibrium]]:
-    """Yield p before and beyond the first loss of stability, and the equilibrium before it.
+@final
+@dataclass(frozen=True)
+class _Place:
+    """A stable equilibrium at p, and what its stiffness promises.
 
-    They come nearer and nearer. NoCriticalPoint if there is no loss.
+    `ahead` are the distances, in the sense of the search, after which motions lose their stiffness
+    if it goes on changing as it does here, rising; `behind` the least one backward. The `motion` is
+    the first to lose it.
     """
-    p, lost, halvings, errors = float(system.b[k]), np.nan, 0, 0
-    stride = (to - p) / _STEPS
-    while halvings < max(_HALVINGS):
-        if errors > _ERRORS:
-            rule = f"{system.design_names[k]!r}: beyond {p:g} equilibria move too fast to follow."
-            raise NoCriticalPoint(rule)
-        if p == to:
-            rule = f"{system.design_names[k]!r}: every equilibrium up to {to:g} is stable."
-            raise NoCriticalPoint(rule)
-        on = p + stride if abs(to - p) > 1.5 * abs(stride) else to
-        ahead = on if np.isnan(lost) else (p + lost) / 2
-        stable = _followed(system, k, ahead, at)
-        p, lost, at = (p, ahead, at) if stable is None else (ahead, lost, stable)
-        halvings += not np.isnan(lost)
-        if halvings in _HALVINGS:
-            # What was too far away may be stable all the same.
-            stable = _followed(system, k, lost, at)
-            if stable is None:
-                yield p, lost, at
-            else:
-                p, lost, at, halvings, errors = lost, np.nan, stable, 0, errors + 1
+
+    system: MechanicalSystem
+    p: float
+    at: Equilibrium
+    ahead: Array
+    behind: float
+    motion: Array
+
+    @staticmethod
+    def of(system: MechanicalSystem, k: int, sense: float, at: Equilibrium) -> _Place:
+        """Extrapolate the stiffness of the softest motions along the path."""
+        balance, state = Balance(system, 0.0, at.q, at.lam), (at.q, at.lam)
+        soft = softest(balance, 1.0, *state)
+        X, mu = soft.motions, soft.multipliers
+        K, slope = X.T @ system.pattern.dot(soft.K, X), np.zeros((X.shape[1],) * 2)
+        paths = Tangent(system, 0.0, *state).sensitivities()
+        for j, motion in enumerate(zip(X.T, mu.T, strict=True)):
+            force, side = (x[:, k] for x in stiffness_total(system, state, motion, paths))
+            slope[:, j] += X.T @ force + mu.T @ side
+        if not len(K):  # Constraints leave no motion.
+            nothing = np.zeros(0), np.inf, np.zeros(system.n_q)
+            return _Place(system, float(system.b[k]), at, *nothing)
+        rates, V = np.linalg.eig(np.linalg.solve(K, -sense * slope))
+        real = np.abs(rates.imag) <= _REAL * np.abs(rates)
+        first = X @ V[:, np.argmax(np.where(real, rates.real, -np.inf))].real
+        with np.errstate(divide="ignore"):
+            far = 1.0 / rates[real].real
+        return _Place(
+            system,
+            float(system.b[k]),
+            at,
+            np.sort(far[far > 0]),
+            float(np.min(-far[far < 0], initial=np.inf)),
+            first if np.any(far > 0) else X[:, 0],
+        )
+
+    def is_double(self, begin: float) -> bool:
+        """Whether two motions are about to lose their stiffness at once."""
+        if len(self.ahead) < 2:
+            return False
+        one, other = self.ahead[:2]
+        return bool(other - one <= _DOUBLE * (abs(self.p - begin) + one))
 
 
-def _followed(system: MechanicalSystem, k: int, p: float, at: Equilibrium) -> Equilibrium | None:
-    """Return the equilibrium at p to which a path of stable ones leads from another; or None."""
-    moved = _moved(system, k, p)
-    ahead = uninterrupted(find_equilibrium(moved, start=at, near=True, max_steps=_ATTEMPTS))
+@final
+class _Path:
+    """Steps of the parameter: where it goes, where it failed, and how near Newton's method was."""
+
+    def __init__(self, begin: float, to: float) -> None:
+        self._begin, self._to, self._sense = begin, to, np.sign(to - begin)
+        self._stride = self._most = abs(to - begin) / _STEPS
+        self._lost = self.tried = np.inf
+
+    def left(self, place: _Place) -> float:
+        """Distance to where stiffness is, or may be, lost; infinite where that is not in sight."""
+        return float(min([abs(self._lost - place.p), *place.ahead[:1]]))
+
+    def next_trial(self, place: _Place) -> float:
+        """Distance from which Newton's method may find the critical point."""
+        near = max(abs(place.p - self._begin), self._most / _STEPS)
+        return min(near, _NEARER * self.tried)
+
+    def step(self, system: MechanicalSystem, k: int, place: _Place) -> _Place:
+        """Return the next place, or the same one if it cannot be reached in one step."""
+        room = abs(self._to - place.p)
+        step = min(self._stride, _SAFE * self.left(place))
+        whole = room <= 1.1 * step
+        p = self._to if whole else place.p + self._sense * step
+        moved = _moved(system, k, p)
+        at = _followed(moved, place.at)
+        if at is None:
+            self._lost, self._stride = p, 0.5 * step
+            return place
+        ahead = _Place.of(moved, k, self._sense, at)
+        if ahead.behind < _SAFE * step and step > _LEAST * self._most:
+            # Between two stable places stiffness may vanish.
+            self._stride = 0.5 * step
+            return place
+        self._stride = min(2.0 * self._stride, self._most)
+        if abs(p - self._begin) >= abs(self._lost - self._begin):
+            self._lost = np.inf
+        return ahead
+
+
+def _followed(moved: MechanicalSystem, at: Equilibrium) -> Equilibrium | None:
+    """Return the equilibrium to which a path of stable ones leads from another; or None."""
+    try:
+        ahead = uninterrupted(find_equilibrium(moved, start=at, near=True, max_steps=_ATTEMPTS))
+    except FreeMechanism:  # A critical point, to the digits that there are.
+        return None
     end = ahead.outcome
     return ahead if end.success and end.stable_to is None and not end.downhill else None
 
 
 @final
 class _Search:
-    """Newton's method in a and p from the last stable equilibrium, for a point up to `lost`."""
+    """Newton's method in a and p from a stable place, for a critical point not far beyond it."""
 
-    def __init__(
-        self, system: MechanicalSystem, k: int, p: float, lost: float, at: Equilibrium
-    ) -> None:
-        self.p, self._k, self._lost, self._at = p, k, lost, at
-        self._system = _moved(system, k, p)
-        soft = softest(Balance(self._system, 0.0, at.q, at.lam), 1.0, at.q, at.lam)
-        self.double = len(soft.kappa) > 1 and soft.kappa[1] < _DOUBLE * soft.kappa[0]
-        self._i = int(np.argmax(np.abs(soft.motions[:, 0]) * np.sqrt(system.weights)))
+    def __init__(self, place: _Place, k: int, ends: tuple[float, float], left: float) -> None:
+        self._place, self._k, self._left, self._ends = place, k, left, ends
+        self._size = abs(place.p - ends[0]) + left
+        weights = place.system.weights
+        self._i = int(np.argmax(np.abs(place.motion) * np.sqrt(weights)))
 
     def bifurcation(self) -> tuple[HeldPoint, Kind] | None:
         """Solve tau_a = tau_p = 0; None where tau does not vanish there."""
 
         def equations(x: HeldPoint) -> tuple[Array, Array]:
-            return _hessian(x, self._k), np.array([x.tau_a, x.tau_b[self._k]])
+            return _hessian(x, self._k, self._size), np.array([x.tau_a, x.tau_b[self._k]])
 
         point = self._newton(equations)
-        if point is None or not abs(point.tau) <= _NONE * _force(point, self._k):
+        if point is None or not abs(point.tau) <= point.round_off:
             return None
         return point, "bifurcation"
 
@@ -253,31 +331,33 @@ class _Search:
         return None if point is None else (point, "limit point")
 
     def _newton(self, equations: Callable[[HeldPoint], tuple[Array, Array]]) -> HeldPoint | None:
-        """Return a solution between the stable place and the lost one; None if it finds none."""
-        p, last, width = self.p, np.inf, abs(self._lost - self.p)
-        a, q, lam = self._at.q[self._i], self._at.q, self._at.lam
+        """Return a solution ahead of the place and not far away; None if it finds none."""
+        place, k, last, left = self._place, self._k, np.inf, self._left
+        p, a, q, lam = place.p, place.at.q[self._i], place.at.q, place.at.lam
         for _ in range(_ITERATIONS):
-            point = _held(self._system, self._k, p, self._i, a, q, lam)
+            point = _held(place.system, k, p, self._i, a, q, lam)
             if point is None:
                 return None
-            change = _solved(*equations(point), np.array([point.size, width]))
-            if change is None:
+            try:
+                da, dp = np.linalg.solve(*equations(point))
+            except np.linalg.LinAlgError:
                 return None
-            da, dp = change
-            if abs(dp) >= 0.5 * last and last <= _CONVERGED * width:
-                return point if self._is_between(p) else None
+            if abs(dp) >= 0.5 * last and last <= _CONVERGED * left:
+                return point if point.held and self._is_ahead(p) else None
             a, p, last = a - da, p - dp, abs(dp)
-            if not abs(p - self.p) <= _FAR * width:
+            if not abs(p - place.p) <= _FAR * left:
                 return None
             # The guess of the next solution.
-            q = point.q - da * point.motion[0] - dp * point.paths[0][:, self._k]
-            lam = point.lam - da * point.motion[1] - dp * point.paths[1][:, self._k]
+            q = point.q - da * point.motion[0] - dp * point.paths[0][:, k]
+            lam = point.lam - da * point.motion[1] - dp * point.paths[1][:, k]
         return None
 
-    def _is_between(self, p: float) -> bool:
-        """Whether p is where stability was lost, to the digits with which that can be seen."""
-        ends, seen = sorted((self.p, self._lost)), _SEEN * abs(p)
-        return ends[0] - seen <= p <= ends[1] + seen
+    def _is_ahead(self, p: float) -> bool:
+        """Whether p is in the range, and about where stability is lost, to the digits it has."""
+        begin, to = self._ends
+        sense, seen = np.sign(to - begin), _SEEN * abs(p - begin)
+        beyond = sense * (p - self._place.p)
+        return bool(-seen <= beyond <= _REACH * self._left + seen and sense * (to - p) >= 0)
 
 
 def _held(
@@ -287,34 +367,17 @@ def _held(
     return HeldSystem(moved, i, q).solve(a, q, lam)
 
 
-def _hessian(x: HeldPoint, k: int) -> Array:
+def _hessian(x: HeldPoint, k: int, size: float) -> Array:
+    """Second derivatives of tau in a and p; p moves by parts of a size."""
     tau_aa, tau_ab = x.in_a
-    return np.array([[tau_aa, tau_ab[k]], [tau_ab[k], x.in_p(k)[k]]])
+    return np.array([[tau_aa, tau_ab[k]], [tau_ab[k], x.in_p(k, size)[k]]])
 
 
-def _force(x: HeldPoint, k: int) -> float:
-    """Return what the parameter, as large as it is, changes in tau over such a motion."""
-    return float(np.abs(x.in_a[1][k] * x.system.b[k]) * x.size)
-
-
-def _solved(matrix: Array, right: Array, scale: Array) -> Array | None:
-    """Solve for unknowns as large as a scale; None where a singular matrix has no solution."""
-    scaled = matrix * scale
-    rows = np.max(np.abs(scaled), axis=1)
-    rows[rows == 0] = 1.0
-    scaled, right = scaled / rows[:, None], right / rows
-    change = np.linalg.lstsq(scaled, right)[0]
-    left = np.linalg.norm(right - scaled @ change)
-    return scale * change if left <= _CONVERGED * np.linalg.norm(right) else None
-
-
-def _gradient(x: HeldPoint, k: int, kind: Kind) -> Array:
-    """Return the derivatives of p."""
+def _gradient(x: HeldPoint, k: int, kind: Kind, size: float) -> Array:
+    """Return the derivatives of p, which has come so far."""
     if kind == "limit point":
         return -x.tau_b / x.tau_b[k]
-    size, none = np.abs(x.system.b), _NONE * _force(x, k)
-    works = np.abs(x.tau_b) > _NONE * x.reach
-    parted = works & ((size == 0) | (np.abs(x.tau_b) * size > none))
+    parted = np.abs(x.tau_b) > _NONE * x.reach
     parted[k] = False
     if np.any(parted):
         name = x.system.design_names[int(np.argmax(parted))]
@@ -324,4 +387,5 @@ def _gradient(x: HeldPoint, k: int, kind: Kind) -> Array:
             f"{name!r}, a change of which parts them",
             "The critical load falls with a root of that change. Leave the variable out.",
         )
-    return np.asarray(-np.linalg.solve(_hessian(x, k), [x.in_a[1], x.in_p(k)])[1])
+    slopes = [x.in_a[1], x.in_p(k, size)]
+    return np.asarray(-np.linalg.solve(_hessian(x, k, size), slopes)[1])

@@ -11,8 +11,9 @@ system and F_c the partial derivative of the equations, and y = A^-T e, e the ro
 
     tau_c = -y^T F_c,    tau_cd = -y^T F_cd,
 
-where F_cd is the derivative along z_d, and in d, of what F changes along z_c, and in c; the second
-by differences of five points (docs/theory/11-statics.md).
+where F_cd is the derivative along z_d, and in d, of what F changes along z_c, and in c: exact for
+c = a by the second derivatives of the system, by differences of five points for two parameters
+(docs/theory/11-statics.md).
 """
 
 from __future__ import annotations
@@ -20,26 +21,32 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.held import force_total, held_total
+from ancfdae.equations.held import force_total, held_q, held_total
+from ancfdae.equations.motion import Direction
 from ancfdae.equations.saddle_points import solve, solve_transposed
+from ancfdae.equations.system import constraint_q_along
 from ancfdae.errors import SingularMatrix
+from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.statics.balance import Balance
+from ancfdae.statics.softness import negative_directions, stiffness_of_coordinates
+
+# The two parts of a saddle-point system's unknowns or equations.
+Parts: TypeAlias = tuple[Array, Array]
 
 _ITERATIONS = 25
-# Part of the size of the system by which second derivatives move it: forces are polynomials of the
-# coordinates of low degree, or near to one.
-_STEP = 3e-3
-# Corrections of this part of the size of the system are followed by more; once they stop to halve
-# they are round-off.
+# Part of the largest correction.
 _CONVERGED = 1e-7
+# Part of the range of a parameter by which its second derivatives move it.
+_STEP = 3e-3
+_EPS, _ROUNDINGS = float(np.finfo(float).eps), 64
 
 
 @final
@@ -48,7 +55,7 @@ class HeldPoint:
     """A solution with q_i held, and tau with its derivatives in a and in the design variables b.
 
     `motion` and `paths` are z_a and z_b, as (q, lam); `left` is (y_q, y_lam). tau_b is that part of
-    `reach` that does work on y.
+    `reach` that does work on y. It is `held` if no motion that keeps q_i has a negative stiffness.
     """
 
     system: MechanicalSystem
@@ -59,50 +66,87 @@ class HeldPoint:
     tau_a: float
     tau_b: Array
     reach: Array
-    motion: tuple[Array, Array]
-    paths: tuple[Array, Array]
-    left: tuple[Array, Array]
+    motion: Parts
+    paths: Parts
+    left: Parts
+    held: bool
 
     @cached_property
     def in_a(self) -> tuple[float, Array]:
         """tau_aa, and tau_ab, shape (n_b,)."""
-        q_a, lam_a = (self.size * x for x in self.motion)
-        slopes = _slope(lambda x: self._forces(self.system, x * q_a, x * lam_a)) / self.size
-        return float(slopes[-1]), slopes[:-1]
+        q_b, lam_b = self.paths
+        return self._along_motion(), self._along_paths(q_b, lam_b)
 
-    def in_p(self, k: int) -> Array:
-        """Return tau_pb, shape (n_b,), p the design variable k."""
+    def _along_motion(self) -> float:
+        system, (q_a, lam_a), (y_q, y_lam) = self.system, self.motion, self.left
+        rest = np.zeros_like(q_a)
+        ahead, states = Direction(0.0, q_a, rest), (self.q, rest, rest, self.lam)
+        on_q, _, _ = system.along_pull_back(0.0, states, ahead, y_q)
+        bent = system.pattern.dot(held_q(system, 0.0, self.q, rest, lam_a), q_a)
+        turned = constraint_q_along(system, 0.0, self.q, ahead)
+        side = system.constraint_pattern.dot(turned, q_a)
+        return float(on_q @ q_a + 2.0 * (y_q @ bent) + y_lam @ side)
+
+    def _along_paths(self, q_b: Array, lam_b: Array) -> Array:
+        force, side = stiffness_total(self.system, (self.q, self.lam), self.motion, (q_b, lam_b))
+        return np.asarray(self.left[0] @ force + self.left[1] @ side)
+
+    def in_p(self, k: int, size: float) -> Array:
+        """Return tau_pb, shape (n_b,), p the design variable k, from changes of about `size`."""
         b, (q_p, lam_p) = np.asarray(self.system.b), (x[:, k] for x in self.paths)
-        # Changes that are as large as the system, or as the parameter.
-        far = self._balance.length(q_p)
-        size = min(self._balance.extent / far if far else np.inf, abs(b[k]) or np.inf)
 
         def forces(x: float) -> Array:
             p = x * size
             moved = self.system.with_values(b + p * np.eye(len(b))[k])
             return self._forces(moved, p * q_p, p * lam_p)
 
-        return np.asarray(_slope(forces)[:-1] / size)
+        return np.asarray(_slope(forces) / size)
 
     @cached_property
     def size(self) -> float:
-        """The change of a with which the motion is as large as the system."""
-        return self._balance.extent / self._balance.length(self.motion[0])
+        """The change of a with which the motion is as large as the system, wherever it stands."""
+        q, naming = self.system.start()[0], self.system.naming
+        weights = self.system.weights
+        extent = norm(q if naming is None else naming.centred(q, weights), weights)
+        return (extent or float(np.sqrt(np.sum(weights)))) / norm(self.motion[0], weights)
 
-    @property
-    def _balance(self) -> Balance:
-        return Balance(self.system, 0.0, self.system.start()[0], self.lam)
+    @cached_property
+    def round_off(self) -> float:
+        """What rounding of the coordinates and sums of forces leaves of tau."""
+        system, y, q = self.system, np.abs(self.left[0]), self.q
+        balance = Balance(system, 0.0, q, self.lam)
+        blur = system.pattern.dot(np.abs(balance.tangent(1.0, q, self.lam)), np.abs(q))
+        reactions = np.abs(balance.reactions(balance.Phi_q(q), self.lam))
+        force = np.abs(system.force(0.0, q, np.zeros_like(q)))
+        elastic = system.traits.force_round_off * norm(y, system.weights)
+        return float(
+            max(elastic, _EPS * (y @ blur)) + _ROUNDINGS * _EPS * (y @ (force + reactions))
+        )
 
     def _forces(self, system: MechanicalSystem, dq: Array, dlam: Array) -> Array:
-        """Return -y^T F_b along z_b, and -y^T F_a along z_a, in a changed state and system."""
-        q, lam, y = self.q + dq, self.lam + dlam, self.left
-        q_d, lam_d = (np.column_stack(x) for x in zip(self.paths, self.motion, strict=True))
-        force, side = _totals(system, q, lam, q_d[:, :-1])
-        balance, pattern = Balance(system, 0.0, q, lam), system.constraint_pattern
-        Phi_q, K = balance.Phi_q(q), balance.tangent(1.0, q, lam)
-        force = np.column_stack([force, -system.pattern.dot(K, q_d[:, -1])])
-        side = np.column_stack([side, -pattern.dot(Phi_q, q_d[:, -1])])
-        return -(y[0] @ (force - pattern.dot_transposed(Phi_q, lam_d)) + y[1] @ side)
+        """Return -y^T F_b along z_b in a changed state and system."""
+        q, lam, (q_b, lam_b) = self.q + dq, self.lam + dlam, self.paths
+        force, side = _totals(system, q, lam, q_b)
+        Phi_q = system.constraint_q(0.0, q)
+        force = force - system.constraint_pattern.dot_transposed(Phi_q, lam_b)
+        return -(self.left[0] @ force + self.left[1] @ side)
+
+
+def stiffness_total(
+    system: MechanicalSystem, state: Parts, motion: Parts, state_b: Parts
+) -> tuple[Array, Array]:
+    """Return total design derivatives of K x + Phi_q^T mu and of Phi_q x, a motion (x, mu) held.
+
+    The state is (q, lam), with derivatives (n_q, n_b) and (n_lam, n_b).
+    """
+    (q, lam), (x, mu), (q_b, lam_b) = state, motion, state_b
+    rest, still = np.zeros_like(x), np.zeros_like(q_b)
+    states, ahead = (q, rest, rest, lam), Direction(0.0, x, rest)
+    states_b = q_b, still, still, lam_b
+    force = system.along_total(0.0, states, ahead, states_b, (still, still))
+    force = force + held_total(system, 0.0, q, rest, mu, q_b)
+    side, of_time = (system.constraint_total(0.0, (q, v), (q_b, still)) for v in (x, rest))
+    return force, side - of_time
 
 
 def _slope(f: Callable[[float], Array]) -> Array:
@@ -132,7 +176,7 @@ class HeldSystem:
 
     def solve(self, a: float, q: Array, lam: Array, tau: float = 0.0) -> HeldPoint | None:
         """Solve by Newton's method from a guess; None where it does not converge."""
-        system, i, last = self._system, self._i, np.inf
+        system, i, last, most = self._system, self._i, np.inf, 0.0
         balance = Balance(system, 0.0, q, lam)
         try:
             for _ in range(_ITERATIONS):
@@ -141,15 +185,18 @@ class HeldSystem:
                 factors = self._factors(balance, q, lam)
                 side = np.append(-system.constraint(0.0, q), a - q[i])
                 dq, dlam = solve(factors, R, side)
-                size = balance.length(dq) / balance.extent
-                if not np.isfinite(size) or (size >= 0.5 * last and last <= _CONVERGED):
-                    break
+                size = balance.length(dq)
+                if not np.isfinite(size):
+                    return None
+                # Corrections that stop to halve are round-off if they, or forces left, are small.
+                K, most = balance.tangent(1.0, q, lam), max(most, size)
+                small = size <= _CONVERGED * most or balance.is_round_off(R, K, q, lam)
+                if size >= 0.5 * last and small:
+                    return self._point(factors, q, lam, tau)
                 q, lam, tau, last = q + dq, lam + dlam[:-1], tau - float(dlam[-1]), size
-            if not last <= _CONVERGED:
-                return None
-            return self._point(self._factors(balance, q, lam), q, lam, tau)
         except SingularMatrix:
-            return None
+            pass
+        return None
 
     def _factors(self, balance: Balance, q: Array, lam: Array) -> Factorization:
         B = np.append(balance.Phi_q(q), 1.0)
@@ -171,4 +218,12 @@ class HeldSystem:
         strength = np.sqrt((force**2).T @ (1 / system.weights))
         reach = np.sqrt(system.weights @ y_q**2) * strength
         point = tau, -float(lam_a[-1]), tau_b, reach
-        return HeldPoint(system, i, q, lam, *point, motion, paths, left)
+        held = self._holds(Balance(system, 0.0, q, lam), q, lam)
+        return HeldPoint(system, i, q, lam, *point, motion, paths, left, held)
+
+    def _holds(self, balance: Balance, q: Array, lam: Array) -> bool:
+        K = balance.tangent(1.0, q, lam)
+        D = stiffness_of_coordinates(balance, K)
+        B = np.append(balance.Phi_q(q), 1.0)
+        matrix = self._matrices.constrained.scaled(K, B, D)
+        return not negative_directions(matrix)

@@ -56,15 +56,11 @@ class Softness:
     def stable(self) -> bool:
         """Whether no motion meets a negative stiffness; of loads that turn see the module."""
         matrix = self._matrix
-        if not self.unstable or matrix.skewness <= _CLEAR[0]:
-            return not self.unstable
+        if not negative_directions(matrix):
+            return True
+        if matrix.skewness <= _CLEAR[0]:
+            return False
         return not (matrix.is_odd(_CLEAR[0]) or matrix.has_negative(_CLEAR[0]))
-
-    @cached_property
-    def unstable(self) -> int:
-        """Number of motions with a negative stiffness, of the symmetric part of K."""
-        counts = map(self._matrix.below, _CLEAR)
-        return next((count for count in counts if count is not None), 0)
 
     @property
     def kappa(self) -> Array:
@@ -77,6 +73,11 @@ class Softness:
         return self._softest[1]
 
     @property
+    def multipliers(self) -> Array:
+        """Forces of constraints in these motions, with K x + Phi_q^T mu across all motions."""
+        return self._softest[2]
+
+    @property
     def free(self) -> Array:
         """Motions without stiffness, shape (n_q, number)."""
         return self.motions[:, self.kappa <= _FREE]
@@ -86,12 +87,12 @@ class Softness:
         return self.balance.matrices.constrained.scaled(self.K, self.Phi_q, self.D)
 
     @cached_property
-    def _softest(self) -> tuple[Array, Array]:
-        """Stiffness and motions by inverse iteration on a block."""
+    def _softest(self) -> tuple[Array, Array, Array]:
+        """Stiffness, motions and multipliers by inverse iteration on a block."""
         balance, system, D = self.balance, self.balance.system, self.D
         root = np.sqrt(D)[:, None]
         count = min(_MOTIONS, system.n_q - system.n_lam)
-        nothing = np.zeros(0), np.zeros((system.n_q, 0))
+        nothing = np.zeros(0), np.zeros((system.n_q, 0)), np.zeros((system.n_lam, 0))
         if count <= 0:
             return nothing
         shifted = self.K.copy()
@@ -101,12 +102,20 @@ class Softness:
         try:
             factors = balance.factor(shifted, self.Phi_q)
             for _ in range(_SWEEPS):
-                X = solve(factors, D[:, None] * X, none)[0].real
-                X = _orthonormal(root * X) / root
+                X, mu = solve(factors, D[:, None] * X, none)
+                Q, R = _orthonormal(root * X)
+                X = Q / root
         except SingularMatrix:  # Of K and Phi_q together: constraints that depend on each other.
             return nothing
         _, kappa, V = np.linalg.svd(X.T @ system.pattern.dot(self.K, X))
-        return kappa[::-1], X @ V.T[:, ::-1]
+        mu = scipy.linalg.solve_triangular(R, mu.T, trans="T").T
+        return kappa[::-1], X @ V.T[:, ::-1], mu @ V.T[:, ::-1]
+
+
+def negative_directions(matrix: ConstrainedMatrix) -> int:
+    """Return the number of motions with a negative stiffness, of the symmetric part of K."""
+    counts = map(matrix.below, _CLEAR)
+    return next((count for count in counts if count is not None), 0)
 
 
 def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -> Softness:
@@ -116,10 +125,11 @@ def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -
     return Softness(balance, K, balance.Phi_q(q).real, stiffness_of_coordinates(balance, K))
 
 
-def _orthonormal(X: Array) -> Array:
-    """Return an orthonormal basis of columns; without the checks that cost a small one more."""
+def _orthonormal(X: Array) -> tuple[Array, Array]:
+    """Return Q and R of columns; without the checks that cost a small one more."""
     reflectors, tau, *_ = scipy.linalg.lapack.dgeqrf(X)
-    return scipy.linalg.lapack.dorgqr(reflectors, tau)[0]
+    R = np.triu(reflectors[: X.shape[1]])
+    return scipy.linalg.lapack.dorgqr(reflectors, tau)[0], R
 
 
 def stiffness_of_coordinates(balance: Balance, K: Array) -> Array:
