@@ -1,13 +1,13 @@
 """Random scenes on which calls to a tolerance are judged: a seed makes a case, always the same.
 
-Twelve families, each with what made a call certain and wrong once: two time scales, pulses that
+Fourteen families, each with what made a call certain and wrong once: two time scales, pulses that
 steps pass over, waves that numerical damping eats, long runs of pendulums, friction. Scenes are
 small, so that a run that knows the answer takes seconds.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
 import numpy as np
@@ -171,6 +171,14 @@ def _springs(rng: _Random) -> _Draft:
     )
 
 
+def _ringing(rng: _Random) -> _Draft:
+    """Return masses on springs of which one is stiff and stretched, seen at the end."""
+    draft = _springs(rng)
+    x, v = position(draft.point, 0), velocity(draft.point, 0)
+    kinds = Terminal(v), Terminal(x), Integral(v**2)
+    return replace(draft, t_end=draft.t_end / 4, objective=kinds[int(rng.integers(3))])
+
+
 def _pendulum(rng: _Random) -> _Draft:
     """Return one to three rigid bars that fall, a single one for up to forty seconds."""
     count = int(rng.choice([1, 1, 2, 3]))
@@ -281,6 +289,14 @@ def _rod(rng: _Random) -> _Draft:
     return _Draft(scene, ("rod.height", "rod.density"), t_end, rod.at_end, others)
 
 
+def _stiff(rng: _Random) -> _Draft:
+    """Return an undamped rod whose end is asked for its velocity, which waves make."""
+    draft = _rod(rng)
+    axis = int(rng.integers(2))
+    kinds = Terminal(velocity(draft.point, axis)), Terminal(position(draft.point, axis))
+    return replace(draft, objective=kinds[int(rng.integers(2))])
+
+
 def _damped(rng: _Random) -> _Draft:
     """Return a damped rod of rubber or alloy on which a force acts suddenly, or that falls."""
     stiff = rng.random() < 0.5
@@ -373,12 +389,14 @@ def _shaken(rng: _Random) -> _Draft:
 
 FAMILIES: Final[dict[str, Callable[[_Random], _Draft]]] = {
     "springs": _springs,
+    "ringing": _ringing,
     "pendulum": _pendulum,
     "pulse": _pulse,
     "window": _window,
     "kinked": _kinked,
     "friction": _friction,
     "rod": _rod,
+    "stiff rod": _stiff,
     "damped rod": _damped,
     "slider": _slider,
     "cable": _cable,

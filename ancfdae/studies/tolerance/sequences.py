@@ -422,8 +422,8 @@ class Eighth(Runs):
         return self.work + self._of(self._steps(self._rtol / _TIGHTER))
 
     def judged(self) -> list[Estimate]:
-        """Return bars by what the last two runs differ by."""
-        if len(self.samples) < 2:
+        """Return bars by what the last two runs differ by; a third one if HHT contradicts them."""
+        if len(self.samples) < 2 or (len(self.samples) == 2 and not self.agrees(self._seer)):
             return []
         before, after = (x.vectors for x in self.samples[-2:])
         share = _FALLEN * math.sqrt(self._taken[-1] / self._taken[-2])
