@@ -182,6 +182,13 @@ class AncfSystem(PlannedSystem):
         values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
         return tuple(t for part, p in values for t in part.breakpoints(p))
 
+    def over_time(self, t: Array) -> Array:
+        """Return the values of all laws of time at instants, shape (k, n_laws)."""
+        parts = (*self._scene.joints, *self._scene.loads)
+        values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
+        rows = [row for part, p in values for row in part.over_time(p.real, t)]
+        return np.stack(rows, axis=1) if rows else np.zeros((len(t), 0))
+
     @property
     def plan(self) -> Plan | None:
         """What a kernel marches with: real numbers, in a frame at rest."""

@@ -233,6 +233,15 @@ class MechanicalSystem(ComplexSteps):
         total = self._total(lambda system, q, v: system.force(t, q, v), *states)
         return np.concatenate([self.force(t, q_rows[0], v_rows[0])[None], total.T])
 
+    def over_time(self, t: Array) -> Array:
+        """Return functions that tell how forces and constraints depend on time, shape (k, n).
+
+        They are compared at instants (k,) only: what changes between two of them faster than steps
+        follow is found so. By default Q and Phi with the coordinates of the start held.
+        """
+        q, v = self.start()
+        return np.array([np.append(self.force(s, q, v), self.constraint(s, q)) for s in t.tolist()])
+
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
         """Return the loads in Q that turn with the motion, at rest, and their Jacobian in q.
 

@@ -8,7 +8,7 @@ accurate than what a solver carries along. Integrals follow the steps, not the i
 import abc
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self, final
 
 import numpy as np
@@ -20,6 +20,7 @@ from ancfdae.errors import (
     Outcome,
     SingularMatrix,
     Verdict,
+    require_array,
     require_count,
 )
 from ancfdae.integrators.integrand import Integrand
@@ -75,12 +76,12 @@ class March(abc.ABC):
         self.steps = self.iterations = self.factorisations = self.residuals = 0
         self.residual, self._t, self._t_end, self._max_steps = 0.0, 0.0, t_end, max_steps
         self._pace, self._context = pace(t_end), context
-        self._breakpoints = problem.system.traits.breakpoints
+        self.stops: tuple[float, ...] = problem.system.traits.breakpoints
 
     @property
     def _stop(self) -> float:
         """What the next step must not pass: the next breakpoint, or the end."""
-        return next_end(self._breakpoints, self._t, self._t_end)
+        return next_end(self.stops, self._t, self._t_end)
 
     @final
     def to(self, t: float) -> Array | Verdict:
@@ -126,6 +127,9 @@ class HighOrder(QuadratureIntegrator):
     max_steps : int
         Steps of the whole run before it ends with an outcome. The default, a million, is no
         budget: it ends runs that nobody waits for. Runs that lead nowhere end by themselves.
+    stops : sequence of float
+        Instants that no step passes, beside the breakpoints of laws: where something happens that
+        lasts so short that steps could pass over it, such as a pulse; s.
     """
 
     # The solvers are real wherever the start is, and would drop imaginary parts of the forces.
@@ -134,6 +138,7 @@ class HighOrder(QuadratureIntegrator):
     rtol: float = 1e-8
     intervals: int = 64
     max_steps: int = 1_000_000
+    stops: tuple[float, ...] = field(default=(), kw_only=True)
 
     @final
     def require_settings(self, least_rtol: float) -> None:
@@ -141,6 +146,7 @@ class HighOrder(QuadratureIntegrator):
         name = type(self).__name__
         require_rtol(f"{name}.rtol", self.rtol, least_rtol)
         require_count(f"{name}.intervals", self.intervals, "64 is a good number.", _MOST_INTERVALS)
+        require_array(f"{name}.stops", self.stops)
         require_count(f"{name}.max_steps", self.max_steps, f"{type(self).max_steps} is plenty.")
 
     @final
@@ -180,6 +186,7 @@ class HighOrder(QuadratureIntegrator):
         try:
             with np.errstate(all="ignore"):  # A blow-up is told by the outcome.
                 march = self.start(problem, t_end, quadrature)
+                march.stops = (*march.stops, *self.stops)
                 for t in progress_bar(progress, grid.t[1:], unit="instant"):
                     point = march.to(float(t))
                     if isinstance(point, Verdict):

@@ -93,6 +93,18 @@ class Designable:
         inner = ((x, its) for (_, x), its in values if isinstance(x, Designable))
         return tuple(t for x, its in inner for t in x.breakpoints(its))
 
+    def over_time(self, p: Array, t: Array) -> list[Array]:
+        """Return the values of all laws of time in it at instants (k,), one array (k,) per law.
+
+        Parameters
+        ----------
+        p : array, shape (n_p,)
+            Values of all `parameters`.
+        """
+        values = zip(self._design_values(), self.split(p), strict=True)
+        inner = ((x, its) for (_, x), its in values if isinstance(x, Designable))
+        return [row for x, its in inner for row in x.over_time(its, t)]
+
     def check_fields(self, where: str) -> None:
         """Refuse values of design fields that break their rules."""
         optional = {field.name for field in fields(self) if field.default is None}  # type: ignore[arg-type]

@@ -40,6 +40,11 @@ class Law(Designable, abc.ABC):
         """
 
     @final
+    def over_time(self, p: Array, t: Array) -> list[Array]:
+        """Return the value itself."""
+        return [self.derivative(p, t, 0)]
+
+    @final
     def derivatives(self, p: Array, t: Any) -> tuple[Array, Array, Array, Array]:
         """Return value and first three time derivatives."""
         value, *rates = (self.derivative(p, t, order) for order in range(4))

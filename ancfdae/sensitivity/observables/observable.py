@@ -161,6 +161,8 @@ class Leaf(Observable):
     #: Whether its value depends on the instants before, as a count of turns does. It is then
     #: piecewise constant.
     remembers: ClassVar[bool] = False
+    #: Whether its value may depend on time by itself, with the states held.
+    names_time: ClassVar[bool] = False
 
     @abc.abstractmethod
     def check_leaf(self, system: Named) -> None:

@@ -1,7 +1,7 @@
 """Observables of joints and energies, time, and the design variables themselves."""
 
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -139,6 +139,8 @@ class Energy(Leaf):
 @dataclass(frozen=True)
 class Time(Leaf):
     """Time."""
+
+    names_time: ClassVar[bool] = True
 
     def check_leaf(self, system: Named) -> None:
         """Every system has a time."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -64,6 +64,8 @@ def custom(function: Callable[..., Array], name: str = "custom") -> Observable:
 @dataclass(frozen=True)
 class Custom(Leaf):
     """A user's function of time, states and design variables."""
+
+    names_time: ClassVar[bool] = True
 
     function: Callable[..., Array]
     name: str

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ancfdae.numerics.arrays import Array
 
@@ -32,6 +33,8 @@ _NEAR = 0.6
 _TIGHTENED = 1.5
 # Least size of a component, over the root mean square of all; where phases are random, so is each.
 _SHARE, _EVEN = 0.5, 1.0
+# Share of the instants, to either side, of which the largest error counts.
+_NEIGHBOURS = 16
 
 
 class Estimate(NamedTuple):
@@ -41,43 +44,52 @@ class Estimate(NamedTuple):
     bar: Array
 
 
-def refined(runs: Sequence[Array], steps: Sequence[int], order: int, resolved: bool) -> Estimate:
-    """Judge runs of ever more steps, two at least; `resolved` says that waves are."""
+def refined(
+    runs: Sequence[Array],
+    steps: Sequence[int],
+    order: int,
+    resolved: bool,
+    along: bool = False,
+) -> Estimate:
+    """Judge runs of ever more steps, two at least; `resolved` says that waves are.
+
+    With `along` a vector holds values at increasing instants.
+    """
     d, N = np.diff(runs, axis=0), np.array(steps, dtype=float)
     if not resolved:
-        return Estimate(runs[-1], unresolved(d))
+        return Estimate(runs[-1], unresolved(d, along))
     powers = (N[1:] / N[:-1]) ** order
     errors = d / (powers - 1)[:, None]
-    size = spread(errors[-1])
+    size = spread(errors[-1], along)
     seen = len(d) > 1 and _falls(np.linalg.norm(d[-2:], axis=1), N[-3:], order)
     if len(d) > 1:
-        size = np.maximum(size, spread(errors[-2]) / powers[-1])
+        size = np.maximum(size, spread(errors[-2], along) / powers[-1])
     if order > 2:
         return Estimate(runs[-1], (_HIGH_SEEN if seen else HIGH_GRANTED) * size)
     better = np.array(runs[1:]) + errors
     if seen:
-        size = np.minimum(size, spread(better[-1] - better[-2]) / (powers[-1] - 1))
+        size = np.minimum(size, spread(better[-1] - better[-2], along) / (powers[-1] - 1))
     return Estimate(better[-1], _EXTRAPOLATED * size)
 
 
-def unresolved(differences: Array) -> Array:
+def unresolved(differences: Array, along: bool = False) -> Array:
     """Return bars of a vector from the rows of differences of its runs, of which no order is known.
 
     A difference may be small by chance: that of a component beside those of the others, all of them
     beside what the order makes of the one before, where steps were halved.
     """
-    last = spread(differences[-1], _EVEN)
+    last = spread(differences[-1], along, _EVEN)
     if len(differences) == 1:
         return _ALONE * last
-    return _UNRESOLVED * np.maximum(last, spread(differences[-2], _EVEN) / 4)
+    return _UNRESOLVED * np.maximum(last, spread(differences[-2], along, _EVEN) / 4)
 
 
-def tightened(before: Array, after: Array) -> Array:
+def tightened(before: Array, after: Array, along: bool = False) -> Array:
     """Return bars of a run of a method that resolves all waves, from one at a looser tolerance.
 
     The difference is about the error of the latter.
     """
-    return _TIGHTENED * spread(after - before)
+    return _TIGHTENED * spread(after - before, along)
 
 
 def _falls(sizes: Array, steps: Array, order: int) -> bool:
@@ -89,7 +101,15 @@ def _falls(sizes: Array, steps: Array, order: int) -> bool:
     return bool(least <= sizes[0] / sizes[1] <= most)
 
 
-def spread(d: Array, least: float = _SHARE) -> Array:
-    """Return sizes of components, none of which is small by chance."""
+def spread(d: Array, along: bool = False, least: float = _SHARE) -> Array:
+    """Return sizes of components, none of which is small by chance.
+
+    Errors over time are waves that grow or die out: those of values at increasing instants have the
+    size of the largest nearby.
+    """
     share = least * float(np.linalg.norm(d)) / math.sqrt(d.size)
+    if along:
+        wide = d.size // _NEIGHBOURS
+        near = np.pad(np.abs(d), wide, mode="edge")
+        return np.maximum(sliding_window_view(near, 2 * wide + 1).max(axis=1), share)
     return np.maximum(np.abs(d), share)

@@ -15,10 +15,12 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.adjoint import Adjoint, Direct
 from ancfdae.sensitivity.method import Accuracy, Gradient, GradientMethod, Run, UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.objectives.reductions import AtInstants
+from ancfdae.sensitivity.objectives.reductions import AtInstants, OverTime
 from ancfdae.sensitivity.objectives.totals import totals_of
+from ancfdae.sensitivity.observables import States
 from ancfdae.sensitivity.observables.expression import leaves
-from ancfdae.studies.tolerance.runs import Runs, Sample
+from ancfdae.studies.tolerance.features import features
+from ancfdae.studies.tolerance.runs import Runs, Sample, Wanted
 from ancfdae.studies.tolerance.search import Found, search
 from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
 
@@ -45,20 +47,36 @@ def gradients_within(
         try:
             results = way.gradients(Run(system, t_end, integrator, progress), objectives)
         except UnfinishedRun as error:
-            return Sample([], None, error.solution.statistics.steps, error)
+            return Sample([], None, error.solution.statistics.steps, error, error.solution)
         vectors = [x for each in results for x in (np.array([each.value]), each.gradient * scale)]
         run = results[0].solution
-        return Sample(vectors, run.estimated_errors, run.statistics.steps, results)
+        return Sample(vectors, run.estimated_errors, run.statistics.steps, results, run)
 
-    given = system, t_end, tolerance, _sizes
-    second = Second(*given)
-    others: list[Runs] = [Fifth(second, *given)]
+    wanted = _wanted(system, objectives, t_end, tolerance)
+    second = Second(wanted)
+    others: list[Runs] = [Fifth(second, wanted)]
     if method is None or isinstance(method, Direct):
-        others.append(Eighth(second, _intervals(system, objectives, t_end), system.n_b, *given))
+        others.append(Eighth(second, _intervals(system, objectives, t_end), wanted))
     reached = search(second, others, measure, tolerance)
     if not reached.reached:
         warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceMissed, stacklevel=4)
     return _results(reached, scale, tolerance)
+
+
+def _wanted(
+    system: MechanicalSystem, objectives: Sequence[Objective], t_end: float, tolerance: float
+) -> Wanted:
+    """Return what the search needs to know of objectives."""
+
+    def numbers(states: States) -> list[Array]:
+        with np.errstate(all="ignore"):
+            return [np.array([np.real(x.value(system, states))]) for x in objectives]
+
+    parts = [leaves(x) for x in objectives]
+    over = [[x for x in each if isinstance(x, OverTime)] for each in parts]
+    integrated = [len(x) == len(y) for x, y in zip(parts, over, strict=True)]
+    fast = features(system, [x.observable for each in over for x in each], t_end)
+    return Wanted(system, t_end, tolerance, _sizes, numbers, integrated, True, False, fast)
 
 
 def require_tolerance(tolerance: float) -> None:

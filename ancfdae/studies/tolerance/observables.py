@@ -25,10 +25,11 @@ from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import LOBATTO_DEGREE, TimeGrid
 from ancfdae.sensitivity.method import Searched, UnfinishedRun
-from ancfdae.sensitivity.observables import Observable, states_of
+from ancfdae.sensitivity.observables import Observable, States, states_of
 from ancfdae.studies.parts import instants
+from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.gradients import require_tolerance
-from ancfdae.studies.tolerance.runs import Sample
+from ancfdae.studies.tolerance.runs import Sample, Wanted
 from ancfdae.studies.tolerance.search import search
 from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
 
@@ -79,20 +80,23 @@ def observed_within(
     require_positive("t_end", t_end)
     require_tolerance(tolerance)
     require_flag("progress", progress)
-    wanted = _checked(observables, system)
+    asked = _checked(observables, system)
     times = np.linspace(0.0, t_end, _INSTANTS) if at is None else instants("at", at, t_end)
 
     def measure(integrator: Integrator) -> Sample:
         run = uninterrupted(integrator.integrate(system, t_end, progress=progress))
         steps = run.statistics.steps
         if not run.outcome.success:
-            return Sample([], None, steps, UnfinishedRun(run))
-        vectors = [_interpolated(x.value(system, states_of(run)), run, times) for x in wanted]
-        return Sample(vectors, run.estimated_errors, steps, run)
+            return Sample([], None, steps, UnfinishedRun(run), run)
+        return Sample(numbers(states_of(run)), run.estimated_errors, steps, run, run)
 
-    given = system, t_end, tolerance, _sizes
-    second = Second(*given)
-    others = [Fifth(second, *given), Eighth(second, _INTERVALS, len(times), *given)]
+    def numbers(states: States) -> list[Array]:
+        return [_interpolated(x.value(system, states), states, times) for x in asked]
+
+    fast, none = features(system, (), t_end), [False] * len(asked)
+    wanted = Wanted(system, t_end, tolerance, _sizes, numbers, none, False, True, fast)
+    second = Second(wanted)
+    others = [Fifth(second, wanted), Eighth(second, _INTERVALS, wanted)]
     with warnings.catch_warnings():
         # Coarse runs are there to be compared.
         warnings.simplefilter("ignore", StabilityWarning)
@@ -121,7 +125,7 @@ def _checked(
     return wanted
 
 
-def _interpolated(values: Array, run: Solution, times: Array) -> Array:
+def _interpolated(values: Array, run: States, times: Array) -> Array:
     """Return values of all instants of a run at other times, with an error of higher order.
 
     Splines go through the ends of steps: cubic ones for order 2, quintic ones for order 5.

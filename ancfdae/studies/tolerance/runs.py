@@ -9,10 +9,12 @@ from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import EstimatedErrors, MechanicalSystem, PlannedSystem
+from ancfdae.equations import EstimatedErrors, MechanicalSystem, PlannedSystem, Solution
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import Estimate
+from ancfdae.studies.tolerance.features import Features
+from ancfdae.studies.tolerance.waves import Numbers
 
 # Work of a run without its steps.
 OF_A_RUN = 2500.0
@@ -21,7 +23,7 @@ _CONTRADICTS = 3.0
 
 
 class Sample(NamedTuple):
-    """What a run gives: vectors that are wanted, what it estimates, its steps, its result.
+    """What a run gives: vectors that are wanted, what it estimates, its steps, its result, itself.
 
     No vectors where it did not end; the result is what it raised then.
     """
@@ -30,11 +32,31 @@ class Sample(NamedTuple):
     estimated: EstimatedErrors | None
     steps: int
     result: object
+    run: Solution
 
 
 # Integrates; returns the sizes that errors of vectors are relative to.
 Measure = Callable[[Integrator], Sample]
 Sizes = Callable[[Sequence[Array]], Sequence[float]]
+
+
+class Wanted(NamedTuple):
+    """What is asked: vectors of a system's motion to a tolerance relative to their sizes.
+
+    `numbers` evaluates what they are about on states, one array each; `integrated` says which are
+    integrals over time. With `slopes` each is followed by its logarithmic design derivatives as a
+    vector. With `along` a vector holds values at increasing instants.
+    """
+
+    system: MechanicalSystem
+    t_end: float
+    tolerance: float
+    sizes: Sizes
+    numbers: Numbers
+    integrated: Sequence[bool]
+    slopes: bool
+    along: bool
+    features: Features
 
 
 class Runs(abc.ABC):
@@ -46,11 +68,10 @@ class Runs(abc.ABC):
 
     name: ClassVar[str]
 
-    def __init__(
-        self, system: MechanicalSystem, t_end: float, tolerance: float, sizes: Sizes
-    ) -> None:
-        self._system, self._n, self._t_end = system, system.n_q, t_end
-        self._tolerance, self._sizes = tolerance, sizes
+    def __init__(self, wanted: Wanted) -> None:
+        system = wanted.system
+        self._wanted, self._system, self._n, self._t_end = wanted, system, system.n_q, wanted.t_end
+        self._tolerance, self._sizes = wanted.tolerance, wanted.sizes
         self._compiled = isinstance(system, PlannedSystem) and system.plan is not None
         self.samples, self.estimates = list[Sample](), list[Estimate]()
         self.error = math.inf

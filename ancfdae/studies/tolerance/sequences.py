@@ -15,8 +15,10 @@ from ancfdae.integrators import HHT, Explicit, Integrator, Radau
 from ancfdae.integrators.problem import Problem
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.periods import fastest
+from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import HIGH_GRANTED, Estimate, refined, tightened
-from ancfdae.studies.tolerance.runs import OF_A_RUN, Runs, Sample
+from ancfdae.studies.tolerance.runs import OF_A_RUN, Runs, Sample, Wanted
+from ancfdae.studies.tolerance.waves import followed, missed
 
 # Order at which the estimated errors of derivatives fall where steps resolve their waves; where
 # there are three runs, a little less will do.
@@ -25,15 +27,21 @@ _RESOLVED, _NEARLY = 1.95, 1.9
 _MEMORY = 5e8
 # A run aims at a share of the tolerance, with at least so many times the steps of the one before.
 _AIM, _LEAST = 0.7, 1.4
+# Numerical damping of HHT-I3.
+_ALPHA = -0.05
 # Order that is hoped for where waves are not resolved.
 _UNSEEN = 1.2
 # Where HHT errs by a hundredth, methods of high order do so with a share of its steps; Radau takes
 # a share of those at which HHT saw that waves are resolved.
 _PERCENT, _FEWER, _SHARE = 1e-2, 8.0, 0.25
-# Errors of Explicit over rtol, with what round-off needs; the tolerance from one run to the next.
-_PER_RTOL, _JUST, _TIGHTER = 4.0, 0.99, 30.0
-# Errors of components over the root mean square of a long vector's.
-_UNEVEN = 2.4
+# The first tolerance of Explicit over the one asked for; what the next is tighter by, at least and
+# at most.
+_FIRST, _TIGHTER, _TIGHTEST = 0.3, 10.0, 1e3
+# The loosest and the tightest that it takes.
+_LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
+# Errors of its second run over the difference of two, where tolerances differ by r, times sqrt(r);
+# and over rtol, at least.
+_FALLEN, _PER_RTOL = 1.0, 1.0
 # Length of its steps times the fastest motion, and the tolerance below which they are shorter.
 _STABLE, _FOLLOWED = 5.7, 1e-3
 
@@ -66,7 +74,6 @@ class _Steps(Runs):
         row = 8.0 * (3 * self._n + self._system.n_lam) * (1 + self._system.n_b)
         return self._work(self.count) if self.count * row < _MEMORY else math.inf
 
-    @final
     def take(self, sample: Sample) -> None:
         """Add a run."""
         self._taken = self.count
@@ -99,11 +106,24 @@ class _Steps(Runs):
         return f"{self.name} resolves all waves of the derivatives; errors fall with its order"
 
     def judged(self) -> list[Estimate]:
-        """Compare the runs."""
-        if len(self.samples) < 2:
+        """Compare the runs; add what they may miss by waves that they damp."""
+        if len(self.samples) < 2 or self.counts[-2] < self._least:
             return []
         rows = zip(*(x.vectors for x in self.samples[-3:]), strict=True)
-        return [refined(x, self.counts[-3:], self.order, self.resolved) for x in rows]
+        known = self.counts[-3:], self.order, self.resolved, self._wanted.along
+        estimates = [refined(x, *known) for x in rows]
+        lost = self.lost or [np.zeros(x.shape) for x, _ in estimates]
+        return [Estimate(x, bar + more) for (x, bar), more in zip(estimates, lost, strict=True)]
+
+    @property
+    def _least(self) -> int:
+        """Steps below which laws or objectives have features that runs pass over."""
+        return self._wanted.features.steps
+
+    @property
+    @abc.abstractmethod
+    def lost(self) -> list[Array]:
+        """What the vectors may miss by waves that numerical damping takes away; none: empty."""
 
 
 @final
@@ -112,24 +132,81 @@ class Second(_Steps):
 
     name, order = "HHT", 2
 
+    def __init__(self, wanted: Wanted) -> None:
+        super().__init__(wanted)
+        # What is lost by waves, and the frequency of those of the motion, 1/s.
+        self._lost, self._speed = list[Array](), 0.0
+
+    def take(self, sample: Sample) -> None:
+        """Add a run; look for waves that it damps.
+
+        Runs that damp waves, or pass over features, which the next one follows say nothing of it.
+        """
+        taken = self.count
+        if self._taken < self._least <= taken:
+            self.samples = []
+        elif self.damps:
+            self.samples = self.samples[-1:] if sample.steps < self._following / 2 else []
+        self._lost, self._speed = [], 0.0
+        wanted, system = self._wanted, self._system
+        if self.samples and sample.vectors:
+            found = missed(system, sample.run, _ALPHA, wanted.numbers, wanted.integrated)
+            self._speed = found.speed
+            for each in found.parts if found.speed else ():
+                self._lost += [each.value, each.slope] if wanted.slopes else [each.value]
+        super().take(sample)
+        self._taken = taken
+
+    @property
+    def lost(self) -> list[Array]:
+        """By the last two runs."""
+        return self._lost
+
+    @property
+    def damps(self) -> bool:
+        """Whether waves that it damps may change more than the tolerance allows."""
+        vectors = self.samples[-1].vectors if self.samples else []
+        return bool(self._lost) and self.relative(self._lost, vectors) > _AIM * self._tolerance
+
+    @property
+    def words(self) -> str:
+        """What is known of the waves."""
+        if self.damps:
+            waves = f"waves of about {self._speed:.2g} rad/s" if self._speed else "fast waves"
+            return f"{self.name} damps {waves}, which its steps pass over; bars hold their share"
+        return super().words
+
     @property
     def setting(self) -> Integrator:
         """A fixed step."""
-        return HHT(self._t_end / self.count, hht_alpha=-0.05)
+        return HHT(self._t_end / self.count, hht_alpha=_ALPHA)
 
     @property
     def _planned(self) -> int:
         """Steps: first such that they cost what a run costs without; nested where waves hide."""
         if len(self.samples) < 2:
             return 2 * self._taken or (64 if self._compiled else 16)
+        if self._taken < self._least:
+            return self._least
+        if self.damps:
+            return math.ceil(self._following)
         growth = self._growth(3, 4.0) if self.resolved else 2.0
         return math.ceil(growth * self._taken)
+
+    @property
+    def _following(self) -> float:
+        """Steps that keep the waves which the last run damps."""
+        return followed(self._speed, self._t_end, _ALPHA, 1.4 * self._taken)
 
     @property
     def left(self) -> float:
         """That of the next run, or of all whose last one is fine enough."""
         if len(self.samples) < 2:
             return self.work
+        if self._taken < self._least:
+            return self._work(self._least) + self._work(2 * self._least)
+        if self.damps:
+            return self._work(self._following) + self._work(2 * self._following)
         growth = self._growth(3 if self.resolved else _UNSEEN, math.inf)
         last = max(growth * self._taken, self.count)
         most = 4.0 if self.resolved else 2.0
@@ -170,7 +247,7 @@ class Second(_Steps):
 def _estimated_order(coarse: Sample, fine: Sample) -> float:
     """Return the order at which estimated errors fall from a run to a finer one."""
     before, after = _largest(coarse.estimated), _largest(fine.estimated)
-    if not 0 < after < math.inf:
+    if not (0 < after < math.inf and before > 0):
         return 0.0
     return math.log(before / after) / math.log(fine.steps / coarse.steps)
 
@@ -197,6 +274,16 @@ class Fifth(_Steps):
         self._seer = seer
 
     @property
+    def _least(self) -> int:
+        """Stages of a step see half as much again."""
+        return self._wanted.features.steps // 2
+
+    @property
+    def lost(self) -> list[Array]:
+        """That of the other sequence: they begin with the same waves."""
+        return self._seer.lost
+
+    @property
     def setting(self) -> Integrator:
         """A fixed step."""
         return Radau(self._t_end / self.count)
@@ -206,7 +293,7 @@ class Fifth(_Steps):
         """Steps that lead to the tolerance, by what the other sequence tells of the waves."""
         share = HIGH_GRANTED * _PERCENT / (_AIM * self._tolerance)
         of_error = self._seer.percent / _FEWER * math.pow(share, 1 / self.order)
-        return max(of_error, self._seer.counts[-1] * _SHARE)
+        return max(of_error, self._seer.counts[-1] * _SHARE, self._least)
 
     @property
     def _planned(self) -> int:
@@ -217,7 +304,7 @@ class Fifth(_Steps):
     @property
     def left(self) -> float:
         """Infinite until the other sequence resolves all waves."""
-        if not self.resolved:
+        if not self.resolved or self._seer.damps:
             return math.inf
         if self.samples:
             return self._work(self._growth(self.order, math.inf) * self._taken)
@@ -247,32 +334,46 @@ class Fifth(_Steps):
 
 @final
 class Eighth(Runs):
-    """DOP853 under error control, which resolves all waves."""
+    """DOP853 under error control, which resolves all waves.
+
+    What a tolerance means for the error is the scene's: two runs tell.
+    """
 
     name = "Explicit"
-    words = "Explicit follows every wave; errors are those of its tolerance"
+    words = "Explicit follows every wave; two tolerances tell its errors"
     # Times as many steps as foreseen.
     _more = 1.0
 
-    def __init__(self, seer: Second, intervals: int, longest: int, *of: Any) -> None:
-        super().__init__(*of)
+    def __init__(self, seer: Second, intervals: int, wanted: Wanted) -> None:
+        super().__init__(wanted)
         self._seer, self._intervals = seer, intervals
-        # The bars of the longest vector then make the tolerance.
-        self._rtol = _JUST * self._tolerance / (_PER_RTOL * min(math.sqrt(longest), _UNEVEN))
+        self._rtol, self._taken = min(_FIRST * self._tolerance, _LOOSEST), list[float]()
 
     @property
     def setting(self) -> Integrator:
         """A tolerance."""
         most = math.ceil(3 * self._foreseen) + 20
-        return Explicit(max(self._rtol, 3e-14), self._intervals, most)
+        stops = self._wanted.features.stops
+        return Explicit(max(self._rtol, _LEAST_RTOL), self._intervals, most, stops=stops)
 
     def take(self, sample: Sample) -> None:
-        """Add a run; the next is tighter, or may take more steps."""
-        super().take(sample)
+        """Add a run; the next is as tight as the last two ask for, or may take more steps."""
         if sample.vectors:
-            self._rtol /= _TIGHTER
-        else:
+            self._taken.append(self._rtol)
+        super().take(sample)
+        if not sample.vectors:
             self._more *= 3
+            self._taken = []
+        else:
+            self._rtol = self._next
+
+    @property
+    def _next(self) -> float:
+        """The tolerance of the next run."""
+        if not self.estimates:
+            return self._rtol / _TIGHTER
+        further = self.error / (_AIM * self._tolerance)
+        return self._rtol / min(max(further, _TIGHTER), _TIGHTEST)
 
     @cached_property
     def _fastest(self) -> float:
@@ -284,20 +385,26 @@ class Eighth(Runs):
             return 0.0
         return speed * self._t_end / _STABLE
 
+    def _steps(self, rtol: float) -> float:
+        """Return the steps at a tolerance, of accuracy or of stability."""
+        if self.samples:
+            return self.samples[-1].steps * math.pow(max(self._taken[-1] / rtol, 1.0), 1 / 8)
+        smooth = self._seer.percent / _FEWER * math.pow(max(_PERCENT / rtol, 1.0), 1 / 8)
+        waves = self._fastest * math.pow(max(_FOLLOWED / rtol, 1.0), 1 / 8)
+        return self._more * max(smooth, waves)
+
     @property
     def _foreseen(self) -> float:
-        """Steps at the tolerance, of accuracy or of stability."""
-        if self.samples:
-            return self.samples[-1].steps * math.pow(_TIGHTER, 1 / 8)
-        smooth = self._seer.percent / _FEWER * math.pow(max(_PERCENT / self._rtol, 1.0), 1 / 8)
-        waves = self._fastest * math.pow(max(_FOLLOWED / self._rtol, 1.0), 1 / 8)
-        return self._more * max(smooth, waves)
+        return self._steps(self._rtol)
 
     @property
     def work(self) -> float:
         """That of the steps as foreseen."""
+        return self._of(self._foreseen)
+
+    def _of(self, steps: float) -> float:
         instants = 8 * self._intervals
-        evaluations = 12 * self._foreseen + instants
+        evaluations = 12 * steps + instants
         of_one = 8.0 + 0.25 * self._n if self._compiled else 1100.0
         traits = self._system.traits
         if not (traits.constant_mass and traits.constant_constraints):
@@ -307,19 +414,23 @@ class Eighth(Runs):
 
     @property
     def left(self) -> float:
-        """That of the next run; others go first."""
-        return self.work if self._seer.asked else math.inf
+        """That of the next run, and of the one that judges it; others go first."""
+        if not self._seer.asked or (self._taken and self._taken[-1] <= _LEAST_RTOL):
+            return math.inf
+        if self.samples:
+            return self.work
+        return self.work + self._of(self._steps(self._rtol / _TIGHTER))
 
     def judged(self) -> list[Estimate]:
-        """Return bars by the tolerance of the last run, and by what the last two differ by."""
-        vectors, *before = (x.vectors for x in self.samples[::-1])
-        if not (before or self.agrees(self._seer)):
+        """Return bars by what the last two runs differ by; a third one if HHT contradicts them."""
+        if len(self.samples) < 2 or (len(self.samples) == 2 and not self.agrees(self._seer)):
             return []
-        bars = [
-            np.full(x.shape, _PER_RTOL * self._rtol * size * min(1.0, _UNEVEN / math.sqrt(x.size)))
-            for x, size in zip(vectors, self._sizes(vectors), strict=True)
-        ]
-        if before:
-            pairs = zip(bars, before[0], vectors, strict=True)
-            bars = [np.maximum(bar, tightened(x, y)) for bar, x, y in pairs]
-        return [Estimate(x, bar) for x, bar in zip(vectors, bars, strict=True)]
+        before, after = (x.vectors for x in self.samples[-2:])
+        share = _FALLEN * math.sqrt(self._taken[-1] / self._taken[-2])
+        least = _PER_RTOL * self._taken[-1]
+        estimates = []
+        for x, y, size in zip(before, after, self._sizes(after), strict=True):
+            floor = least * size / math.sqrt(y.size)
+            bar = np.maximum(tightened(x, y, self._wanted.along) * share, floor)
+            estimates.append(Estimate(y, bar))
+        return estimates
