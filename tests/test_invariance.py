@@ -243,7 +243,7 @@ def back(run, x, scene):
     parts = [run.nodes(body.name) for body in scene.members]
     turn = np.linalg.inv(x.turned(np.eye(parts[0].shape[-1])))
     states = []
-    for body, nodes in zip(scene.members, parts, strict=True):
+    for nodes in parts:
         nodes = nodes.copy()
         # Slopes have no unit.
         nodes[:, :, 0] = nodes[:, :, 0] / x.length - x.offset
