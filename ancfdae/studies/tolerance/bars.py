@@ -27,6 +27,9 @@ _EXTRAPOLATED = 1.5
 # The same of a method of high order, not extrapolated, which falls with less than its order at
 # first, and of one seen to fall with it.
 HIGH_GRANTED, _HIGH_SEEN = 7.75, 2.5
+# Share of that which is left at least of a number whose order is seen: more than the first term of
+# an expansion is not known.
+_TRUSTED = 0.1
 # How far the order seen may be from that of the method, for the differences to be its error.
 _NEAR = 0.6
 # Error over the difference of runs whose tolerance is tightened.
@@ -68,7 +71,8 @@ def refined(
         return Estimate(runs[-1], (_HIGH_SEEN if seen else HIGH_GRANTED) * size)
     better = np.array(runs[1:]) + errors
     if seen:
-        size = np.minimum(size, spread(better[-1] - better[-2], along) / (powers[-1] - 1))
+        of_better = spread(better[-1] - better[-2], along) / (powers[-1] - 1)
+        size = np.minimum(size, np.maximum(of_better, _TRUSTED * size))
     return Estimate(better[-1], _EXTRAPOLATED * size)
 
 

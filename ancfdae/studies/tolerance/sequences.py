@@ -36,12 +36,11 @@ _UNSEEN = 1.2
 _PERCENT, _FEWER, _SHARE = 1e-2, 8.0, 0.25
 # The first tolerance of Explicit over the one asked for; what the next is tighter by, at least and
 # at most.
-_FIRST, _TIGHTER, _TIGHTEST = 0.3, 10.0, 1e3
+_FIRST, _TIGHTER, _TIGHTEST = 0.1, 10.0, 1e3
 # The loosest and the tightest that it takes.
 _LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
-# Errors of its second run over the difference of two, where tolerances differ by r, times sqrt(r);
-# and over rtol, at least.
-_FALLEN, _PER_RTOL = 1.0, 1.0
+# Errors over rtol, at least.
+_PER_RTOL = 1.0
 # Length of its steps times the fastest motion, and the tolerance below which they are shorter.
 _STABLE, _FOLLOWED = 5.7, 1e-3
 
@@ -426,11 +425,10 @@ class Eighth(Runs):
         if len(self.samples) < 2 or (len(self.samples) == 2 and not self.agrees(self._seer)):
             return []
         before, after = (x.vectors for x in self.samples[-2:])
-        share = _FALLEN * math.sqrt(self._taken[-1] / self._taken[-2])
         least = _PER_RTOL * self._taken[-1]
         estimates = []
         for x, y, size in zip(before, after, self._sizes(after), strict=True):
             floor = least * size / math.sqrt(y.size)
-            bar = np.maximum(tightened(x, y, self._wanted.along) * share, floor)
+            bar = np.maximum(tightened(x, y, self._wanted.along), floor)
             estimates.append(Estimate(y, bar))
         return estimates
