@@ -467,7 +467,7 @@ def snap(k, h, a):
     return -2 * k * (free / l - 1) * np.sqrt(l * l - a * a)
 
 
-@pytest.mark.parametrize("o", [1.0, 1000.0])
+@pytest.mark.parametrize("o", [0.0, 1.0, 1000.0])
 def test_a_von_mises_truss_snaps_at_its_limit_load(o):
     design = np.array([100.0, 0.3, 1.0])
     found = critical_load(Shallow((0.0, *design), o), "P", -5.0)
