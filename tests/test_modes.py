@@ -534,7 +534,7 @@ def test_a_run_that_a_smaller_step_may_cure_tells_the_periods():
         Scene([beam], [Pin(beam.at_start)], (5.0, -9.81)), 1.0, HHT(0.1, max_iterations=1)
     )
     assert not large.outcome.success
-    assert large.outcome.advice == ""
+    assert "suggest_step" not in large.outcome.advice
 
 
 def test_an_instant_of_a_run_can_be_looked_at():
