@@ -23,11 +23,16 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.extrapolation import real_derivative
 from ancfdae.numerics.patterns import Pattern
 
+# Methods that forces, masses and constraints do not determine: where a system stands, which states
+# no body can have, which root of a constraint is meant, and which functions of time there are.
+_UNDETERMINED = frozenset({"centred", "folded", "off_root", "over_time", "turn_rate"})
+
 
 def members() -> dict[str, FunctionType]:
-    """Return the methods of the protocol."""
+    """Return the methods of the protocol that the values of a system determine."""
     methods = vars(MechanicalSystem).items()
-    return {name: f for name, f in methods if isfunction(f) and not name.startswith("_")}
+    named = {name: f for name, f in methods if isfunction(f) and not name.startswith("_")}
+    return {name: f for name, f in named.items() if name not in _UNDETERMINED}
 
 
 def is_written(name: str) -> bool:

@@ -207,12 +207,8 @@ def _largest_gap(claimed: list[Any], expected: list[Any], guess: list[Any]) -> f
 
 
 def _unasked(system: MechanicalSystem) -> set[Any]:
-    """Return the members that nobody asks for, by what the system declares.
-
-    And those that the values do not determine: where a body is folded, and where it stands.
-    """
-    unasked: set[Any] = {MechanicalSystem.folded, MechanicalSystem.centred}
-    return unasked | ({MechanicalSystem.mass_along} if system.traits.constant_mass else set())
+    """Return the members that nobody asks for, by what the system declares."""
+    return {MechanicalSystem.mass_along} if system.traits.constant_mass else set()
 
 
 def _imaginary(given: Given) -> Given:
