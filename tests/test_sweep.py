@@ -76,6 +76,8 @@ def sample(hint):
         return equilibrium(SCENE)
     if hint is Verdict:
         return Verdict.SINGULAR
+    if typing.get_origin(hint) is typing.Literal:
+        return typing.get_args(hint)[0]
     if typing.get_origin(hint) is typing.Union or "None" in str(hint):
         return sample(next(x for x in typing.get_args(hint) if x is not type(None)))
     if typing.get_origin(hint) is not None:

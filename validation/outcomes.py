@@ -173,16 +173,38 @@ def exact_forces(system: object, q: Array) -> Array:
         k = 0 if len(block.A) == 1 else e
         g = np.sum(Y[e][rows] * Y[e][columns], axis=1)
         p = block.A[k].astype(np.longdouble) @ (g - block.g_o[0 if len(block.g_o) == 1 else e])
-        if block.p_o is not None:
-            p = p + block.p_o[0 if len(block.p_o) == 1 else e]
         on_Y = np.zeros_like(Y[e])
         for i, j, stress in zip(rows, columns, p, strict=True):
             on_Y[i] += stress * Y[e][j]
             on_Y[j] += stress * Y[e][i]
+        if block.bending is not None:
+            on_Y += _bending_force(*block.bending[0 if len(block.bending) == 1 else e], Y[e])
         on_X = np.concatenate([-on_Y[:1], on_Y[1:n_s], on_Y[:1], on_Y[n_s:]])
         for vector, force in zip(block.vectors[e], on_X, strict=True):
             total[d * vector : d * vector + d] -= force
     return np.asarray(total)
+
+
+def _bending_force(stiffness: float, length: float, Y: Array) -> Array:
+    """Return dU/dY of a cable's bending, shape (n_y, d), from kappa^2 = (b/a - c^2/a^2)/l^2.
+
+    a = t.t, b = h.h and c = t.h with t = r_x and h = l r_xx at the two Gauss points.
+    """
+    force = np.zeros_like(Y)
+    if stiffness == 0:
+        return force
+    l, rows = np.longdouble(length), [0, 1, (Y.shape[0] + 1) // 2]
+    for side in (-1, 1):
+        x = (1 + side / np.sqrt(np.longdouble(3))) / 2
+        of_t = np.array([6 * x * (1 - x) / l, (1 - x) * (1 - 3 * x), x * (3 * x - 2)])
+        of_h = np.array([(6 - 12 * x) / l, 6 * x - 4, 6 * x - 2])
+        t, h = of_t @ Y[rows], of_h @ Y[rows]
+        a, b, c = t @ t, h @ h, t @ h
+        # Half of each weight 1/2: U = E I/(2 l) times the mean of l^2 kappa^2.
+        on_t = (-2 * b / a**2 + 4 * c**2 / a**3) * t - 2 * c / a**2 * h
+        on_h = 2 / a * h - 2 * c / a**2 * t
+        force[rows] += stiffness / (4 * l) * (np.outer(of_t, on_t) + np.outer(of_h, on_h))
+    return force
 
 
 def folded(scene: Scene, found: Equilibrium) -> str:
