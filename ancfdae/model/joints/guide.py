@@ -26,7 +26,7 @@ class Guide(Travelling):
     ----------
     point : Point
     direction : sequence of float
-        Not zero.
+        Not zero; its length does not count.
     travel : Law
     other : Point, optional
         Point of another beam, whose section carries the direction; without it it is fixed.
