@@ -152,7 +152,7 @@ def test_ci_runs_the_test_command_of_the_readme_and_then_the_checks(tmp_path: Pa
     done = run_ci(checkout(tmp_path, command))
     assert done.returncode == 0, done.stderr
     assert calls(tmp_path) == ["threads 1 1", "a b", *CHECKS]
-    assert len(re.findall(r"^(?:\w+: )?== .+ passed in \d+ s$", done.stdout, re.MULTILINE)) == 14
+    assert len(re.findall(r"^(?:\w+: )?== .+ passed in \d+ s$", done.stdout, re.MULTILINE)) == 15
     assert "the tests of IDAS ran with the others" in done.stdout
 
 

@@ -119,7 +119,8 @@ class MovingBase(Travelling):
 
     r(point) = r_o(point) + e x(t), e being the direction at unit length. A base that turns is a
     `Revolute`, in the plane a `Pin`, with a `Drive`; one that moves in a plane and turns a
-    `PlanarJoint` with two of `Guide` and a `Drive`. Design targets: ``direction_x`` ... and the parameters of the law.
+    `PlanarJoint` with two of `Guide` and a `Drive`. Design targets: ``direction_x`` ... and the
+    parameters of the law.
 
     Parameters
     ----------
