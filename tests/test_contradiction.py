@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ancfdae.studies.tolerance.bars import Estimate
-from ancfdae.studies.tolerance.runs import Runs, Sample
+from ancfdae.studies.tolerance.runs import Runs, Sample, Wanted
 
 from mechanisms import CartesianPendulum
 
@@ -16,8 +16,11 @@ class Told(Runs):
 
     def __init__(self, number, bar):
         self._found = [Estimate(np.array([number]), np.array([bar]))]
-        super().__init__(CartesianPendulum(), 1.0, 0.01, lambda vectors: [1.0 for _ in vectors])
-        self.take(Sample([x.x for x in self._found], None, 1, None))
+        sizes = lambda vectors: [1.0 for _ in vectors]  # noqa: E731
+        super().__init__(
+            Wanted(CartesianPendulum(), 1.0, 0.01, sizes, None, (), False, False, None)
+        )
+        self.take(Sample([x.x for x in self._found], None, 1, None, None))
 
     def judged(self):
         return self._found
@@ -34,5 +37,5 @@ def test_runs_agree_within_three_bars_and_the_tolerance(sign):
 
 def test_runs_agree_with_those_that_know_nothing():
     other = Told(2.0, 0.02)
-    other.take(Sample([], None, 0, None))
+    other.take(Sample([], None, 0, None, None))
     assert Told(50.0, 0.5).agrees(other)

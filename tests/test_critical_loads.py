@@ -382,14 +382,15 @@ def test_a_rotor_out_of_balance_moves_without_bound_in_bounded_time(monkeypatch)
 def test_a_path_that_can_be_followed_in_the_smallest_steps_only_ends_the_search(monkeypatch):
     reached, follow = [0.0], critical._followed
 
-    def timid(system, k, p, at):
+    def timid(moved, at):
+        p = float(moved.b[-1])
         if abs(p - reached[0]) > 0.1:
             return None
         reached[0] = p
-        return follow(system, k, p, at)
+        return follow(moved, at)
 
     monkeypatch.setattr(critical, "_followed", timid)
-    monkeypatch.setattr(critical, "_ERRORS", 8)
+    monkeypatch.setattr(critical, "_PLACES", 8)
     with pytest.raises(NoCriticalPoint, match="move too fast to follow"):
         critical_load(column(n=1), "load.force_x", -1e3)
 
