@@ -5,6 +5,7 @@ parameter of that name stands for, and nothing takes longer than ten seconds
 of processor time.
 """
 
+import inspect
 import os
 import signal
 import warnings
@@ -195,13 +196,14 @@ VALID: dict[str, Callable[[Any], bool]] = {
 
 
 def parameters(call: Callable[..., Any]) -> list[str]:
+    call = inspect.unwrap(call)
     code = (call.__init__ if isinstance(call, type) else call).__code__
     names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
     return [name for name in names if name != "self"]
 
 
 def optional(call: Callable[..., Any], name: str) -> bool:
-    function = call.__init__ if isinstance(call, type) else call
+    function = call.__init__ if isinstance(call, type) else inspect.unwrap(call)
     code, known = function.__code__, function.__kwdefaults__ or {}
     plain = code.co_varnames[: code.co_argcount][-len(function.__defaults__ or ()) :]
     if name == "reference":
