@@ -94,10 +94,10 @@ def test_friction_in_its_bearing_is_all_that_a_wheel_loses(units):
     bearing = JointFriction(scene.bodies[0].at(0.0, 0.0), coulomb=0.0, smooth_speed=1.0 / s,
                             viscous=viscous, name="bearing")  # fmt: skip
     with_friction = Scene(scene.beams, scene.joints, bodies=scene.bodies, loads=[bearing])
-    found = modes(with_friction, 4)
+    found = modes(with_friction, 60)  # All: decays come after vibrations, the slowest first.
     decay = [e.real for e, kind in zip(found.exponents, found.kinds, strict=True)
              if kind is MotionKind.DECAYING]  # fmt: skip
-    np.testing.assert_allclose(np.array(decay) * s, [-1e-6 / 1e-4], rtol=1e-8)
+    np.testing.assert_allclose(decay[0] * s, -1e-6 / 1e-4, rtol=1e-8)
 
 
 def test_a_step_counts_no_motion_that_nothing_holds():
