@@ -191,8 +191,11 @@ def deformed():
 def test_other_bodies_in_a_loop(scene):
     tip = position(scene.beams[1].at(0.7), 1)
     design = DESIGN[1:] if any(isinstance(s, NodeState) for s in scene.start) else DESIGN
-    run = (Terminal(tip), END, HHT(STEP))
-    expected = slopes(value_of(tip, END, HHT(STEP)), scene, design)
+    # A crank that starts stretched by 2 % springs back so fast that a step of STEP ends at the root
+    # half a turn off, which is refused.
+    integrator = HHT(STEP / 8 if scene.start else STEP)
+    run = (Terminal(tip), END, integrator)
+    expected = slopes(value_of(tip, END, integrator), scene, design)
     for method in (Direct(), Adjoint()):
         found = gradient(scene, *run, design=design, method=method).gradient
         agree(found, expected)
