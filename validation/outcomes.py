@@ -178,7 +178,8 @@ def exact_forces(system: object, q: Array) -> Array:
             on_Y[i] += stress * Y[e][j]
             on_Y[j] += stress * Y[e][i]
         if block.bending is not None:
-            on_Y += _bending_force(*block.bending[0 if len(block.bending) == 1 else e], Y[e])
+            stiffness, length = block.bending[0 if len(block.bending) == 1 else e]
+            on_Y += _bending_force(stiffness, length, Y[e])
         on_X = np.concatenate([-on_Y[:1], on_Y[1:n_s], on_Y[:1], on_Y[n_s:]])
         for vector, force in zip(block.vectors[e], on_X, strict=True):
             total[d * vector : d * vector + d] -= force
