@@ -80,8 +80,6 @@ CONTROLLED = [HHT(rtol=1e-5), Radau(rtol=1e-5), IDA(rtol=1e-7), Explicit(rtol=1e
 KICKS = [(integrator, width) for integrator in CONTROLLED for width in (0.1, 0.003)]
 
 
-# The short steps around a kick look like many to come: error control of HHT says so.
-@pytest.mark.filterwarnings("ignore::ancfdae.ManySteps")
 @pytest.mark.parametrize(
     ("integrator", "width"), [*KICKS, pytest.param(IDAS(rtol=1e-6), 0.1, marks=pytest.mark.idas)]
 )

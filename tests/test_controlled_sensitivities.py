@@ -178,8 +178,6 @@ def test_of_sizes_assumed_and_found_the_smaller_count(monkeypatch):
     assert used == [[], [8.0, 1.0], [1.0, 1.0]]  # The first is the rough run.
 
 
-# A size of round-off asks for steps of a millionth of the run, and the run says so.
-@pytest.mark.filterwarnings("ignore::ancfdae.ManySteps")
 @pytest.mark.parametrize("sizes", [[2e-12, 0.0] * 4, [0.0, 2e-12] * 4])
 def test_sizes_at_the_threshold_of_round_off_do_not_alternate(monkeypatch, sizes):
     # Coarse steps find a size just above it, fine ones none: each would ask for the other's run.
