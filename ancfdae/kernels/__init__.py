@@ -93,16 +93,17 @@ FrontArrays: TypeAlias = tuple[Array, Array, Array, Array, Array, int, int, Arra
 
 
 class MatrixLayout(NamedTuple):
-    """Order and scale of the unknowns, and where values stand in an envelope or in a band.
+    """Order and scale of the unknowns, and where values stand in an envelope, a band or fronts.
 
-    The envelope is (first, chosen, places, signs) as for `ldl_factor`, and the band (half, flat,
-    factors) as for `band_factor`.
+    The envelope is (first, chosen, places, signs) as for `ldl_factor`, the band (half, flat,
+    factors) as for `band_factor`, and fronts are (chosen, places, arrays) as for `fronts_factor`.
     """
 
     order: Array
     scale: Array
     envelope: tuple[Array, Array, Array, Array] | None
     band: tuple[int, Array, Array] | None
+    fronts: tuple[Array, Array, FrontArrays] | None = None
 
 
 #: Why a march ends: with all steps, or before one that it does not solve, that needs factors at

@@ -19,13 +19,32 @@
 static const double BEND[2][3][6] = {BEND_OF(BEND_AT), BEND_OF(-BEND_AT)};
 #endif
 
-/* Where the chord, r_x1 and r_x2 stand among the rows of Y, and products of them in g. */
-INLINE void NAME(bend_places)(int n_y, int *row, int *at)
+/* R = chord, r_x1 and r_x2, the rows of Y that bending needs: three of 3 numbers, zero out of the
+ * plane, so that the functions below have one size and stand once. */
+INLINE void NAME(bend_rows)(int n_y, int d, const T *Y, T *R)
 {
-    row[0] = 0, row[1] = 1, row[2] = (n_y + 1) / 2;
+    const int row[] = {0, 1, (n_y + 1) / 2};
+    for (int i = 0; i < 3; i++)
+        for (int c = 0; c < 3; c++)
+            R[i * 3 + c] = c < d ? Y[row[i] * d + c] : 0;
+}
+
+/* Where the products of those rows stand in g. */
+INLINE void NAME(bend_places)(int n_y, int *at)
+{
+    const int row[] = {0, 1, (n_y + 1) / 2};
     for (int i = 0, k = 0; i < 3; i++)
         for (int j = i; j < 3; j++, k++)
             at[k] = row[i] * n_y - row[i] * (row[i] + 1) / 2 + row[j];
+}
+
+/* p += x, what bending adds to the stresses of products. */
+INLINE void NAME(bend_add)(int n_y, const T *x, T *p)
+{
+    int at[6];
+    NAME(bend_places)(n_y, at);
+    for (int k = 0; k < 6; k++)
+        p[at[k]] += x[k];
 }
 
 /* What scales the products: 1/l for each chord. */
@@ -35,16 +54,14 @@ INLINE void NAME(bend_scales)(T per_l, T *scale)
         scale[k] = k == 0 ? per_l * per_l : k < 3 ? per_l : 1;
 }
 
-/* m = products of rows of Y and U, both ways round, times `part` and the scales. */
-INLINE void NAME(bend_products)(int n_y, int d, T part, const T *scale, const T *Y, const T *U,
-                                T *m)
+/* m = products of rows of R and S, both ways round, times `part` and the scales. */
+INLINE void NAME(bend_products)(T part, const T *scale, const T *R, const T *S, T *m)
 {
-    const int row[] = {0, d, (n_y + 1) / 2 * d};
     for (int i = 0, k = 0; i < 3; i++)
         for (int j = i; j < 3; j++, k++) {
             T sum = 0;
-            for (int c = 0; c < d; c++)
-                sum += Y[row[i] + c] * U[row[j] + c] + U[row[i] + c] * Y[row[j] + c];
+            for (int c = 0; c < 3; c++)
+                sum += R[i * 3 + c] * S[j * 3 + c] + S[i * 3 + c] * R[j * 3 + c];
             m[k] = part * scale[k] * sum;
         }
 }
@@ -103,59 +120,52 @@ INLINE void NAME(bend_along)(const T *m, const T *m_u, T *x)
     }
 }
 
-/* p += dU/dg. */
-INLINE void NAME(bend_stress)(int n_y, int d, const T *bending, const T *Y, T *p)
+/* x = dU/dg of bending in the six products. */
+static void NAME(bend_stress)(const T *bending, const T *R, T *x)
 {
-    int row[3], at[6];
-    T m[6], x[6], scale[6], per_l = 1 / bending[1];
-    NAME(bend_places)(n_y, row, at);
+    T m[6], scale[6], per_l = 1 / bending[1];
     NAME(bend_scales)(per_l, scale);
-    NAME(bend_products)(n_y, d, 0.5, scale, Y, Y, m);
+    NAME(bend_products)(0.5, scale, R, R, m);
     NAME(bend_gradient)(m, x);
     for (int k = 0; k < 6; k++)
-        p[at[k]] += bending[0] * per_l * scale[k] * x[k];
+        x[k] *= bending[0] * per_l * scale[k];
 }
 
-/* p += the derivative of dU/dg along U. */
-INLINE void NAME(bend_stress_along)(int n_y, int d, const T *bending, const T *Y, const T *U, T *p)
+/* x = the derivative of that along rows S. */
+static void NAME(bend_stress_along)(const T *bending, const T *R, const T *S, T *x)
 {
-    int row[3], at[6];
-    T m[6], m_u[6], x[6], scale[6], per_l = 1 / bending[1];
-    NAME(bend_places)(n_y, row, at);
+    T m[6], m_u[6], scale[6], per_l = 1 / bending[1];
     NAME(bend_scales)(per_l, scale);
-    NAME(bend_products)(n_y, d, 0.5, scale, Y, Y, m);
-    NAME(bend_products)(n_y, d, 1, scale, Y, U, m_u);
+    NAME(bend_products)(0.5, scale, R, R, m);
+    NAME(bend_products)(1, scale, R, S, m_u);
     NAME(bend_along)(m, m_u, x);
     for (int k = 0; k < 6; k++)
-        p[at[k]] += bending[0] * per_l * scale[k] * x[k];
+        x[k] *= bending[0] * per_l * scale[k];
 }
 
-/* p += the partial of dU/dg at held Y along changes `bending_b` of E I and l. The length stands in
- * E I/l, in the scales of the products, and in the products themselves. */
-INLINE void NAME(bend_stress_partial)(int n_y, int d, const T *bending, const T *bending_b,
-                                      const T *Y, T *p)
+/* x = its partial at held R along changes `bending_b` of E I and l. The length stands in E I/l, in
+ * the scales of the products, and in the products themselves. */
+static void NAME(bend_stress_partial)(const T *bending, const T *bending_b, const T *R, T *x)
 {
-    int row[3], at[6];
-    T m[6], m_l[6], x[6], x_l[6], scale[6], per_l = 1 / bending[1], grown = bending_b[1] * per_l;
-    NAME(bend_places)(n_y, row, at);
+    T m[6], m_l[6], x_l[6], scale[6], per_l = 1 / bending[1], grown = bending_b[1] * per_l;
     NAME(bend_scales)(per_l, scale);
-    NAME(bend_products)(n_y, d, 0.5, scale, Y, Y, m);
+    NAME(bend_products)(0.5, scale, R, R, m);
     NAME(bend_gradient)(m, x);
     for (int k = 0; k < 6; k++)
         m_l[k] = k == 0 ? -2 * m[k] : k < 3 ? -m[k] : 0;
     NAME(bend_along)(m, m_l, x_l);
     for (int k = 0; k < 6; k++) {
         T change = bending_b[0] - bending[0] * grown * (k == 0 ? 3 : k < 3 ? 2 : 1);
-        p[at[k]] += per_l * scale[k] * (change * x[k] + bending[0] * grown * x_l[k]);
+        x[k] = per_l * scale[k] * (change * x[k] + bending[0] * grown * x_l[k]);
     }
 }
 
-/* M = d^2U/dg^2 in the six products of rows of Y. */
-INLINE void NAME(bend_stiffness)(int n_y, int d, const T *bending, const T *Y, T M[6][6])
+/* M = d^2U/dg^2 in the six products. */
+static void NAME(bend_stiffness)(const T *bending, const T *R, T M[6][6])
 {
     T m[6], scale[6], per_l = 1 / bending[1];
     NAME(bend_scales)(per_l, scale);
-    NAME(bend_products)(n_y, d, 0.5, scale, Y, Y, m);
+    NAME(bend_products)(0.5, scale, R, R, m);
     for (int k = 0; k < 6; k++)
         for (int j = 0; j < 6; j++)
             M[k][j] = 0;

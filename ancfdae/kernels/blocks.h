@@ -164,7 +164,12 @@ INLINE void NAME(packed_)(int n_y, int d, const NAME(block) *b, int one, const T
         }
 }
 
-/* One function for each size that elements have, so that its loops have constant bounds. */
+/* For real numbers one function for each size that elements have, so that its loops have constant
+ * bounds. Complex numbers, whose products cost more than loops, do with one of any size, in a third
+ * of the compiler's time. */
+#ifdef ANY_SIZE
+#define OF_SIZE(f, ...) NAME(f)(n_y, d, __VA_ARGS__);
+#else
 #define OF_SIZE(f, ...)                                                                            \
     switch (n_y * 10 + d) {                                                                        \
     case 73: NAME(f)(7, 3, __VA_ARGS__); break;                                                    \
@@ -173,6 +178,7 @@ INLINE void NAME(packed_)(int n_y, int d, const NAME(block) *b, int one, const T
     case 32: NAME(f)(3, 2, __VA_ARGS__); break;                                                    \
     default: NAME(f)(n_y, d, __VA_ARGS__);                                                         \
     }
+#endif
 
 CLONES static void NAME(relative)(int n_y, int d, const NAME(block) *b, const T *q, T *Y)
 {

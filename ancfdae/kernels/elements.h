@@ -79,8 +79,12 @@ INLINE void NAME(stress_of)(int n_y, int d, const NAME(element) *e, const T *x, 
     for (int k = 0; k < n_g; k++)
         p[k] = 0;
     NAME(apply)(n_g, e->A, x, p);
-    if (NAME(is_cable)(n_y, e))
-        NAME(bend_stress)(n_y, d, e->bending, Y, p);
+    if (NAME(is_cable)(n_y, e)) {
+        T R[9], bent[6];
+        NAME(bend_rows)(n_y, d, Y, R);
+        NAME(bend_stress)(e->bending, R, bent);
+        NAME(bend_add)(n_y, bent, p);
+    }
 }
 
 INLINE void NAME(stress)(int n_y, int d, const NAME(element) *e, const T *Y, const T *V, T *p)
@@ -121,8 +125,13 @@ INLINE void NAME(force_along)(int n_y, int d, const NAME(element) *e, const T *p
     for (int k = 0; k < n_g; k++)
         change[k] = p_b ? p_b[k] : 0;
     NAME(apply)(n_g, e->A, x, change);
-    if (NAME(is_cable)(n_y, e))
-        NAME(bend_stress_along)(n_y, d, e->bending, Y, U, change);
+    if (NAME(is_cable)(n_y, e)) {
+        T R[9], S[9], bent[6];
+        NAME(bend_rows)(n_y, d, Y, R);
+        NAME(bend_rows)(n_y, d, U, S);
+        NAME(bend_stress_along)(e->bending, R, S, bent);
+        NAME(bend_add)(n_y, bent, change);
+    }
     NAME(stressed)(n_y, d, change, Y, F);
     NAME(stressed)(n_y, d, p, U, F);
 }
@@ -165,10 +174,11 @@ INLINE void NAME(widened)(int n_y, int d, int wide, T scale, const T *Y, T *wide
 /* A + d^2U/dg^2 of bending. */
 INLINE void NAME(stiffness_of_cable)(int n_y, int d, const NAME(element) *e, const T *Y, T *A)
 {
-    int row[3], at[6], n_g = n_y * (n_y + 1) / 2;
-    T M[6][6];
-    NAME(bend_places)(n_y, row, at);
-    NAME(bend_stiffness)(n_y, d, e->bending, Y, M);
+    int at[6], n_g = n_y * (n_y + 1) / 2;
+    T R[9], M[6][6];
+    NAME(bend_places)(n_y, at);
+    NAME(bend_rows)(n_y, d, Y, R);
+    NAME(bend_stiffness)(e->bending, R, M);
     for (int k = 0; k < n_g * n_g; k++)
         A[k] = e->A[k];
     for (int k = 0; k < 6; k++)

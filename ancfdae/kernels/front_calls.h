@@ -207,9 +207,10 @@ static PyObject *py_fronts_factor(PyObject *const *args)
                  !(out[2] = new_numbers(x.factor_at[x.count], NPY_DOUBLE)))
             PyErr_NoMemory();
         else {
-            double *a = PyArray_DATA(out[0]), *perturbed = room, *stack = perturbed + size;
+            double *a = PyArray_DATA(out[0]), *stack = (double *)room + size;
             npy_int32 *at = (npy_int32 *)((double *)room + doubles);
-            npy_intp info = 1;
+            front_room own_room = {a, PyArray_DATA(out[1]), room, stack, stack + x.stack, at};
+            npy_intp info;
             if (!fronts_closed(&x, at, at + x.n))
                 wrong("a front lacks rows");
             else {
@@ -217,9 +218,7 @@ static PyObject *py_fronts_factor(PyObject *const *args)
                 for (int i = 0; i < count; i++)
                     ldl_placed_real(n_K, data_of(chosen), data_of(places), s[i], data_of(K[i]), a);
                 ldl_placed_real(n_B, NULL, (const npy_int32 *)data_of(places) + n_K, 1, data_of(B), a);
-                if (fronts_scaled(&x, a, PyArray_DATA(out[1]), perturbed))
-                    info = fronts_factor(&x, perturbed, PyArray_DATA(out[2]), stack, at,
-                                         stack + x.stack);
+                info = fronts_factored(&x, &own_room, PyArray_DATA(out[2]));
                 Py_END_ALLOW_THREADS
                 result = Py_BuildValue("(OOO)n", out[0], out[1], out[2], info);
             }

@@ -207,8 +207,9 @@ INLINE void fronts_residual(int wide, const fronts *q, const double *restrict a,
 /* Refinements at most: each takes away seven digits, or five where constraints are almost
  * dependent. */
 enum { MOST_REFINEMENTS = 5 };
-/* A residual above this part of b and x is none of a solution: constraints are dependent. */
-#define UNREFINED 1e-9
+/* A residual above this part of b and x is no round-off: constraints are almost dependent, and
+ * refinement has not converged. */
+#define UNREFINED 1e-12
 
 /* Solve and refine; returns the largest residual relative to the entries of b and x. */
 INLINE double fronts_refined(int wide, const fronts *q, const double *a, const double *factors,
@@ -329,4 +330,19 @@ static int fronts_scaled(const fronts *q, double *restrict a, double *restrict s
         if (q->signs[j] < 0)
             perturbed[q->column_at[j]] -= PERTURBED;
     return 1;
+}
+
+/* The matrix with its scale, and room for a factorisation. */
+typedef struct {
+    double *a, *scale, *perturbed, *stack, *room;
+    npy_int32 *at;
+} front_room;
+
+/* Scale and factorise what stands in `a`. Returns 0, or the number of the first pivot that has not
+ * its sign, or 1 unless the diagonal of coordinates is positive. */
+static npy_intp fronts_factored(const fronts *q, const front_room *x, double *factors)
+{
+    if (!fronts_scaled(q, x->a, x->scale, x->perturbed))
+        return 1;
+    return fronts_factor(q, x->perturbed, factors, x->stack, x->at, x->room);
 }

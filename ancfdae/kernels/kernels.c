@@ -93,6 +93,9 @@ static double seconds_now(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
+#include "elimination.h"
+#include "fronts.h"
+
 #define T double
 #define NAME(x) x##_real
 #define MATH(x) x
@@ -121,6 +124,7 @@ static double seconds_now(void)
 #define MATH(x) c##x
 #define ANGLE_OF angle_of_complex
 #define CLONES
+#define ANY_SIZE
 #include "bending.h"
 #include "elements.h"
 #include "blocks.h"
@@ -136,11 +140,10 @@ static double seconds_now(void)
 #undef MATH
 #undef ANGLE_OF
 #undef CLONES
+#undef ANY_SIZE
 
 #include "constraint_totals.h"
 #include "orders.h"
-#include "elimination.h"
-#include "fronts.h"
 
 /* ---- arguments ---------------------------------------------------------------------------- */
 
@@ -176,6 +179,14 @@ static int taken_number(PyObject *object, npy_intp most, npy_intp *number)
     if (PyErr_Occurred())
         return 0;
     return (*number >= 0 && *number <= most) || wrong("a number is negative or too large");
+}
+
+/* An item of a tuple with so many of them. */
+static PyObject *item(PyObject *tuple, Py_ssize_t size, Py_ssize_t i)
+{
+    if (!tuple || !PyTuple_Check(tuple) || PyTuple_GET_SIZE(tuple) != size)
+        return wrong("a plan is made of named tuples"), NULL;
+    return PyTuple_GET_ITEM(tuple, i);
 }
 
 static int is_complex(PyObject *object)
@@ -1254,8 +1265,8 @@ static PyObject *py_ldl_solve(PyObject *const *args)
 
 /* ---- marches ------------------------------------------------------------------------------- */
 
-#include "prepared.h"
 #include "front_calls.h"
+#include "prepared.h"
 #include "stages.h"
 
 /* ---- module -------------------------------------------------------------------------------- */

@@ -33,7 +33,8 @@ typedef struct {
 } NAME(moving_load);
 
 /* A system with its matrices and the settings of Newton's method. `first` is NULL without an
- * envelope, `flat` without a band. Factors are those of all loads, `velocity` tells whether forces
+ * envelope, `fronts` without these, `flat` without a band; `chosen`, `places` and `signs` belong to
+ * the envelope or to the fronts. Factors are those of all loads, `velocity` tells whether forces
  * depend on it; coefficients of joints that are `still` are the same at all
  * instants. */
 typedef struct {
@@ -46,6 +47,7 @@ typedef struct {
     NAME(csr) M, K, B; /* K has the values of M on the pattern of all tangents */
     const npy_int32 *index, *first, *chosen, *places;
     const npy_int64 *order, *flat;
+    const fronts *fronts;
     const T *gravity, *loads;
     const double *weights, *inverse, *signs, *scale, *factors;
     NAME(gbtrf_t) gbtrf;
@@ -55,13 +57,16 @@ typedef struct {
 
 /* Room for what an iteration writes. `ahead` holds dq of a small step; coefficients c belong to the
  * end of the step, those in `within` to instants in it, U to vectors of one joint. */
+enum { BY_ENVELOPE, BY_BAND, BY_FRONTS };
+
 typedef struct {
     T *q_p, *dq_p, *v_p, *q, *v, *A, *a, *lam, *U, *B, *Q, *inner, *reaction, *ahead, *start;
     T *Phi, *rate, *defect, *R, *x, *force, *f_q, *f_v, *sum, *matrix, *work;
     T *at_end, *within, *of_load;
     const T *c[1];
     double *least, of_B;
-    int *pivots, B_known, banded;
+    front_room in_fronts;
+    int *pivots, B_known, factored; /* How: by an envelope, by a band or by fronts. */
     npy_intp counts[3]; /* iterations, factorisations, steps that round-off disturbs */
 } NAME(room);
 
@@ -247,12 +252,25 @@ static int NAME(banded_sum)(const NAME(plan) *p, NAME(room) *r, const step_coeff
         r->sum[i] = c->in_A * p->K.values[i] + c->in_q * f_q[i];
     for (npy_intp i = 0; f_v && i < p->nnz; i++)
         r->sum[i] += c->in_v * f_v[i];
-    r->banded = 1;
+    r->factored = BY_BAND;
     memset(r->matrix, 0, (size_t)n * (3 * (size_t)p->half + 1) * sizeof(T));
     return NAME(band_factor)(p->gbtrf, (int)n, (int)p->half, p->nnz, n_B, r->sum, B, p->factors,
                              p->flat, r->matrix, r->pivots, &r->of_B)
                ? NOT_SOLVED
                : 0;
+}
+
+/* Factorise eq. (6) by fronts, from values as below: 0 or NOT_SOLVED. */
+static int NAME(sum_in_fronts)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                               const T *f_q, const T *B)
+{
+    front_room *x = &r->in_fronts;
+    memset(x->a, 0, (size_t)p->fronts->column_at[p->fronts->n] * sizeof *x->a);
+    NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_A, p->K.values, x->a);
+    NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_q, f_q, x->a);
+    NAME(ldl_placed)(p->constraints->n_values, NULL, p->places + p->n_chosen, 1, B, x->a);
+    r->factored = BY_FRONTS;
+    return fronts_factored(p->fronts, x, r->matrix) ? NOT_SOLVED : 0;
 }
 
 /* Factorise eq. (6) from values of f_q, f_v, NULL where there is none, and Phi_q: 0, NOT_SOLVED, or
@@ -267,8 +285,10 @@ static int NAME(factor_sum)(const NAME(plan) *p, NAME(room) *r, const step_coeff
         NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_q, f_q, r->matrix);
         NAME(ldl_placed)(n_B, NULL, p->places + p->n_chosen, 1, B, r->matrix);
         if (NAME(ldl_factor)(n, p->first, p->signs, r->matrix, r->least) == 0)
-            return r->banded = 0;
+            return r->factored = BY_ENVELOPE;
     }
+    if (p->fronts)
+        return f_v ? NOT_SOLVED : NAME(sum_in_fronts)(p, r, c, f_q, B);
     return p->flat ? NAME(banded_sum)(p, r, c, f_q, f_v, B) : INDEFINITE;
 }
 
@@ -313,14 +333,19 @@ INLINE double NAME(band_scale)(const NAME(plan) *p, const NAME(room) *r, npy_int
     return i < p->n_q ? p->scale[i] : r->of_B * p->scale[i];
 }
 
-/* x = J^-1 right, or its transpose, for rows. */
-static void NAME(solve_rows)(const NAME(plan) *p, NAME(room) *r, char how, npy_intp rows,
+/* x = J^-1 right, or its transpose, for rows: 0, or NOT_SOLVED where refinement does not converge. */
+static int NAME(solve_rows)(const NAME(plan) *p, NAME(room) *r, char how, npy_intp rows,
                              const T *right, T *x)
 {
     npy_intp n = p->n_q + p->n_lam;
-    if (!r->banded) {
+    if (r->factored == BY_FRONTS)
+        return fronts_solve(p->fronts, r->in_fronts.a, r->matrix, p->order, r->in_fronts.scale, rows,
+                            1, right, r->work, x) <= UNREFINED
+                   ? 0
+                   : NOT_SOLVED;
+    if (r->factored == BY_ENVELOPE) {
         NAME(ldl_solve)(n, p->first, r->matrix, p->order, rows, 1, right, r->work, x);
-        return;
+        return 0;
     }
     for (; rows > 0; rows--, right += n, x += n) {
         for (npy_intp i = 0; i < n; i++)
@@ -329,6 +354,7 @@ static void NAME(solve_rows)(const NAME(plan) *p, NAME(room) *r, char how, npy_i
         for (npy_intp i = 0; i < n; i++)
             x[p->order[i]] = NAME(band_scale)(p, r, p->order[i]) * r->work[i];
     }
+    return 0;
 }
 
 /* Whether round-off of elastic forces leaves less than seven digits of the motion. */
@@ -352,9 +378,8 @@ static int NAME(iterated)(const NAME(plan) *p, NAME(room) *r, const step_coeffic
         if (!NAME(residual_at)(p, r, c, b, of_joints, of_loads, small))
             return NOT_SOLVED;
         int failed = fresh ? NAME(factorised)(p, r, c, of_loads) : 0;
-        if (failed)
+        if (failed || (failed = NAME(solve_rows)(p, r, 'N', 1, r->R, r->x)))
             return failed;
-        NAME(solve_rows)(p, r, 'N', 1, r->R, r->x);
         for (npy_intp k = 0; k < p->n_q; k++)
             r->a[k] -= r->x[k];
         for (npy_intp k = 0; k < p->n_lam; k++)

@@ -63,7 +63,8 @@ static npy_intp differentiated(const plan_real *p, room_real *r, const computed_
         if (p->velocity)
             csr_rows_real(n_q, K->first, K->columns, r->f_v, n_b, n_q, z + size, r->work, -1, n,
                           right);
-        solve_rows_real(p, r, 'N', n_b, right, x);
+        if ((*ends = solve_rows_real(p, r, 'N', n_b, right, x)))
+            return i;
         for (npy_intp b = 0; b < n_b; b++) {
             memcpy(z + 3 * size + b * n_q, x + b * n, (size_t)n_q * sizeof(double));
             memcpy(lam_b + (i * n_b + b) * n_lam, x + b * n + n_q, (size_t)n_lam * sizeof(double));
@@ -100,10 +101,11 @@ static npy_intp pulled_back(const plan_real *p, room_real *r, const computed_ste
         }
         for (npy_intp e = 0; e < n_lam; e++)
             r->R[n_q + e] = seeds[2] ? seeds[2][i * n_lam + e] : 0;
-        solve_rows_real(p, r, 'T', 1, r->R, r->x);
-        if (r->banded)
+        if ((*ends = solve_rows_real(p, r, 'T', 1, r->R, r->x)))
+            return s->k - 1 - i;
+        if (r->factored == BY_BAND)
             csr_rows_transposed_real(n_q, K->first, K->columns, r->f_q, 1, r->x, -1, n_q, r->q);
-        else /* What has an envelope is symmetric. */
+        else /* What has an envelope or fronts is symmetric. */
             csr_rows_real(n_q, K->first, K->columns, r->f_q, 1, n_q, r->x, r->work, -1, n_q, r->q);
         csr_rows_transposed_real(n_lam, B->first, B->columns, r->B, 1, r->x + n_q, -1 / c.in_q, n_q,
                                  r->q);

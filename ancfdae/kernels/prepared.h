@@ -3,13 +3,14 @@
  * `__init__.py` says what a plan, a layout of the matrix and the rules hold.
  */
 
-enum { MOST_KEPT = 48, MOST_ROOM = 48 };
+enum { MOST_KEPT = 64 };
 
 /* A plan with the arrays that it points to and its room. */
 typedef struct {
     PyObject *kept[MOST_KEPT];
     int n_kept;
     plan_real plan;
+    fronts fronts;
     room_real room;
     void *memory;
     moving_load_real *moving;
@@ -29,14 +30,6 @@ static void prepared_dropped(Prepared *x)
 static void capsule_dropped(PyObject *capsule)
 {
     prepared_dropped(PyCapsule_GetPointer(capsule, prepared_name));
-}
-
-/* An item of a tuple with so many of them. */
-static PyObject *item(PyObject *tuple, Py_ssize_t size, Py_ssize_t i)
-{
-    if (!tuple || !PyTuple_Check(tuple) || PyTuple_GET_SIZE(tuple) != size)
-        return wrong("a plan is made of named tuples"), NULL;
-    return PyTuple_GET_ITEM(tuple, i);
 }
 
 /* An array that is kept; with this size unless it is negative. */
@@ -113,7 +106,7 @@ static int kept_block(Prepared *x, PyObject *object, PyObject *index)
     return p->index != NULL;
 }
 
-enum { PLAN_ITEMS = 14, LAYOUT_ITEMS = 4 };
+enum { PLAN_ITEMS = 14, LAYOUT_ITEMS = 5 };
 
 /* A plan of constraints, and (first, columns, values) of Phi_q. */
 static int kept_constraints(Prepared *x, PyObject *object, PyObject *B)
@@ -159,29 +152,61 @@ static int kept_loads(Prepared *x, PyObject *pairs)
     return 1;
 }
 
-/* (order, scale, envelope, band); an envelope is (first, chosen, places, signs) and a band (half,
- * flat, factors), or None. */
+/* Places of the lower triangle in an envelope or in fronts, of `size` numbers. */
+static int kept_lower(Prepared *x, PyObject *chosen, PyObject *places, npy_intp size)
+{
+    plan_real *p = &x->plan;
+    PyArrayObject *own = kept(x, chosen, NPY_INT32, 1, -1);
+    if (!own || !within_32(own, 0, p->nnz - 1))
+        return PyErr_Occurred() ? 0 : wrong("an index of a plan is too large");
+    p->chosen = data_of(own), p->n_chosen = PyArray_SIZE(own);
+    p->places = kept_short_indices(x, places, p->n_chosen + p->constraints->n_values, size - 1);
+    return p->places != NULL;
+}
+
+/* (chosen, places, fronts). */
+static int kept_fronts(Prepared *x, PyObject *t)
+{
+    plan_real *p = &x->plan;
+    PyArrayObject *own[FRONT_ARRAYS] = {NULL};
+    npy_intp n = p->n_q + p->n_lam;
+    npy_int32 *marks = PyMem_Malloc((2 * (size_t)n + 1) * sizeof *marks);
+    int good = marks && x->n_kept + FRONT_ARRAYS <= MOST_KEPT && item(t, 3, 2) &&
+               fronts_taken(item(t, 3, 2), own, &x->fronts);
+    for (int i = 0; i < FRONT_ARRAYS; i++)
+        if (own[i])
+            x->kept[x->n_kept++] = (PyObject *)own[i];
+    good = good && (x->fronts.n == n || wrong("the fronts are not those of the matrix")) &&
+           (fronts_closed(&x->fronts, marks, marks + n) || wrong("a front lacks rows"));
+    PyMem_Free(marks);
+    p->fronts = &x->fronts;
+    return good && kept_lower(x, item(t, 3, 0), item(t, 3, 1), x->fronts.column_at[n]);
+}
+
+/* (order, scale, envelope, band, fronts); an envelope is (first, chosen, places, signs), a band
+ * (half, flat, factors) and fronts (chosen, places, arrays), or None. */
 static int kept_layout(Prepared *x, PyObject *t)
 {
     plan_real *p = &x->plan;
     npy_intp n = p->n_q + p->n_lam, n_B = p->constraints->n_values;
     PyObject *own = item(t, LAYOUT_ITEMS, 2), *band = item(t, LAYOUT_ITEMS, 3);
+    PyObject *in_fronts = item(t, LAYOUT_ITEMS, 4);
     p->order = kept_indices(x, item(t, LAYOUT_ITEMS, 0), n, n - 1);
     p->scale = kept_numbers(x, item(t, LAYOUT_ITEMS, 1), n);
-    if (!p->order || !p->scale || (own == Py_None && band == Py_None))
-        return PyErr_Occurred() ? 0 : wrong("a layout must have an envelope or a band");
+    if (!p->order || !p->scale || (own == Py_None && band == Py_None && in_fronts == Py_None))
+        return PyErr_Occurred() ? 0 : wrong("a layout must have an envelope, a band or fronts");
+    if (in_fronts != Py_None && !kept_fronts(x, in_fronts))
+        return 0;
     if (own != Py_None) {
         Envelope e = {NULL, 0, 0};
         int good = item(own, 4, 0) && envelope_taken(item(own, 4, 0), &e);
         if (e.first && x->n_kept < MOST_KEPT)
             x->kept[x->n_kept++] = (PyObject *)e.first;
-        PyArrayObject *chosen = good ? kept(x, item(own, 4, 1), NPY_INT32, 1, -1) : NULL;
-        if (!chosen || !within_32(chosen, 0, p->nnz - 1) || e.n != n)
+        if (!good || e.n != n)
             return PyErr_Occurred() ? 0 : wrong("the envelope is not that of the matrix");
-        p->first = data_of(e.first), p->chosen = data_of(chosen), p->n_chosen = PyArray_SIZE(chosen);
-        p->places = kept_short_indices(x, item(own, 4, 2), p->n_chosen + n_B, e.size - 1);
+        p->first = data_of(e.first);
         p->signs = kept_numbers(x, item(own, 4, 3), n);
-        if (!p->places || !p->signs)
+        if (!p->signs || !kept_lower(x, item(own, 4, 1), item(own, 4, 2), e.size))
             return 0;
     }
     if (band != Py_None) {
@@ -206,6 +231,10 @@ static int given_room(Prepared *x)
     size_t nnz = (size_t)p->nnz, total = 0;
     size_t envelope = p->first ? (size_t)p->first[n] : 0;
     size_t band = p->flat ? n * (3 * (size_t)p->half + 1) : 0;
+    const fronts *f = p->fronts;
+    size_t lower = f ? (size_t)f->column_at[n] : 0, most = f ? (size_t)f->most : 0;
+    size_t factors = f ? (size_t)f->factor_at[f->count] : 0, of_fronts = f ? n : 0;
+    size_t matrix = envelope > band ? envelope : band;
     struct {
         double **to;
         size_t size;
@@ -216,7 +245,10 @@ static int given_room(Prepared *x)
                  {&r->start, n_q}, {&r->Phi, n_lam}, {&r->rate, n_lam}, {&r->defect, n_lam},
                  {&r->R, n}, {&r->x, n}, {&r->force, n_q}, {&r->f_q, nnz},
                  {&r->f_v, p->velocity ? nnz : 0}, {&r->sum, p->flat ? nnz : 0},
-                 {&r->matrix, envelope > band ? envelope : band}, {&r->work, 8 * n},
+                 {&r->matrix, matrix > factors ? matrix : factors}, {&r->work, 12 * n + 4 * most},
+                 {&r->in_fronts.a, lower}, {&r->in_fronts.perturbed, lower},
+                 {&r->in_fronts.scale, of_fronts}, {&r->in_fronts.room, 5 * most},
+                 {&r->in_fronts.stack, f ? (size_t)f->stack : 0},
                  {&r->at_end, (size_t)c->n_c}, {&r->within, 2 * (size_t)c->n_c}, {&r->least, n},
                  {&r->of_load, 0}};
     int count = (int)(sizeof rooms / sizeof rooms[0]);
@@ -226,7 +258,7 @@ static int given_room(Prepared *x)
     }
     for (int i = 0; i < count; i++)
         total += rooms[i].size;
-    x->memory = PyMem_RawCalloc(total + n + 1, sizeof(double));
+    x->memory = PyMem_RawCalloc(total + n + of_fronts + 1, sizeof(double));
     if (!x->memory)
         return PyErr_NoMemory(), 0;
     double *at = x->memory;
@@ -235,6 +267,7 @@ static int given_room(Prepared *x)
         at += rooms[i].size;
     }
     r->pivots = (int *)at;
+    r->in_fronts.at = (npy_int32 *)(at + n);
     return 1;
 }
 

@@ -111,7 +111,7 @@ static int rest_definite(const plan_real *p, room_real *r, double mu, double shi
 /* Factorise: 0, REST_SINGULAR or REST_INDEFINITE. */
 static int rest_factored(const plan_real *p, room_real *r, double mu)
 {
-    r->banded = 0;
+    r->factored = BY_ENVELOPE;
     if (rest_definite(p, r, mu, 0))
         return 0;
     if (!p->flat)
@@ -123,7 +123,7 @@ static int rest_factored(const plan_real *p, room_real *r, double mu)
 /* r->x for the right side r->R, which it changes. */
 static void rest_solved(const plan_real *p, room_real *r)
 {
-    for (npy_intp k = 0; !r->banded && k < p->n_lam; k++) {
+    for (npy_intp k = 0; r->factored == BY_ENVELOPE && k < p->n_lam; k++) {
         double force = rest_weight(p, r, k) * r->R[p->n_q + k];
         for (npy_int32 i = p->B.first[k]; i < p->B.first[k + 1]; i++)
             r->R[p->B.columns[i]] += force * r->B[i];

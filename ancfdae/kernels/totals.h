@@ -21,8 +21,12 @@ INLINE void NAME(add_stress_partial)(int n_y, int d, const NAME(element) *e,
         const T *rest_b = of->rest_b + pair * (n_g + 2);
         for (int k = 0; k < n_g; k++)
             g_b[k] += rest_b[k];
-        if (NAME(is_cable)(n_y, e))
-            NAME(bend_stress_partial)(n_y, d, e->bending, rest_b + n_g, Y, p_b);
+        if (NAME(is_cable)(n_y, e)) {
+            T R[9], bent[6];
+            NAME(bend_rows)(n_y, d, Y, R);
+            NAME(bend_stress_partial)(e->bending, rest_b + n_g, R, bent);
+            NAME(bend_add)(n_y, bent, p_b);
+        }
         NAME(apply)(n_g, of->A_b + pair * n_g * n_g, x, p_b);
         return;
     }

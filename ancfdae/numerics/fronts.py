@@ -38,7 +38,8 @@ _ORDERS: tuple[dict[str, Any], ...] = (
 class Fronts:
     """The elimination of matrices of one pattern, shape (n + m, n + m).
 
-    `by_columns` says whether COLAMD's order takes less work than minimum degree.
+    `order` is the order of elimination; `by_columns` says whether it is COLAMD's, where that takes
+    less work than minimum degree.
     """
 
     def __init__(self, K: Pattern, B: Pattern) -> None:
@@ -51,8 +52,8 @@ class Fronts:
             _analysed(order, rows, columns) for order in _orders(rows, columns, n + m)
         )
         self.by_columns = by_columns[2] < by_degree[2]
-        self._order, analysis, _ = by_columns if self.by_columns else by_degree
-        place = _places(self._order)
+        self.order, analysis, _ = by_columns if self.by_columns else by_degree
+        place = _places(self.order)
         row, column = place[rows], place[columns]
         lower = row >= column
         lower[K.size :] = True
@@ -64,8 +65,13 @@ class Fronts:
         self._chosen = np.flatnonzero(lower[: K.size]).astype(np.int32)
         self._places = places[: len(places) - m].astype(np.int32)
         entry_rows = (entries % (n + m)).astype(np.int32)
-        signs = np.where(self._order < n, 1.0, -1.0)
+        signs = np.where(self.order < n, 1.0, -1.0)
         self._arrays: FrontArrays = (*analysis, first, entry_rows, signs)
+
+    @property
+    def layout(self) -> tuple[Array, Array, FrontArrays]:
+        """The values of K in the lower triangle, places of these and of B, and the fronts."""
+        return self._chosen, self._places, self._arrays
 
     def factor(self, terms: Terms, B: Array) -> Callable[[Array], Array | None] | None:
         """Factorise for a sum K of at most three terms; None where a pivot has not its sign.
@@ -76,7 +82,7 @@ class Fronts:
         factors, failed = fronts_factor(terms, B, self._chosen, self._places, self._arrays)
 
         def solve(right: Array) -> Array | None:
-            x, residual = fronts_solve(factors, self._arrays, self._order, right)
+            x, residual = fronts_solve(factors, self._arrays, self.order, right)
             return x if residual <= _UNREFINED else None
 
         return None if failed else solve

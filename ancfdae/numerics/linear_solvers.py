@@ -181,6 +181,13 @@ class SaddlePoint:
         envelope = self._envelope.arrays if self._envelope else None
         return MatrixLayout(self._places.order, self.scale, envelope, band_map)
 
+    def layout_in_fronts(self) -> MatrixLayout | None:
+        """Return the positions of values in fronts; None unless K is symmetric, its band wide."""
+        if self._in_band or not self._symmetric:
+            return None
+        fronts = self._places.fronts
+        return MatrixLayout(fronts.order, self.scale, None, None, fronts.layout)
+
     def factor(self, K: Array, B: Array) -> Factorization:
         """Factorise for the given values of K and B.
 

@@ -53,7 +53,7 @@ class Prepared:
     def of(cls, system: MechanicalSystem, matrices: SaddlePoint, rules: Array) -> Prepared | None:
         """Return None for a system that is no plan, or whose matrices need another solver."""
         plan = system.plan if isinstance(system, PlannedSystem) else None
-        layout = matrices.layout(band=False)
+        layout = matrices.layout(band=False) or matrices.layout_in_fronts()
         return plan and layout and cls(plan, layout, matrices, rules)
 
     def add_band(self) -> None:
