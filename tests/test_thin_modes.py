@@ -1,5 +1,7 @@
 """Modes of very thin beams against cubic Hermite elements of Euler's beam, or a refusal."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,6 +15,7 @@ from ancfdae import (
     Revolute,
     Scene,
     Spherical,
+    SpringDamper,
     Weld,
     modes,
 )
@@ -131,6 +134,18 @@ def test_values_below_the_digits_of_those_of_the_section_are_found_beside_them(s
     assert found[6] / unit > 1e6  # Of the bar along its axis.
 
 
+@pytest.mark.parametrize("slenderness", [1e-4, 1e-5])
+def test_a_thin_cantilever_of_one_damped_material_keeps_its_digits(slenderness):
+    tau = 1e-4
+    found = modes(thin_cantilever(slenderness, damping_time=tau), 2).exponents
+    omega = np.sqrt(E * slenderness**2 / 12 / RHO) * cantilever_frequencies(8)[:2]
+    half = 0.5 * tau * omega**2
+    # Shear and rotary inertia: (h/L)^2 times 10 and less; the damping of bending is its square.
+    np.testing.assert_allclose(found, -half + 1j * np.sqrt(omega**2 - half**2), rtol=1e-6)
+
+
 def test_what_is_too_thin_for_its_matrix_is_refused_in_words():
+    scene = thin_cantilever(1e-5, damping_time=1e-4)
+    tip = SpringDamper(scene.beams[0].at_end, 0.0, 1e-9, ground=(1.0, 1.0))
     with pytest.raises(AncfdaeError, match="too thin"):
-        modes(thin_cantilever(1e-5, damping_time=1e-4), 4)
+        modes(replace(scene, loads=[tip]), 4)

@@ -7,8 +7,9 @@ from ancfdae.modes.adjoint import PullBack
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.derivatives import differentiate, differentiate_back
 from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.pairs import coincident
 from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind
-from ancfdae.modes.solver import coincident, solve
+from ancfdae.modes.solver import solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.statics import motions_in_words

@@ -21,7 +21,7 @@ import scipy
 
 from ancfdae.modes.adjoint import PullBack, Transposed, pulled_back
 from ancfdae.modes.linearised import EPS, Linearised
-from ancfdae.modes.solver import Eigenpairs, largest_entries
+from ancfdae.modes.pairs import Eigenpairs, largest_entries
 from ancfdae.modes.totals import Totals
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization

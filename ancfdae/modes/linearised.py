@@ -23,7 +23,7 @@ from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.kernels import norm
 from ancfdae.modes.configuration import Configuration
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.statics import Balance
 
@@ -132,6 +132,16 @@ class Linearised:
         """Product of M, D or K with a vector or columns."""
         return self.system.pattern.dot(values, x)
 
+    def works(self, X: Array, on_K: float, on_D: float) -> Array:
+        """Return X^T (a K + b D) X of real columns from forces, reactions left out, (k, k).
+
+        Rates of strain cancel before they meet a stiffness: motions that strain nothing leave the
+        square of round-off, where products with matrices leave round-off.
+        """
+        q, t = self.at.q, self.at.t
+        rates = [self.system.force(t, q + 1j * STEP * on_K * x, 1j * STEP * on_D * x) for x in X.T]
+        return -X.T @ np.imag(np.stack(rates, axis=1)) / STEP
+
     def squares(self, X: Array) -> Array:
         """Return x^H M x of the columns of X."""
         squares: Array = np.real(np.einsum("ij,ij->j", np.conj(X), self.times(self.M, X)))
@@ -153,8 +163,8 @@ class Linearised:
         try:
             return self.saddle.factor(F, self.Phi_q), False
         except SingularMatrix:
-            moved = F.copy()
-            moved[self.system.pattern.diagonal] += ROUND_OFF * EPS * self.size * self.system.weights
+            moved, size = F.copy(), max(self.size, self.largest(F))
+            moved[self.system.pattern.diagonal] += ROUND_OFF * EPS * size * self.system.weights
             return self.saddle.factor(moved, self.Phi_q), True
 
     @cached_property

@@ -82,8 +82,18 @@ def with_zeros(small: Linearised, z: Array, X: Array, change: Array) -> tuple[Ar
 
 
 def undamped_part(small: Linearised, rigid: Array) -> Array:
-    """Return the rigid motions that meet no damping, orthonormal in M."""
+    """Return the rigid motions that meet no damping, orthonormal in M.
+
+    Where D is symmetric those dissipate nothing but what strains that are left of others do.
+    """
     assert small.D is not None
+    if small.symmetric and rigid.size:
+        work, W = np.linalg.eigh(small.works(rigid, 0.0, 1.0))
+        X = rigid @ W
+        tau = small.largest(small.D) / small.size
+        strained = np.minimum(np.abs(np.diag(small.works(X, 1.0, 0.0))), floor(small, X))
+        noise = (ROUND_OFF * EPS) ** 2 * small.largest(small.D) + ROUND_OFF * tau * strained
+        return np.asarray(X[:, np.abs(work) <= noise])
     root = np.sqrt(small.system.weights)[:, None]
     sizes = small.times(np.abs(small.D), np.abs(rigid)) / root
     noise = np.linalg.norm(sizes) + EPS * small.largest(small.D)
