@@ -13,10 +13,13 @@ from ancfdae import (
     Rectangle,
     RigidBody,
     Scene,
+    TorsionSpring,
     equilibrium,
 )
+from ancfdae.errors import StabilityWarning
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.patterns import Pattern
+from ancfdae.statics.softness import negative_directions
 
 E = 2.1e11
 # Of Euler's cantilever of 1 m and 10 x 10 mm.
@@ -134,3 +137,38 @@ def test_a_column_has_buckled_whatever_stands_beside_it(scene):
         assert (
             end.stable_to == 0.0 if end.downhill else abs(end.stable_to * share - 1) <= 0.02 * share
         )
+
+
+@pytest.mark.parametrize("negative", [0, 1, 3])
+def test_negative_directions_are_counted_where_constraints_depend_on_each_other(negative):
+    """A row that stands twice leaves no pivots to trust; the null space is the same."""
+    n = 12
+    of_K, of_B = Pattern((n, n), np.arange(n), np.arange(n)), Pattern((2, n), [0, 1], [0, 0])
+    matrix = SaddlePoint(of_K, of_B, np.ones(n), np.ones(2)).constrained.scaled(
+        np.where(np.arange(n) < negative + 1, -1.0, 1.0), np.ones(2), np.ones(n)
+    )
+    # The first coordinate is held, twice.
+    assert matrix.below(1e-14) is None
+    assert negative_directions(matrix) == negative
+
+
+@pytest.mark.parametrize("o", [0.0, 1000.0])
+@pytest.mark.parametrize("beyond", [1e-7, 1e-9, 1e-11, -1e-11, -1e-9])
+def test_a_link_just_above_its_critical_load_is_unstable(beyond, o):
+    """P L = (1 + d) k on a torsion spring k: the stiffness is -d k, above round-off of eps k."""
+    found = equilibrium(pressed_link(o, beyond))
+    assert found.outcome.success
+    assert (found.outcome.stable_to is None) == (beyond < 0)
+
+
+def test_a_link_at_its_critical_load_is_undecided_in_words():
+    with pytest.warns(StabilityWarning, match="undecided"):
+        equilibrium(pressed_link(0.0, 2e-16))
+
+
+def pressed_link(o, beyond):
+    """A rigid bar of length one on a torsion spring of 10 N m/rad, under 10 (1 + beyond) N."""
+    bar = RigidBody("bar", (o + 0.5, o), mass=1.0, inertia=1.0)
+    foot, load = bar.at(-0.5, 0), (-10.0 * (1.0 + beyond), 0.0)
+    loads = [TorsionSpring(foot, 10.0), PointForce(bar.at(0.5, 0), load)]
+    return Scene(joints=[Pin(foot)], bodies=[bar], loads=loads)

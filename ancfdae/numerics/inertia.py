@@ -30,6 +30,8 @@ from ancfdae.numerics.patterns import Pattern
 _EPS = float(np.finfo(float).eps)
 # Fewer motions than this are looked at all at once; eigenvalues first sought around a centre.
 _DENSE, _AROUND = 100, 12
+# Up to this many coordinates dense matrices may be formed: about a second.
+_LARGE = 800
 # In the order as given. Pivots are taken from the diagonal whatever their size, or exchanged.
 _EXCHANGING: dict[str, Any] = {"permc_spec": "NATURAL"}
 _DIAGONAL = _EXCHANGING | {
@@ -115,6 +117,20 @@ class ConstrainedMatrix:
         if not _EPS * np.max(reach) <= 0.5 * sigma:
             return None
         return int(np.sum(pivots < 0)) - self.pattern.B.shape[0]
+
+    def below_densely(self, sigma: float) -> int | None:
+        """Return the same of a matrix of dependent constraints, by dense matrices; None if large.
+
+        The null space is that of the singular values of B: its rows have length one, and those
+        that round-off keeps from depending on each other leave about the root of eps.
+        """
+        if self.pattern.K.shape[0] > _LARGE:
+            return None
+        K = self.pattern.K.dense(self.K)
+        if self.pattern.B.shape[0]:
+            Z = scipy.linalg.null_space(self.pattern.B.dense(self.B), rcond=_EPS**0.5)
+            K = Z.T @ K @ Z
+        return int(np.sum(np.linalg.eigvalsh((K + K.T) / 2) < -sigma * max(1, len(K))))
 
     def is_odd(self, sigma: float) -> bool | None:
         """Whether an odd number of real eigenvalues of K, of any kind, is less than -sigma.

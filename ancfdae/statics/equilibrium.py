@@ -21,6 +21,7 @@ from ancfdae.statics.balance import Balance
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.outcome import LoadOutcome
 from ancfdae.statics.search import SearchEnd, search
+from ancfdae.statics.softness import softest
 
 # Attempted steps of the load.
 MAX_STEPS = 1000
@@ -113,11 +114,26 @@ def find_equilibrium(
     if sensitivities and end.outcome.success:
         balance.work.factorisations += 1
         derivatives = Tangent(system, 0.0, end.q, end.lam).sensitivities()
+    if end.outcome.success and end.outcome.stable_to is None and not near:
+        _warn_of_neutral(balance, end)
     work, seconds = balance.work, time.perf_counter() - began
     counted = (work.steps, work.iterations, work.factorisations, work.residuals)
     statistics = Statistics(*counted, 0, seconds, work.rejected)
     solution = _solution(system, end, derivatives, statistics)
     return Equilibrium(end.q, end.lam, end.outcome, solution, *(derivatives or (None, None)))
+
+
+def _warn_of_neutral(balance: Balance, end: SearchEnd) -> None:
+    """Warn of an equilibrium whose stability round-off hides."""
+    if softest(balance, 1.0, end.q, end.lam).judged:
+        return
+    warnings.warn(
+        "equilibrium: stability is undecided: its softest motion is neutral within the round-off "
+        "of the stiffness, or joints that depend on each other hide it. Change the load a little, "
+        "or look at the modes about this state.",
+        StabilityWarning,
+        stacklevel=3,
+    )
 
 
 def resting(system: MechanicalSystem, q: Array, lam: Array, stable: bool) -> Equilibrium:

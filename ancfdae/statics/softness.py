@@ -56,11 +56,38 @@ class Softness:
     def stable(self) -> bool:
         """Whether no motion meets a negative stiffness; of loads that turn see the module."""
         matrix = self._matrix
-        if not negative_directions(matrix):
+        if not negative_directions(matrix) and not np.any(self._values < -self._noise):
             return True
         if matrix.skewness <= _CLEAR[0]:
             return False
         return not (matrix.is_odd(_CLEAR[0]) or matrix.has_negative(_CLEAR[0]))
+
+    @property
+    def judged(self) -> bool:
+        """Whether round-off leaves the sign of every stiffness; False where one may be neutral.
+
+        All are counted down to the least number with which pivots can be trusted; between it and
+        zero the softest motions decide.
+        """
+        matrix = self._matrix
+        if matrix.below(_CLEAR[0]) is not None:
+            return True
+        if counted(matrix) is None:
+            return False
+        return bool(np.all(np.abs(self._values) > self._noise))
+
+    @cached_property
+    def _values(self) -> Array:
+        """Ritz's values of the symmetric part in the softest motions: no lower than its own."""
+        K = self.motions.T @ self.balance.system.pattern.dot(self.K, self.motions)
+        return np.linalg.eigvalsh((K + K.T) / 2)
+
+    @cached_property
+    def _noise(self) -> float:
+        """Round-off of these values: of the terms of x^T K x, with x^T D x = 1."""
+        X = np.abs(self.motions)
+        terms = np.sum(X * self.balance.system.pattern.dot(np.abs(self.K), X), axis=0)
+        return _FREE * float(np.max(terms, initial=1.0))
 
     @property
     def kappa(self) -> Array:
@@ -113,9 +140,18 @@ class Softness:
 
 
 def negative_directions(matrix: ConstrainedMatrix) -> int:
-    """Return the number of motions with a negative stiffness, of the symmetric part of K."""
+    """Return the number of motions with a negative stiffness, of the symmetric part of K.
+
+    Zero where none can be counted (`counted`).
+    """
+    return counted(matrix) or 0
+
+
+def counted(matrix: ConstrainedMatrix) -> int | None:
+    """Return this number; None of a large matrix with which no pivots can be trusted."""
     counts = map(matrix.below, _CLEAR)
-    return next((count for count in counts if count is not None), 0)
+    count = next((count for count in counts if count is not None), None)
+    return matrix.below_densely(_CLEAR[0]) if count is None else count
 
 
 def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -> Softness:
