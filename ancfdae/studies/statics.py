@@ -80,8 +80,9 @@ def equilibrium(
     system = as_system(model, design)
     if start is not None:
         _require_start_of(system, start)
+    state = None if start is None else (start.q, start.lam)
     return uninterrupted(
-        find_equilibrium(system, start=start, max_steps=max_steps, sensitivities=bool(system.n_b))
+        find_equilibrium(system, start=state, max_steps=max_steps, sensitivities=bool(system.n_b))
     )
 
 
