@@ -16,6 +16,7 @@ from ancfdae.equations import (
 from ancfdae.equations.files import NotSaved
 from ancfdae.errors import (
     AncfdaeError,
+    CoarseMesh,
     FailedDesign,
     InconsistentStart,
     Interrupted,
@@ -255,6 +256,7 @@ __all__ = [
     "Choice",
     "Circle",
     "Clamp",
+    "CoarseMesh",
     "ComplexStep",
     "ComplexStepSystem",
     "Configuration",

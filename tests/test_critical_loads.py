@@ -561,9 +561,22 @@ def test_links_under_a_force_that_follows_in_part_diverge(f):
     np.testing.assert_allclose(found.gradient, [diverges(1.0, f), slope], rtol=1e-7)
 
 
-def test_links_under_a_force_that_follows_do_not_diverge():
-    # They flutter, which statics do not see.
-    with pytest.raises(NoCriticalPoint, match="every equilibrium"):
+@pytest.mark.parametrize("to", [24.0, -60.0])
+def test_links_under_a_force_that_follows_keep_their_stiffness(to):
+    # det K = k^2 at any force. They flutter, which statics do not see and say so; pulled, they do
+    # not.
+    with pytest.raises(NoCriticalPoint, match=r"every equilibrium .* keeps its stiffness.*flutter"):
+        critical_load(Ziegler((0.0, 5.0, 1.0)), "P", to)
+
+
+def test_links_under_a_large_force_that_follows_diverge_without_a_loss_of_stiffness():
+    # 2 w^4 - (7 k - 2 P) w^2 + k^2 = 0 has two negative roots from P = (7/2 + sqrt(2)) k on.
+    last = (3.5 + np.sqrt(2)) * 5.0
+    for share in (0.99, 1.01):
+        outcome = equilibrium(Ziegler((share * last, 5.0, 1.0))).outcome
+        assert outcome.success
+        assert (outcome.stable_to is None) is (share < 1)
+    with pytest.raises(NoCriticalPoint, match=rf"unstable.* beyond {last:.6g}.*flutter"):
         critical_load(Ziegler((0.0, 5.0, 1.0)), "P", 40.0)
 
 
@@ -579,9 +592,10 @@ def test_thin_columns_buckle_at_eulers_load(h, n):
     np.testing.assert_allclose(found.gradient * h / found.value, [3.0], rtol=10 * near)
 
 
-def test_a_column_buckles_alike_beside_a_soft_strip():
+@pytest.mark.parametrize(("n", "modulus", "h"), [(8, 1e5, 1e-3), (4, 0.1, 0.01), (4, 10.0, 1e-4)])
+def test_a_column_buckles_alike_beside_a_soft_strip(n, modulus, h):
     rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.01, 0.01), Material(7850, E, 0.3))
-    strip = Beam("strip", (0, 1), (1, 1), 8, Rectangle(0.001, 0.01), Material(1000, 1e5, 0.3))
+    strip = Beam("strip", (0, 1), (1, 1), n, Rectangle(h, 0.01), Material(1000, modulus, 0.3))
     load = PointForce(rod.at_end, (0.0, 0.0), name="load")
     joints = [Clamp(rod.at_start), Clamp(strip.at_start)]
     both = critical_load(

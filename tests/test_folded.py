@@ -3,6 +3,7 @@
 The reference is the elastica under its weight by collocation, which knows no elements.
 """
 
+import warnings
 from functools import lru_cache
 
 import numpy as np
@@ -18,9 +19,11 @@ from ancfdae import (
     Beam,
     Circle,
     Clamp,
+    CoarseMesh,
     CurvedBeam,
     Equilibrium,
     Material,
+    Moment,
     Pin,
     PointForce,
     PointOnLine,
@@ -99,6 +102,36 @@ def test_a_slack_wire_hangs_as_the_elastica(element, n, span):
     assert force[0] == pytest.approx(pull, abs=8 * weight / n**3)
     # Exact for any mesh; the round-off of E A = 3e4 N is 4e-12 N.
     assert -force[1] == pytest.approx(weight / 2, abs=1e-9 * weight + 4e-11)
+
+
+@pytest.mark.parametrize("element", [CABLE_2D, BEAM_2D])
+@pytest.mark.parametrize("n", [3, 4, 5, 6, 8, 12])
+def test_a_slack_wire_of_too_few_elements_is_warned_of(element, n):
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = equilibrium(wire(element, n, 0.5))
+    assert found.outcome.success
+    I = (np.pi * RADIUS**2) ** 2 / 12
+    pull = elastica(STEEL.youngs_modulus * I, STEEL.density * np.pi * RADIUS**2 * G, 0.5)
+    error = -found.solution.reaction("left")[0][0] / pull - 1
+    # Of a pull that errs by half and more, and of none that is right to an eighth.
+    assert error > 0.5 or error < 0.125
+    assert [x.category for x in told] == [CoarseMesh] * int(error > 0.5)
+    if told:
+        assert "'wire'" in str(told[0].message)
+
+
+def test_a_taut_wire_a_hanging_bar_and_a_thick_arc_are_fine():
+    # None of their strain is an error of the mesh: loads along the axis are linear in it, tension
+    # is large beside it, and thick elements bend sooner than they stretch.
+    taut = wire(CABLE_2D, 2, 1.001)
+    bar = Beam("bar", (0, 0), (0, -1), 2, Rectangle(1e-3, 1e-3), STEEL, element=CABLE_2D)
+    hung = Scene([bar], [Clamp(bar.at_start)], gravity=(0.0, -G))
+    arc = Beam("arc", (0, 0), (1, 0), 2, Rectangle(0.05, 0.05), STEEL)
+    bend = Moment(arc.at_end, np.pi * 2.1e11 * 0.05**4 / 12, name="bend")
+    half_circle = Scene([arc], [Clamp(arc.at_start)], loads=[bend])
+    for scene in (taut, hung, half_circle):
+        assert equilibrium(scene).outcome.success
 
 
 @pytest.mark.parametrize("element", [CABLE_2D, BEAM_2D])

@@ -118,7 +118,7 @@ def complex_step(system, at, found, mode, variable):
     b = system.b.astype(complex)
     b[variable] += 1j * STEP
     moved = system.with_values(b)
-    state = find_equilibrium(moved, start=at)
+    state = find_equilibrium(moved, start=(at.q, at.lam))
     real, change = matrices(system, at.q, at.lam), matrices(moved, state.q, state.lam)
     (M, D, K, B), (dM, dD, dK, dB) = real, [x.imag / STEP for x in change]
     x, mu, s = found.shapes[:, mode], found.multipliers[:, mode], found.exponents[mode]

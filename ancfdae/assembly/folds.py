@@ -1,4 +1,4 @@
-"""Elements that are folded: turned inside out, bent back on themselves, or crushed.
+"""Elements that are folded, or too few: turned inside out, bent back, crushed; stretched by bends.
 
 Energies are polynomials of the coordinates, finite where the body passes through itself, so that
 an equation of balance has solutions that no body can have. Of an element, with
@@ -10,6 +10,15 @@ F = (dr/dX) at a point of its axis or of the outline of its section, such a solu
 
 N = E A lambda (lambda^2 - lambda_f^2)/2 of a stretch lambda, lambda_f that of the axis free of
 stress, is least at lambda^2 = lambda_f^2/3: a bar that is compressed farther yields to any force.
+
+The axis of an element is a cubic, which cannot bend without stretching: one that turns by phi has
+a strain of phi^4/1920 in its middle, whatever its length. So of the strain along an element, less
+what is linear in xi (the loads), the energy E A eps^2/2 is an error of the mesh, and its share
+
+    eta = int E A eps_nl^2 ds / int (E I kappa^2 + E A eps^2 - E A eps_nl^2) ds
+
+the error of the stiffness: 12 (l/h)^2 (phi^3/1920)^2 times 0.1 in a beam without tension. A wire
+turns by fractions of a radian until that is more than all its bending.
 """
 
 from __future__ import annotations
@@ -24,6 +33,7 @@ from ancfdae.errors.text import listed
 from ancfdae.model.bodies import BeamBody
 from ancfdae.model.elements import ElementParameter, Quantity
 from ancfdae.model.elements.hermite import tangent_weights
+from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import Array
 
 # Places along an element at which it is looked at, nodes included: what is looked at is a
@@ -31,6 +41,13 @@ from ancfdae.numerics.arrays import Array
 _PLACES = np.linspace(0.0, 1.0, 9)
 # Elements of a beam that are named.
 _NAMED = 3
+# Share of the energy of the mesh above which elements are too few: of a wire that hangs slack the
+# pull errs by five times as much (docs/howto/elements.md).
+_SHARE = 0.05
+# Weights of Boole's rule twice, and what of a strain at the places is not linear in xi.
+_WEIGHTS = np.array([7, 32, 12, 32, 14, 32, 12, 32, 7]) / 180.0
+_LINE = np.stack([np.ones(9), np.sqrt(3.0) * (2.0 * _PLACES - 1.0)])
+_BEYOND = np.eye(9) - _LINE.T @ (_LINE * _WEIGHTS)
 
 
 @final
@@ -54,13 +71,19 @@ class Folds:
         Z = q.real.reshape(-1, self._d)
         return "; ".join(words for beam in self._beams if (words := beam.words(Z)))
 
+    def coarse(self, q: Array) -> dict[str, float]:
+        """Return the beams whose elements are too few at coordinates q, with eta of each."""
+        Z = q.real.reshape(-1, self._d)
+        shares = {beam.name: beam.share(Z) for beam in self._beams}
+        return {name: share for name, share in shares.items() if share > _SHARE}
+
 
 @final
 class _Beam:
     """The elements of one beam; vectors as (n, 2 n_s, d), and points as (n, n_f, n_p)."""
 
     def __init__(self, beam: BeamBody, ends: Array, parameters: Array) -> None:
-        self._name, self._ends = beam.name, ends
+        self.name, self._ends = beam.name, ends
         self._lengths = parameters[:, ElementParameter.LENGTH, None]
         self._free = 1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN, None]
         kind, n_s = beam.element_type(), beam.element.n_s
@@ -75,6 +98,13 @@ class _Beam:
         X = np.concatenate([start, Y[:, 1:n_s], chord, Y[:, n_s:]], axis=1)
         self._stretch_o = np.sum(self._tangents(X) ** 2, axis=-1)
         self._volume_o = self._volumes(X) if self._has_sections else None
+        y, z, dA = kind.section.points(kind.sizes(parameters), False)
+        _, moments = central_moments(y, z, dA)
+        # E A, and E I about the axes across which slopes are nodal vectors, or the first.
+        modulus = parameters[:, ElementParameter.YOUNGS_MODULUS, None]
+        self._EA = modulus * np.sum(dA, axis=1, keepdims=True)
+        self._EI = modulus * moments[:, : max(1, n_s - 2)]
+        self._bend_o = self._bends(X)
 
     def words(self, Z: Array) -> str:
         X = Z[self._ends]
@@ -89,7 +119,40 @@ class _Beam:
         if not len(folded):
             return ""
         some = listed([*map(str, 1 + folded[:_NAMED])] + ["others"] * (len(folded) > _NAMED))
-        return f"{self._name!r}, element{'s' if len(folded) > 1 else ''} {some}"
+        return f"{self.name!r}, element{'s' if len(folded) > 1 else ''} {some}"
+
+    def share(self, Z: Array) -> float:
+        """Return eta; see the module."""
+        X = Z[self._ends]
+        strain = 0.5 * (np.sum(self._tangents(X) ** 2, axis=-1) / self._stretch_o - self._free)
+        beyond = strain @ _BEYOND.T
+        axial, error = (
+            self._EA * self._lengths * (x**2 @ _WEIGHTS)[:, None] for x in (strain, beyond)
+        )
+        # Bends of the reference cost nothing; they turn with the element.
+        change = np.sqrt(self._bends(X)) - np.sqrt(self._bend_o)
+        bending = self._EI / self._lengths * change**2
+        rest = float(np.sum(axial - error) + np.sum(bending))
+        return float(np.sum(error)) / rest if rest > 0 else 0.0
+
+    def _bends(self, X: Array) -> Array:
+        """Return the integral of kappa^2 ds times the length for each axis, shape (n, 1 or 2).
+
+        The curvature is linear between the turns of both ends from the chord: 4 (a^2 + a b + b^2).
+        """
+        n_s = X.shape[1] // 2
+        chord = _unit(X[:, n_s] - X[:, 0])
+        turns = [_unit(X[:, k + Quantity.SLOPE_X]) - chord for k in (0, n_s)]
+        if self._EI.shape[1] == 2:
+            # In the axes of either section.
+            turns = [
+                np.einsum("nkd,nd->nk", _unit(X[:, k + Quantity.SLOPE_Y : k + n_s]), turn)
+                for k, turn in zip((0, n_s), turns, strict=True)
+            ]
+            a, b = turns
+            return np.asarray(4.0 * (a * a + a * b + b * b))
+        a, b = turns
+        return np.asarray(4.0 * np.sum(a * a + a * b + b * b, axis=1, keepdims=True))
 
     def _tangents(self, X: Array) -> Array:
         """Return r_x on the axis, shape (n, n_p, d)."""
@@ -109,3 +172,8 @@ class _Beam:
         r_x = self._tangents(X)[:, None] + np.einsum("nfk,nkd->nfd", offsets, change)[:, :, None]
         across = np.broadcast_to(across[:, None], (*r_x.shape[:-1], d - 1, d))
         return np.asarray(np.linalg.det(np.concatenate([r_x[..., None, :], across], axis=-2)))
+
+
+def _unit(x: Array) -> Array:
+    length = np.sqrt(np.sum(x * x, axis=-1, keepdims=True))
+    return np.asarray(x / np.where(length > 0, length, 1.0))

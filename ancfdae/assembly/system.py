@@ -312,6 +312,10 @@ class AncfSystem(PlannedSystem):
         """Elements that are turned inside out, bent back on themselves, or crushed."""
         return self._folds.words(q)
 
+    def coarse(self, q: Array) -> dict[str, float]:
+        """Beams whose elements are too few, with the share of the energy that is the mesh's."""
+        return self._folds.coarse(q)
+
     def constraint(self, t: float, *motion: Array) -> Array:
         """Phi and its time derivatives."""
         return self._constraints.constraint(t, *motion)

@@ -265,6 +265,10 @@ class MechanicalSystem(ComplexSteps):
         """
         return ""
 
+    def coarse(self, q: Array) -> dict[str, float]:
+        """Return the parts whose mesh is too coarse at q, with the error of the energy of each."""
+        return {}
+
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:

@@ -27,6 +27,7 @@ from ancfdae.errors.checks import (
 )
 from ancfdae.errors.kinds import (
     AncfdaeError,
+    CoarseMesh,
     FailedDesign,
     InconsistentStart,
     InvalidInput,

@@ -96,6 +96,11 @@ class ManySteps(UserWarning):
 
 
 @final
+class CoarseMesh(UserWarning):
+    """A state whose elements are too few for their bends; the message names the beams."""
+
+
+@final
 class FailedDesign(UserWarning):
     """A design that an optimiser tried has no values; the message says why."""
 

@@ -17,7 +17,7 @@ this is much more than eps, and the count is refused.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, final
 
@@ -28,6 +28,10 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
 _EPS = float(np.finfo(float).eps)
+# Bounds that are tried, each 16 times the last one, from the round-off of K on.
+_BOUNDS = 40
+# A real or a negative number is one beyond so many roundings of the largest.
+_ROUNDINGS = 64
 # Fewer motions than this are looked at all at once; eigenvalues first sought around a centre.
 _DENSE, _AROUND = 100, 12
 # Up to this many coordinates dense matrices may be formed: about a second.
@@ -143,48 +147,63 @@ class ConstrainedMatrix:
         negative = int(np.sum(lu.U.diagonal() < 0)) - self.pattern.B.shape[0]
         return (negative + _exchanges(lu.perm_r) + _exchanges(lu.perm_c)) % 2 == 1
 
-    def has_negative(self, sigma: float) -> bool:
-        """Whether a real eigenvalue of K, of any kind, is less than -sigma.
+    def has_negative(self, M: Array) -> bool:
+        """Whether K x = kappa M x has a real negative eigenvalue kappa on the null space of B.
 
-        Real parts are no less than the smallest eigenvalue -rho of the symmetric part. So all real
-        negative eigenvalues lie in the disc about -rho/2 through zero: those next to its centre
-        are found until one lies outside.
+        M, values on the pattern of K, is symmetric, positive definite and measured against the
+        same diagonal. Real parts are no less than the smallest eigenvalue -rho of the symmetric
+        part of K. So all real negative eigenvalues lie in the disc about -rho/2 through zero:
+        those next to its centre are found until one lies outside.
         """
         K, B = self.pattern.K, self.pattern.B
-        rho, count, values = sigma, _AROUND, np.zeros(0)
-        while self.below(rho) != 0:
-            rho *= 4.0
-        while np.max(np.abs(values + 0.5 * rho), initial=0.0) <= 0.5 * rho:
+        rho, count, values = self._bound(M), _AROUND, np.zeros(0)
+        moved = replace(self, K=self.K + 0.5 * rho * M)
+        while np.max(np.abs(values), initial=0.0) <= 0.5 * rho:
             if max(count, _DENSE) >= K.shape[0] - B.shape[0]:
-                values = self._all()
+                values = moved.eigenvalues(M)
                 break
-            values, count = self._around(-0.5 * rho, count), 4 * count
-        return bool(np.any(values.real[np.abs(values.imag) <= sigma] < -sigma))
+            values, count = moved.nearest(M, count), 4 * count
+        kappa = values - 0.5 * rho
+        real = np.abs(kappa.imag) <= _ROUNDINGS * _EPS * rho
+        return bool(np.any(kappa.real[real] < -_ROUNDINGS * _EPS * rho))
 
-    def _all(self) -> Array:
-        """Return all eigenvalues."""
-        K = self.pattern.K.dense(self.K)
-        if self.pattern.B.shape[0]:
-            Z = scipy.linalg.null_space(self.pattern.B.dense(self.B))
-            K = Z.T @ K @ Z
-        return np.asarray(np.linalg.eigvals(K), dtype=complex)
+    def _bound(self, M: Array) -> float:
+        """Return a number rho with which the symmetric part of K + rho M is positive definite."""
+        largest = float(np.max(np.abs(M)))
+        for rho in _EPS / largest * 16.0 ** np.arange(_BOUNDS):
+            moved, size = replace(self, K=self.K + rho * M), 1.0 + rho * largest
+            if moved.below(_ROUNDINGS * _EPS * size) == 0:
+                break
+        return float(rho)
 
-    def _around(self, centre: float, count: int) -> Array:
-        """Return the eigenvalues next to a real number by Arnoldi's method."""
-        lu = self._factors(-centre, symmetric=False)
-        if lu is None:  # The number is an eigenvalue.
-            return np.array([centre + 0j])
+    def eigenvalues(self, M: Array) -> Array:
+        """Return all eigenvalues of K x = kappa M x, the smallest with most digits."""
+        Z = scipy.linalg.null_space(self.pattern.B.dense(self.B)) if len(self.B) else None
+        matrices = [self.pattern.K.dense(x) for x in (self.K, M)]
+        if Z is not None:
+            matrices = [Z.T @ x @ Z for x in matrices]
+        try:
+            inverse = np.linalg.eigvals(np.linalg.solve(*matrices))
+        except np.linalg.LinAlgError:  # Zero is an eigenvalue.
+            return np.zeros(1, dtype=complex)
+        return np.asarray(1.0 / inverse[inverse != 0], dtype=complex)
+
+    def nearest(self, M: Array, count: int) -> Array:
+        """Return the eigenvalues of K x = kappa M x that are nearest to zero, by Arnoldi."""
+        lu = self._factors(0.0, symmetric=False)
+        if lu is None:  # Zero is an eigenvalue.
+            return np.zeros(1, dtype=complex)
         n = self.pattern.K.shape[0]
         places, right = self.pattern.place[:n], np.zeros(self.pattern.size)
 
         def inverse(x: Array) -> Array:
-            right[places] = x.ravel()
+            right[places] = self.pattern.K.dot(M, x.ravel())
             return np.asarray(lu.solve(right)[places])
 
         operator = scipy.sparse.linalg.LinearOperator((n, n), inverse, dtype=float)
         begin = inverse(np.cos(1.0 + np.arange(n) ** 2))
         values = scipy.sparse.linalg.eigs(operator, count, v0=begin, return_eigenvectors=False)
-        return np.asarray(centre + 1.0 / values)
+        return np.asarray(1.0 / values)
 
     def _factors(self, sigma: float, symmetric: bool) -> Any | None:
         """Factorise K + sigma or its symmetric part with B; None where that is singular."""

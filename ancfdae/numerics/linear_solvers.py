@@ -173,6 +173,15 @@ class SaddlePoint:
         places = self._places if self._in_band else self._sparse
         return ConstrainedPattern(*self._patterns, places.order)
 
+    @cached_property
+    def parts(self) -> tuple[int, Array]:
+        """Number of parts that nothing joins, and the part of each coordinate, shape (n,)."""
+        K, B = self._patterns
+        rows, columns = np.append(K.rows, self._n + B.rows), np.append(K.columns, B.columns)
+        graph = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), (self.size,) * 2)
+        count, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
+        return int(count), part[: self._n]
+
     def layout(self, band: bool) -> MatrixLayout | None:
         """Return the positions of values, in a band where requested; None if it is too wide."""
         if not self._in_band:

@@ -20,6 +20,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import AncfdaeError, InvalidInput, require_finite, uninterrupted
+from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.balance import Balance
@@ -42,8 +43,18 @@ _NEARER, _CLOSE, _LEAST = 0.4, 1e-7, 1e-3
 # Newton's method goes on, once p changes by less than this part of the distance, while changes
 # halve; farther than so many distances it has left. What it finds is accepted up to the next
 # number of them, since slopes see a limit point at twice its distance or less. Signs of stiffness
-# are seen to the last part of p.
-_CONVERGED, _FAR, _REACH, _SEEN = 1e-6, 64.0, 1.5, 1e-6
+# are seen to the last part of p; changes by less than the digits of p are round-off.
+_CONVERGED, _FAR, _REACH, _SEEN, _DIGITS = 1e-6, 64.0, 1.5, 1e-6, 1e-8
+_EPS = float(np.finfo(float).eps)
+# Newton's method may miss the extrapolated state by this part of the step. A step of the parameter
+# that failed is tried again from a place nearer than this part of it.
+_BEND, _AGAIN = 0.5, 0.25
+# A change of p by this part of the way shows how tau_p changes.
+_SLOPE = 3e-3
+_FLUTTER = (
+    "Its loads turn with the motion, so that it may flutter, which takes no loss of stiffness: "
+    "ask modes(scene, at=equilibrium(scene))"
+)
 # Cosine between what a variable changes and the motion below which it does no work; difference of
 # two losses, relative to the whole way, that are one; imaginary parts of a real number.
 _NONE, _DOUBLE, _REAL = 1e-7, 1e-6, 1e-8
@@ -158,6 +169,8 @@ def _stable(x: HeldPoint) -> bool:
 
 
 def _moved(system: MechanicalSystem, k: int, p: float) -> MechanicalSystem:
+    if system.b[k] == p:
+        return system
     b = np.array(system.b)
     b[k] = p
     return system.with_values(b)
@@ -186,13 +199,21 @@ def _first_critical(
             if found is not None:
                 return found
         if left <= _CLOSE * max(abs(place.p - begin), _LEAST * abs(to - begin)):
-            rule = f"{name!r}: stiffness is lost beyond {place.p:g}"
-            raise NoCriticalPoint(f"{rule}, but Newton's method finds no critical point there.")
+            raise NoCriticalPoint(f"{name!r}: {_lost_in_words(place)}.")
         if place.p == to:
-            raise NoCriticalPoint(f"{name!r}: every equilibrium up to {to:g} is stable.")
-        place = path.step(system, k, place)
+            end = f"keeps its stiffness. {_FLUTTER}" if place.follows else "is stable"
+            raise NoCriticalPoint(f"{name!r}: every equilibrium up to {to:g} {end}.")
+        place = path.step(system, place)
     rule = f"{name!r}: beyond {place.p:g} equilibria move too fast to follow."
     raise NoCriticalPoint(rule)
+
+
+def _lost_in_words(place: _Place) -> str:
+    """Say what is known of a loss beyond a place at which Newton's method found no point."""
+    if place.follows:
+        return f"equilibria are unstable, or not to be followed, beyond {place.p:g}. {_FLUTTER}"
+    where = f"stiffness is lost beyond {place.p:g}"
+    return f"{where}, but Newton's method finds no critical point there"
 
 
 @final
@@ -202,15 +223,22 @@ class _Place:
 
     `ahead` are the distances, in the sense of the search, after which motions lose their stiffness
     if it goes on changing as it does here, rising; `behind` the least one backward. The `motion` is
-    the first to lose it.
+    the first to lose it, `paths` are dq/dp and dlam/dp. It `follows` if K is not symmetric.
     """
 
     system: MechanicalSystem
-    p: float
+    k: int
     at: Equilibrium
+    paths: tuple[Array, Array]
+    follows: bool
     ahead: Array
     behind: float
     motion: Array
+
+    @property
+    def p(self) -> float:
+        """The parameter."""
+        return float(self.system.b[self.k])
 
     @staticmethod
     def of(system: MechanicalSystem, k: int, sense: float, at: Equilibrium) -> _Place:
@@ -220,12 +248,13 @@ class _Place:
         X, mu = soft.motions, soft.multipliers
         K, slope = X.T @ system.pattern.dot(soft.K, X), np.zeros((X.shape[1],) * 2)
         paths = Tangent(system, 0.0, *state).sensitivities()
+        along = paths[0][:, k], paths[1][:, k]
         for j, motion in enumerate(zip(X.T, mu.T, strict=True)):
             force, side = (x[:, k] for x in stiffness_total(system, state, motion, paths))
             slope[:, j] += X.T @ force + mu.T @ side
         if not len(K):  # Constraints leave no motion.
             nothing = np.zeros(0), np.inf, np.zeros(system.n_q)
-            return _Place(system, float(system.b[k]), at, *nothing)
+            return _Place(system, k, at, along, soft.follows, *nothing)
         rates, V = np.linalg.eig(np.linalg.solve(K, -sense * slope))
         real = np.abs(rates.imag) <= _REAL * np.abs(rates)
         first = X @ V[:, np.argmax(np.where(real, rates.real, -np.inf))].real
@@ -233,8 +262,10 @@ class _Place:
             far = 1.0 / rates[real].real
         return _Place(
             system,
-            float(system.b[k]),
+            k,
             at,
+            along,
+            soft.follows,
             np.sort(far[far > 0]),
             float(np.min(-far[far < 0], initial=np.inf)),
             first if np.any(far > 0) else X[:, 0],
@@ -255,7 +286,7 @@ class _Path:
     def __init__(self, begin: float, to: float) -> None:
         self._begin, self._to, self._sense = begin, to, np.sign(to - begin)
         self._stride = self._most = abs(to - begin) / _STEPS
-        self._lost = self.tried = np.inf
+        self._lost = self._failed = self.tried = np.inf
 
     def left(self, place: _Place) -> float:
         """Distance to where stiffness is, or may be, lost; infinite where that is not in sight."""
@@ -266,18 +297,16 @@ class _Path:
         near = max(abs(place.p - self._begin), self._most / _STEPS)
         return min(near, _NEARER * self.tried)
 
-    def step(self, system: MechanicalSystem, k: int, place: _Place) -> _Place:
+    def step(self, system: MechanicalSystem, place: _Place) -> _Place:
         """Return the next place, or the same one if it cannot be reached in one step."""
-        room = abs(self._to - place.p)
-        step = min(self._stride, _SAFE * self.left(place))
-        whole = room <= 1.1 * step
-        p = self._to if whole else place.p + self._sense * step
-        moved = _moved(system, k, p)
-        at = _followed(moved, place.at)
+        p = self._next(place)
+        step = abs(p - place.p)
+        moved = _moved(system, place.k, p)
+        at = _followed(moved, place)
         if at is None:
-            self._lost, self._stride = p, 0.5 * step
+            self._lost, self._failed, self._stride = p, step, 0.5 * step
             return place
-        ahead = _Place.of(moved, k, self._sense, at)
+        ahead = _Place.of(moved, place.k, self._sense, at)
         if ahead.behind < _SAFE * step and step > _LEAST * self._most:
             # Between two stable places stiffness may vanish.
             self._stride = 0.5 * step
@@ -287,15 +316,43 @@ class _Path:
             self._lost = np.inf
         return ahead
 
+    def _next(self, place: _Place) -> float:
+        """Return where the next step leads, or where one failed that is much shorter now."""
+        lost, room = abs(self._lost - place.p), abs(self._to - place.p)
+        nearer = lost < np.inf and lost <= _AGAIN * self._failed
+        if nearer and not np.any(_SAFE * place.ahead[:1] <= lost):
+            return self._lost
+        step = min(self._stride, _SAFE * self.left(place))
+        return self._to if room <= 1.1 * step else float(place.p + self._sense * step)
 
-def _followed(moved: MechanicalSystem, at: Equilibrium) -> Equilibrium | None:
-    """Return the equilibrium to which a path of stable ones leads from another; or None."""
+
+def _followed(moved: MechanicalSystem, place: _Place) -> Equilibrium | None:
+    """Return the equilibrium to which a path of stable ones leads from a place; or None.
+
+    It is sought near the state that the place's tangent extrapolates to: multipliers that belong
+    to other loads would be a stiffness that nothing has. Else from the place itself.
+    """
+    at, step = place.at, float(moved.b[place.k]) - place.p
+    guess = at.q + step * place.paths[0], at.lam + step * place.paths[1]
+    found = _near(moved, *guess)
+    if found is not None:
+        weights, extent = moved.weights, Balance(moved, 0.0, at.q, at.lam).extent
+        missed, way = norm(found.q - guess[0], weights), norm(guess[0] - at.q, weights)
+        if missed <= _BEND * way + _DIGITS * extent:
+            return found
+    return _near(moved, at.q, at.lam)
+
+
+def _near(system: MechanicalSystem, q: Array, lam: Array) -> Equilibrium | None:
+    """Return a stable equilibrium near a state; or None."""
     try:
-        ahead = uninterrupted(find_equilibrium(moved, start=at, near=True, max_steps=_ATTEMPTS))
+        found = uninterrupted(
+            find_equilibrium(system, start=(q, lam), near=True, max_steps=_ATTEMPTS)
+        )
     except FreeMechanism:  # A critical point, to the digits that there are.
         return None
-    end = ahead.outcome
-    return ahead if end.success and end.stable_to is None and not end.downhill else None
+    end = found.outcome
+    return found if end.success and end.stable_to is None and not end.downhill else None
 
 
 @final
@@ -309,10 +366,24 @@ class _Search:
         self._i = int(np.argmax(np.abs(place.motion) * np.sqrt(weights)))
 
     def bifurcation(self) -> tuple[HeldPoint, Kind] | None:
-        """Solve tau_a = tau_p = 0; None where tau does not vanish there."""
+        """Solve tau_a = tau_p = 0; None where tau does not vanish there.
+
+        tau_pp is that of a difference at first, then what changes of tau_p show.
+        """
+        k, known = self._k, [0.0]
+        last: list[HeldPoint] = []
 
         def equations(x: HeldPoint) -> tuple[Array, Array]:
-            return _hessian(x, self._k, self._size), np.array([x.tau_a, x.tau_b[self._k]])
+            (tau_aa, tau_ab), before = x.in_a, last[-1] if last else None
+            if before is None:
+                known.append(x.bend(k, _SLOPE * self._size))
+            elif abs(x.system.b[k] - before.system.b[k]) > _SLOPE * self._size:
+                dp, da = x.system.b[k] - before.system.b[k], x.q[x.i] - before.q[x.i]
+                by_a = 0.5 * (tau_ab[k] + before.in_a[1][k]) * da
+                known.append(float((x.tau_b[k] - before.tau_b[k] - by_a) / dp))
+            last.append(x)
+            matrix = np.array([[tau_aa, tau_ab[k]], [tau_ab[k], known[-1]]])
+            return matrix, np.array([x.tau_a, x.tau_b[k]])
 
         point = self._newton(equations)
         if point is None or not abs(point.tau) <= point.round_off:
@@ -342,7 +413,9 @@ class _Search:
                 da, dp = np.linalg.solve(*equations(point))
             except np.linalg.LinAlgError:
                 return None
-            if abs(dp) >= 0.5 * last and last <= _CONVERGED * left:
+            small = max(_CONVERGED * left, _DIGITS * self._size)
+            digits = 4 * _EPS * max(abs(p), self._size)
+            if (abs(dp) >= 0.5 * last and last <= small) or abs(dp) <= digits:
                 return point if point.held and self._is_ahead(p) else None
             a, p, last = a - da, p - dp, abs(dp)
             if not abs(p - place.p) <= _FAR * left:
@@ -367,12 +440,6 @@ def _held(
     return HeldSystem(moved, i, q).solve(a, q, lam)
 
 
-def _hessian(x: HeldPoint, k: int, size: float) -> Array:
-    """Second derivatives of tau in a and p; p moves by parts of a size."""
-    tau_aa, tau_ab = x.in_a
-    return np.array([[tau_aa, tau_ab[k]], [tau_ab[k], x.in_p(k, size)[k]]])
-
-
 def _gradient(x: HeldPoint, k: int, kind: Kind, size: float) -> Array:
     """Return the derivatives of p, which has come so far."""
     if kind == "limit point":
@@ -387,5 +454,6 @@ def _gradient(x: HeldPoint, k: int, kind: Kind, size: float) -> Array:
             f"{name!r}, a change of which parts them",
             "The critical load falls with a root of that change. Leave the variable out.",
         )
-    slopes = [x.in_a[1], x.in_p(k, size)]
-    return np.asarray(-np.linalg.solve(_hessian(x, k, size), slopes)[1])
+    (tau_aa, tau_ab), tau_pb = x.in_a, x.in_p(k, size)
+    hessian = np.array([[tau_aa, tau_ab[k]], [tau_ab[k], tau_pb[k]]])
+    return np.asarray(-np.linalg.solve(hessian, [tau_ab, tau_pb])[1])

@@ -92,22 +92,22 @@ class NoEquilibrium(AncfdaeError):
 def find_equilibrium(
     system: MechanicalSystem,
     *,
-    start: Equilibrium | None = None,
+    start: tuple[Array, Array] | None = None,
     near: bool = False,
     max_steps: int = MAX_STEPS,
     sensitivities: bool = False,
 ) -> Equilibrium:
     """Search for q and lam with Q(q) = Phi_q^T lam and Phi(q) = 0 at t = 0.
 
-    From `start`, or the start of the system, in at most `max_steps` attempted steps of the load;
-    what was found is differentiated if asked for. If the start is an equilibrium `near` this one,
+    From a `start` (q, lam), or that of the system, in at most `max_steps` attempted steps of the
+    load; what was found is differentiated if asked for. If the start is `near` the equilibrium,
     loads that turn with the motion act in full all along.
 
     FreeMechanism if a motion is held by nothing. InvalidInput if the start is not finite,
     constraints depend on each other, or a joint drives a motion.
     """
     began = time.perf_counter()
-    q, lam = (system.start()[0], np.zeros(system.n_lam)) if start is None else (start.q, start.lam)
+    q, lam = (system.start()[0], np.zeros(system.n_lam)) if start is None else start
     balance = Balance.of(system, 0.0, q, lam, follows=not near)
     balance.refuse_motion()
     end, derivatives = search(balance, max_steps), None

@@ -93,14 +93,17 @@ class HeldPoint:
 
     def in_p(self, k: int, size: float) -> Array:
         """Return tau_pb, shape (n_b,), p the design variable k, from changes of about `size`."""
+        return np.asarray(_slope(lambda x: self._tau_b(k, x * size)) / size)
+
+    def bend(self, k: int, step: float) -> float:
+        """Return tau_pp, p the design variable k, by a difference over one step."""
+        return float((self._tau_b(k, step)[k] - self.tau_b[k]) / step)
+
+    def _tau_b(self, k: int, step: float) -> Array:
+        """Return -y^T F_b, y as here, of a variable k that is a step away, along its path."""
         b, (q_p, lam_p) = np.asarray(self.system.b), (x[:, k] for x in self.paths)
-
-        def forces(x: float) -> Array:
-            p = x * size
-            moved = self.system.with_values(b + p * np.eye(len(b))[k])
-            return self._forces(moved, p * q_p, p * lam_p)
-
-        return np.asarray(_slope(forces) / size)
+        moved = self.system.with_values(b + step * np.eye(len(b))[k])
+        return self._forces(moved, step * q_p, step * lam_p)
 
     @cached_property
     def size(self) -> float:

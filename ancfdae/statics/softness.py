@@ -7,10 +7,12 @@ elements.
 
 Stable is an equilibrium without a motion of negative stiffness; all of them are counted
 (`numerics/inertia.py`), for one that is far from zero is none of the softest. K of loads that turn
-with the motion is not symmetric. Then real negative eigenvalues of K phi = kappa D phi on the
-constraints are sought, motions that leave without turning back (divergence): there is none where
-the symmetric part of K is positive definite; there is one where the determinant is negative, and
-else all eigenvalues with a negative real part are looked at. Flutter is not seen.
+with the motion is not symmetric. Then real negative eigenvalues on the constraints are sought,
+motions that leave without turning back (divergence): there is none where the symmetric part of K is
+positive definite; there is one where the determinant is negative, and
+else all eigenvalues that could be are looked at. They are those of K phi = omega^2 M phi there:
+motions that diverge do so against their inertia, and which of an even number do depends on it.
+Flutter, pairs of complex omega^2, is not judged.
 """
 
 from __future__ import annotations
@@ -34,6 +36,8 @@ _MOTIONS, _SWEEPS = 8, 6
 # h/L = 1e-4 has 9e-14. A negative one must be clear of it, and K is shifted by more than eps, so
 # that it can be factorised.
 _FREE, _SHIFT = 4e-15, 1e-14
+# The trace of a stiffness that one without its own is measured against.
+_TRACE, _EPS = 1e-8, float(np.finfo(float).eps)
 # A negative stiffness is larger in size than the first of these with which pivots can be trusted.
 _CLEAR = tuple(1e-14 * 16.0**k for k in range(12))
 
@@ -60,7 +64,14 @@ class Softness:
             return True
         if matrix.skewness <= _CLEAR[0]:
             return False
-        return not (matrix.is_odd(_CLEAR[0]) or matrix.has_negative(_CLEAR[0]))
+        scale, pattern = 1.0 / np.sqrt(self.D), self.balance.system.pattern
+        M = self.balance.M_0.real * scale[pattern.rows] * scale[pattern.columns]
+        return not (matrix.is_odd(_CLEAR[0]) or matrix.has_negative(M))
+
+    @property
+    def follows(self) -> bool:
+        """Whether K is not symmetric, because loads turn with the motion: it may flutter."""
+        return self._matrix.skewness > _CLEAR[0]
 
     @property
     def judged(self) -> bool:
@@ -169,6 +180,26 @@ def _orthonormal(X: Array) -> tuple[Array, Array]:
 
 
 def stiffness_of_coordinates(balance: Balance, K: Array) -> Array:
-    """|diag K|; where it vanishes a trace of the stiffest one, by weight."""
-    w, D = balance.system.weights, np.abs(K[balance.system.pattern.diagonal])
-    return np.asarray(np.maximum(D, 1e-8 * np.max(D / w) * w) if np.any(D) else w)
+    """|diag K|; where it vanishes a trace of the stiffest one that it is joined to, by weight.
+
+    A coordinate without stiffness of its own may be coupled to others, as by a load; it is
+    measured against a trace of that. Parts that nothing joins do not know each other: a strip of
+    foil is as stiff as it is, whatever stands beside it.
+    """
+    pattern, w = balance.system.pattern, balance.system.weights
+    D, root = np.abs(K[pattern.diagonal]), np.sqrt(w)
+    if not np.any(D):
+        return w
+    # Every row has its diagonal.
+    first, columns = pattern.places
+    coupled = root * np.maximum.reduceat(np.abs(K) / root[columns], first[:-1])
+    D = np.maximum(D, _TRACE * coupled)
+    if np.all(_EPS * np.max(D / w) * w < D):
+        return D
+    count, part = balance.matrices.parts
+    stiffest = np.zeros(count)
+    np.maximum.at(stiffest, part, D / w)
+    # A part without any stiffness is measured against the softest other one.
+    stiffest[stiffest == 0] = np.min(stiffest[stiffest > 0])
+    least = stiffest[part] * w
+    return np.asarray(np.where(_EPS * least < D, D, _TRACE * least))

@@ -1,5 +1,6 @@
 """Calls at rest: an equilibrium, and the gradient of what is observed there."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -9,6 +10,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import (
+    CoarseMesh,
     InvalidInput,
     UnknownName,
     require_count,
@@ -17,6 +19,7 @@ from ancfdae.errors import (
     require_sequence,
     uninterrupted,
 )
+from ancfdae.errors.text import listed
 from ancfdae.integrators import Static
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
@@ -65,7 +68,8 @@ def equilibrium(
     Returns
     -------
     Equilibrium
-        A load that cannot be carried is reported by `outcome`, and what was carried is kept.
+        A load that cannot be carried is reported by `outcome`, and what was carried is kept. Warns
+        of beams whose elements are too few for their bends (`CoarseMesh`).
 
     Raises
     ------
@@ -80,9 +84,21 @@ def equilibrium(
     system = as_system(model, design)
     if start is not None:
         _require_start_of(system, start)
-    return uninterrupted(
-        find_equilibrium(system, start=start, max_steps=max_steps, sensitivities=bool(system.n_b))
+    state = None if start is None else (start.q, start.lam)
+    found = uninterrupted(
+        find_equilibrium(system, start=state, max_steps=max_steps, sensitivities=bool(system.n_b))
     )
+    coarse = system.coarse(found.q) if found.outcome.success else {}
+    if coarse:
+        worst = max(coarse.values())
+        warnings.warn(
+            f"equilibrium: {listed(map(repr, coarse))} bend too far for so few elements: "
+            f"{100 * worst / (1 + worst):.2g} % of the energy is a stretch that cubics need to "
+            "bend. Double the number of elements until this warning is gone.",
+            CoarseMesh,
+            stacklevel=2,
+        )
+    return found
 
 
 def critical_load(
