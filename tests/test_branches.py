@@ -82,7 +82,8 @@ def test_no_success_on_the_other_side_of_a_dead_point(integrator, distance, hang
     """Fixed steps once went on below the line, 0.145 m off, with success.
 
     All instants are right that a run keeps, to round-off near the dead point, 1e-16/sqrt(d); IDA
-    and Explicit leave joints open by their tolerance, which the dead point magnifies by up to 1/sqrt(d/l).
+    and Explicit leave joints open by their tolerance, which the dead point magnifies by up to
+    1/sqrt(d/l).
     """
     begin = R + L - distance - STROKE
     crank, scene = pushed(begin, Harmonic(STROKE, RATE), hangs=hangs)
@@ -111,7 +112,7 @@ def test_the_step_that_an_outcome_names_is_right():
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("integrator", [HHT(0.7 / 60), Radau(step=0.7 / 60)], ids=["HHT", "Radau"])
 def test_what_a_run_keeps_is_right_wherever_it_stops(integrator, seed):
-    """Splines through places 1e-7 to 3e-2 from the dead point, and over it: then the joints lock."""
+    """Splines through places 1e-7 to 3e-2 from the dead point, and over it: joints then lock."""
     random = np.random.default_rng(seed)
     times = np.linspace(0.0, 0.7, 9)
     places = R + L - 10 ** random.uniform(-7, -1.5, len(times))
@@ -135,6 +136,7 @@ def test_the_check_does_not_depend_on_the_place(integrator):
     assert ends[0] == ends[1]
 
 
+@pytest.mark.filterwarnings("ignore::ancfdae.StabilityWarning")
 @pytest.mark.parametrize("turns", [2.0, 5.0, 15.0])
 def test_fast_free_turns_raise_no_alarm(turns):
     """A pendulum that spins freely by up to 0.75 rad in a step leaves no branch."""
@@ -150,7 +152,7 @@ def test_the_change_of_a_place_against_its_definition():
     """norm(X) by dense matrices, with eigenvalues: (B_1 - B_0) B_0^-1 of n_lam = n_q."""
     begin = R + L - 1e-2 - STROKE
     _, scene = pushed(begin, Uniform(0.1))
-    system, run = assemble(scene), simulate(scene, 0.09, HHT(0.001))
+    system, run = assemble(scene), simulate(scene, 0.28, HHT(0.001))
     values = system.constraints_q(run.t, run.q)
     form = Form(system, values[0])
     changes = Place(form, values[0]).changes(values)
