@@ -324,6 +324,10 @@ class AncfSystem(PlannedSystem):
         """Phi_q and its time derivatives."""
         return self._constraints.constraint_q(t, *motion)
 
+    def constraints_q(self, t: Array, q: Array) -> Array:
+        """Phi_q at many instants."""
+        return self._constraints.constraints_q(q, t)
+
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:

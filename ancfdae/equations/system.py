@@ -269,6 +269,10 @@ class MechanicalSystem(ComplexSteps):
         """Return the parts whose mesh is too coarse at q, with the error of the energy of each."""
         return {}
 
+    def constraints_q(self, t: Array, q: Array) -> Array:
+        """Return the values of Phi_q at k instants, shape (k, nnz); q are rows, (k, n_q)."""
+        return np.array([self.constraint_q(s, x) for s, x in zip(t.tolist(), q, strict=True)])
+
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:

@@ -26,10 +26,11 @@ from ancfdae.errors import (
 from ancfdae.integrators.integrand import Integrand
 from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
 from ancfdae.integrators.pace import Pace
-from ancfdae.integrators.prescribed_motion import Rows, lock, lost
+from ancfdae.integrators.prescribed_motion import lock
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.watch import Watch
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
@@ -182,6 +183,7 @@ class HighOrder(QuadratureIntegrator):
         recorder.accepted = 0
         recorder.record(*problem.initial, problem.derivative or ())
         verdict, march, remedy = Verdict.FINISHED, None, ""
+        watch = Watch(system, recorder)
         quadrature = Quadrature(integrands, problem.accelerations, self.rtol)
         try:
             with np.errstate(all="ignore"):  # A blow-up is told by the outcome.
@@ -192,13 +194,9 @@ class HighOrder(QuadratureIntegrator):
                     if isinstance(point, Verdict):
                         verdict = point
                         break
-                    last = recorder.last(1)
-                    rows = np.append(last.t, t), np.vstack([last.q, point[0, :1]]), last.v
-                    missed = lost(system, Rows(*rows), False)
-                    if missed is not None:
-                        verdict, remedy = Verdict.OFF_ROOT, missed.remedy
-                        break
                     _record(problem, recorder, float(t), point)
+                    if remedy := watch.missed():
+                        break
                 else:
                     march.finish()
         except NotFinite:
@@ -207,6 +205,8 @@ class HighOrder(QuadratureIntegrator):
             verdict = Verdict.SINGULAR
         except KeyboardInterrupt:
             verdict = Verdict.INTERRUPTED
+        if remedy := remedy or watch.missed(all_of_them=True):
+            verdict = Verdict.OFF_ROOT
         recorder.factorisations = problem.accelerations.factorisations
         size = 0.0
         if march is not None:

@@ -1,24 +1,22 @@
-"""Whether steps belong to the motion that joints prescribe (docs/theory/03-joints-and-loads.md).
+"""Whether steps belong to the motion that joints lead to (docs/theory/03-joints-and-loads.md).
 
 Constraints have several solutions, and a long step can end at another one than the motion leads to.
 The equation of a prescribed angle holds half a turn off as well: its root is checked at the start
-(`refuse_opposite` of the assembly), and here after every step. Where constraints determine the
-whole motion, n_lam = n_q, they may also close in another way (the crossed four-bar), or lock on the
-way. Steps in which velocities change much are then followed in parts,
-
-    Phi(t, q) = 0 from t_n to t_n+1 with q' = -Phi_q^-1 Phi_t as the guess.
+(`refuse_opposite` of the assembly), and here after every step. Joints may also close in another way
+(the crossed four-bar), or lock on the way: steps that change Phi_q much are followed (`branch`).
+Where constraints determine the whole motion, n_lam = n_q, so are steps in which velocities change
+much: what locks and opens again within a step leaves Phi_q as it was.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
-import scipy
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.held import velocity_side
-from ancfdae.kernels import finite, norm
+from ancfdae.integrators.branch import APART, CHANGED, SMALL, Form, Guide, Place, closed, followed
+from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
 # Largest turn in a step under error control, in rad: a step that long says little about a circle,
@@ -26,18 +24,12 @@ from ancfdae.numerics.arrays import Array
 _TURN = 1.0
 # Places in a step, as parts of it, at which the rate of the angle is looked at.
 _PLACES = np.linspace(0.0, 1.0, 5)
-# A step is followed if velocities change by more than this part of the sum of their sizes: a turn
-# by 0.2 rad. On another branch velocities are others.
-_CHANGE = 0.1
-# A part of a step is taken if Newton's first correction is below this part of its length (then the
-# second is below its square) and the ones after it shrink at least as fast; it is the shorter for
-# not being taken, down to this share of the time to go.
-_CURVED, _SHORTEST, _ITERATIONS = 0.1, 1e-9, 8
-# Corrections below this part of the coordinates are round-off, or nothing.
-_SMALL = 1e-11
-# Places that differ by more than this part of the way are not the same.
-_APART = 1e-3
-_DENSE = 100
+# A motion that constraints determine is followed if velocities change by more than this part of the
+# sum of their sizes: a turn by 0.2 rad.
+_VELOCITIES = 0.1
+# Rows of Phi_q that are compared with one place at once: twice as many as were near before, but at
+# least, and at most.
+_ROWS, _MOST_ROWS = 4, 128
 
 
 class Lost(NamedTuple):
@@ -55,28 +47,112 @@ class Rows(NamedTuple):
     v: Array
 
 
-def lost(system: MechanicalSystem, rows: Rows, known: bool) -> Lost | None:
-    """Check the steps between rows; at steps `known` before the run follow them, too.
+@final
+class Branch:
+    """Checks the steps of one run, one after another."""
 
-    `first` counts from the second row. None if all are right.
-    """
-    t, q, _ = rows
-    found = system.off_root(t[1:], q[1:])
-    if found is not None:
-        first, joint = found
-        return Lost(first, _half_a_turn(system, joint, *t[first : first + 2].tolist()))
-    if not known or system.n_lam != system.n_q or np.iscomplexobj(q):
+    def __init__(self, system: MechanicalSystem) -> None:
+        self._system = system
+        # Linear constraints have one solution, or none.
+        self._several = not system.traits.linear_constraints and system.n_lam > 0
+        self._form: Form | None = None
+        self._place: Place | None = None
+        self._count = _ROWS
+
+    def lost(self, rows: Rows) -> Lost | None:
+        """Check the steps between rows; `first` counts from the second. None if all are right."""
+        t, q, _ = rows
+        found = self._system.off_root(t[1:], q[1:])
+        end = len(t) - 1 if found is None else found[0]
+        elsewhere = self._elsewhere(Rows(*(x[: end + 1] for x in rows)))
+        if elsewhere is not None or found is None:
+            return elsewhere
+        return Lost(end, _half_a_turn(self._system, found[1], *t[end : end + 2].tolist()))
+
+    def _elsewhere(self, rows: Rows) -> Lost | None:
+        """Return the first step that ended on another branch, or passed over a lock."""
+        if not self._several or np.iscomplexobj(rows.q) or len(rows.t) < 2:
+            return None
+        suspects = self._changed(rows)
+        if self._system.n_lam == self._system.n_q:
+            suspects |= _turned(self._system, rows)
+        for k in np.flatnonzero(suspects):
+            why = _reached_otherwise(self._system, Rows(*(x[k : k + 2] for x in rows)))
+            if why:
+                return Lost(int(k), why)
         return None
-    for k in _suspects(system, rows):
-        reached, place = followed(system, float(t[k]), q[k], float(t[k + 1]))
-        way = norm(q[k + 1] - q[k], system.weights)
-        apart = max(_APART * way, 10 * _SMALL * norm(q[k], system.weights))
-        if reached < t[k + 1]:
-            return Lost(k, f"{locks(reached)} The step to t = {t[k + 1]:.6g} passed over it.")
-        if norm(place - q[k + 1], system.weights) > apart:
-            remedy = "they close in more than one way, and its step is too long to tell. Take steps"
-            return Lost(k, f"At t = {t[k + 1]:.6g} {remedy} of {(t[k + 1] - t[k]) / 4:.2g} s.")
-    return None
+
+    def _changed(self, rows: Rows) -> Array:
+        """Return which steps change Phi_q by half of what may be another branch, shape (k,)."""
+        values = self._system.constraints_q(rows.t, rows.q)
+        form = self._form = self._form or Form(self._system, values[0])
+        changed, k, at = np.zeros(len(rows.t) - 1, dtype=bool), 0, -1
+        while k < len(changed):
+            if self._place is None:
+                self._place, at = Place(form, values[k]), k
+            far = self._place.changes(values[k + 1 : k + 1 + self._count]) > CHANGED
+            near = int(np.argmax(far)) if np.any(far) else len(far)
+            k, self._count = k + near, min(max(_ROWS, 2 * near), _MOST_ROWS)
+            if near == len(far):
+                continue
+            if at == k:  # This one step changes it.
+                changed[k] = True
+                k += 1
+            self._place = None
+        return changed
+
+
+def half_a_turn_off(system: MechanicalSystem, begin: float, t: Array, q: Array) -> str:
+    """Return in words that a step from `begin`, with these instants, left the root of a drive."""
+    found = system.off_root(t, q)
+    if found is None:
+        return ""
+    first, joint = found
+    return _half_a_turn(
+        system, joint, begin if first == 0 else float(t[first - 1]), float(t[first])
+    )
+
+
+def _reached_otherwise(system: MechanicalSystem, step: Rows) -> str:
+    """Follow a step; return in words how it ended otherwise, nothing if it did not."""
+    (t, end), _, v = step
+    # IDA leaves constraints open by its tolerance.
+    q, found = (closed(system, float(s), x) for s, x in zip(step.t, step.q, strict=True))
+    determined, size = system.n_lam == system.n_q, end - t
+    guide = None if determined else _cubic(Rows(step.t, np.stack([q, found]), v))
+    reached, place = followed(system, float(t), q, float(end), guide)
+    if reached < end:
+        # What is free passes singular places, too: there branches meet.
+        return f"{locks(reached)} The step to t = {end:.6g} passed over it." if determined else ""
+    way = norm(found - q, system.weights)
+    apart = max(APART * way, 10 * SMALL * norm(q, system.weights))
+    if norm(place - found, system.weights) <= apart:
+        return ""
+    return (
+        f"At t = {end:.6g} the joints close in more than one way, and the step of {size:.2g} s is "
+        "too long to tell which way the motion leads to. Take shorter steps, or a smaller rtol."
+    )
+
+
+def _cubic(step: Rows) -> Guide:
+    """Return the cubic through places and velocities at the ends of a step."""
+    (t, end), q, v = step
+    h = end - t
+
+    def at(time: float) -> Array:
+        s = (time - t) / h
+        ends = q[0] + s * s * (3 - 2 * s) * (q[1] - q[0])
+        return np.asarray(ends + h * s * (1 - s) * ((1 - s) * v[0] - s * v[1]))
+
+    return at
+
+
+def _turned(system: MechanicalSystem, rows: Rows) -> Array:
+    """Return in which steps velocities change much, shape (k,)."""
+    weighted = np.sqrt(system.weights) * rows.v
+    sizes = np.linalg.norm(weighted, axis=1)
+    changes = np.linalg.norm(np.diff(weighted, axis=0), axis=1)
+    return np.asarray(changes > _VELOCITIES * (sizes[1:] + sizes[:-1]))
 
 
 def locks(t: float) -> str:
@@ -96,63 +172,6 @@ def turn_error(system: MechanicalSystem, t: float, h: float, order: int) -> floa
     """Return (turn / 1 rad)^order for the largest prescribed turn in a step of size h to t."""
     rate = float(np.max(system.turn_rate(t - h + h * _PLACES)))
     return (rate * h / _TURN) ** order
-
-
-def followed(system: MechanicalSystem, t: float, q: Array, end: float) -> tuple[float, Array]:
-    """Follow a motion that constraints determine; return the time reached, and the place."""
-    h, least = end - t, _SHORTEST * (end - t)
-    while t < end:
-        h = min(h, end - t)
-        later = end if h == end - t else t + h
-        closed = _closed(system, t, q, later)
-        if closed is not None:
-            t, q, h = later, closed, 2 * h
-        elif h <= least:
-            break
-        else:
-            h /= 4
-    return t, q
-
-
-def _closed(system: MechanicalSystem, t: float, q: Array, end: float) -> Array | None:
-    """Return q at `end` by Newton's method from the tangent, None if it is not surely near."""
-    step = _solved(system, t, q, velocity_side(system, t, q))
-    if step is None:
-        return None
-    step = (end - t) * step
-    least = _SMALL * norm(q, system.weights)
-    allowed = _CURVED * norm(step, system.weights)
-    q = q + step
-    for _ in range(_ITERATIONS):
-        change = _solved(system, end, q, system.constraint(end, q))
-        size = np.inf if change is None else norm(change, system.weights)
-        if change is None or size > max(allowed, least):
-            return None
-        q, allowed = q - change, _CURVED * size
-        if size <= least:
-            return q
-    return None
-
-
-def _solved(system: MechanicalSystem, t: float, q: Array, side: Array) -> Array | None:
-    """Return x with Phi_q x = side, None where Phi_q is singular."""
-    matrix = system.constraint_pattern.csr(system.constraint_q(t, q))
-    try:
-        if system.n_q <= _DENSE:
-            x = np.linalg.solve(matrix.toarray(), side)
-        else:
-            x = scipy.sparse.linalg.splu(matrix.tocsc()).solve(side)
-    except (np.linalg.LinAlgError, RuntimeError):
-        return None
-    return x if finite(x) else None
-
-
-def _suspects(system: MechanicalSystem, rows: Rows) -> list[int]:
-    """Return the steps in which velocities change much."""
-    weighted = np.sqrt(system.weights) * rows.v
-    sizes = np.linalg.norm(weighted, axis=1)
-    changes = np.linalg.norm(np.diff(weighted, axis=0), axis=1)
-    return np.flatnonzero(changes > _CHANGE * (sizes[1:] + sizes[:-1])).tolist()
 
 
 def _half_a_turn(system: MechanicalSystem, joint: str, begin: float, end: float) -> str:

@@ -75,6 +75,11 @@ class Recorder:
         self._started -= told.wall_seconds
 
     @property
+    def instants(self) -> int:
+        """Recorded instants."""
+        return self._rows
+
+    @property
     def steps(self) -> int:
         """Accepted steps so far."""
         return max(self._rows - 1, 0) // self._degree if self.accepted is None else self.accepted
@@ -124,9 +129,10 @@ class Recorder:
         t, q, v, *_ = (x[self._rows - count : self._rows] for x in self._arrays)
         return Rows(t, q, v)
 
-    def drop(self, count: int) -> None:
-        """Forget the last instants."""
-        self._rows -= count
+    def cut(self, count: int) -> None:
+        """Forget instants after the first ones of this count, by whole steps."""
+        self._rows = 1 + (count - 1) // self._degree * self._degree
+        self._control = ()
 
     def restart(self) -> None:
         """Forget all instants but the first."""

@@ -13,9 +13,10 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import Outcome, SingularMatrix, Verdict
-from ancfdae.integrators.prescribed_motion import Lost, Rows, lock, lost
+from ancfdae.integrators.prescribed_motion import half_a_turn_off, lock
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.tolerance import Tolerance
+from ancfdae.integrators.watch import Watch
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 
@@ -176,6 +177,7 @@ def march(
     """
     if reached is _NOWHERE:
         recorder.record(*method.consistent())
+    watch, why = Watch(method.system, recorder), ""
     with progress_bar(progress, total=t_end, initial=reached.t, unit="s") as bar:
         try:
             # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
@@ -183,10 +185,17 @@ def march(
                 while isinstance(end := _next(method, controller, recorder, reached), Reached):
                     bar.update(end.t - reached.t)
                     reached = end
+                    if why := watch.missed():
+                        break
+                why = why or watch.missed(all_of_them=True)
         except SingularMatrix:
             end = Failure(Verdict.SINGULAR, 0.0)
         except KeyboardInterrupt:
             end = Failure(Verdict.INTERRUPTED, 0.0)
+    # What ended before this check was reached is checked all the same.
+    why = why or watch.missed(all_of_them=True)
+    if why or isinstance(end, Reached):
+        end = Failure(Verdict.OFF_ROOT, 0.0, why)
     verdict, correction, remedy = end
     if verdict in _STUCK:
         t, q, _ = recorder.last(1)
@@ -196,7 +205,10 @@ def march(
 
 
 def _next(
-    method: OneStepMethod[Any], controller: Controller, recorder: Recorder, reached: Reached
+    method: OneStepMethod[Any],
+    controller: Controller,
+    recorder: Recorder,
+    reached: Reached,
 ) -> Reached | Failure:
     """Try a step; return where the run stands then, or how it ends there."""
     n, t, last, now = reached
@@ -208,18 +220,14 @@ def _next(
     sizes, ends = controller.known(n)
     if len(sizes):
         taken, after = method.march(before, sizes, ends)
-        missed = lost(method.system, recorder.last(taken + 1), True) if taken else None
-        if missed is not None:
-            recorder.drop(taken - missed.first)
-            return Failure(Verdict.OFF_ROOT, 0.0, missed.remedy)
         if taken:
             return Reached(n + taken, float(ends[taken - 1]), float(sizes[taken - 1]), after)
     after = method.advance(h, before, end)
-    missed = (
-        None if isinstance(after, Failure) else _missed(method, recorder, after, len(sizes) > 0)
-    )
-    if missed is not None:
-        after = Failure(Verdict.OFF_ROOT, 0.0, missed.remedy)
+    if not isinstance(after, Failure) and not len(sizes):
+        # A shorter step finds the right root.
+        instants, q, *_ = method.recorded(after)
+        why = half_a_turn_off(method.system, t, np.atleast_1d(instants), np.atleast_2d(q))
+        after = Failure(Verdict.OFF_ROOT, 0.0, why) if why else after
     failed = isinstance(after, Failure)
     if failed and after.verdict is Verdict.SINGULAR:
         return after
@@ -234,10 +242,3 @@ def _next(
         return reached
     recorder.restart()
     return _NOWHERE
-
-
-def _missed(method: OneStepMethod[Any], recorder: Recorder, after: Any, known: bool) -> Lost | None:
-    """Check a step that is not recorded yet."""
-    last, (t, q, v, *_) = recorder.last(1), method.recorded(after)
-    rows = np.append(last.t, t), np.vstack([last.q, q]), np.vstack([last.v, v])
-    return lost(method.system, Rows(*rows), known)

@@ -1,0 +1,264 @@
+"""Whether steps stay on the branch of the constraints on which the motion runs.
+
+Phi(t, q) = 0 holds on several branches: the open and the crossed four-bar, a slider-crank on both
+sides of its dead point. They part where Phi_q loses rank. Let B be Phi_q at a place c of the
+motion, W the diagonal of the weights and P = W^-1 B^T (B W^-1 B^T)^-1, so that B P = I. Then
+
+    X(t, q) = (Phi_q(t, q) - B) P,      Phi_q(t, q) P = I + X,
+
+and Phi_q has full rank wherever norm(X) < 1. Constraints are quadratic in q. Halfway between two
+solutions of one time Phi_q has not full rank, for
+
+    0 = Phi(t, q_1) - Phi(t, q_2) = Phi_q(t, (q_1 + q_2)/2) (q_1 - q_2),
+
+so norm(X) >= 1 at one of the two, wherever c lies. A step with norm(X) <= 1/2 is taken to be on the
+branch of c. Any other step is followed in parts for which this holds,
+
+    Phi(t, q) = 0 from t_n to t_n+1 along q' = -P Phi_t + (I - P Phi_q) d,
+
+where d leads to the cubic through the positions and velocities at the ends of the step: the motion
+in the directions that constraints leave free. What is reached at t_n+1 must be the solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias, final
+
+import numpy as np
+import scipy
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.held import velocity_side
+from ancfdae.kernels import finite, norm
+from ancfdae.numerics.arrays import Array
+
+# Places that the free motion is to pass, by time.
+Guide: TypeAlias = Callable[[float], Array]
+
+# Largest norm of X on one branch: half of the least at which it may be another.
+CHANGED = 0.5
+# A part of a step is taken if Newton's first correction is below this part of its length (then the
+# second is below its square) and the ones after it shrink at least as fast; it is the shorter for
+# not being taken, down to this share of the time to go.
+_CURVED, _SHORTEST, _ITERATIONS = 0.1, 1e-9, 8
+# Corrections below this part of the coordinates are round-off, or nothing.
+SMALL = 1e-11
+# Places that differ by more than this part of the way are not the same.
+APART = 1e-3
+# Moves along constraints from the end of a followed path towards the solution there.
+_MOVES = 40
+# Up to this number of constraints matrices are dense; above it norms are estimated by this number
+# of products.
+_DENSE, _PRODUCTS = 100, 4
+# Phi_q has not full rank if its triangular factor has diagonals of this ratio.
+_SINGULAR = 1e-13
+
+
+@final
+class Form:
+    """How coordinates and rows of Phi_q are compared, whatever their units.
+
+    Coordinates are sqrt(w_i) q_i; rows have the length one in them at a first place of the motion.
+    `used` are the coordinates that stand in constraints.
+    """
+
+    def __init__(self, system: MechanicalSystem, values: Array) -> None:
+        self.system, pattern = system, system.constraint_pattern
+        self.used, self.columns = np.unique(pattern.columns, return_inverse=True)
+        self.shape = system.n_lam, len(self.used)
+        self.rows, self.root = pattern.rows, np.sqrt(system.weights[self.used])
+        scaled = values / self.root[self.columns]
+        squares = np.bincount(self.rows, scaled * scaled, minlength=system.n_lam)
+        self.lengths = np.sqrt(np.where(squares > 0, squares, 1.0))
+        self._scale = 1 / (self.root[self.columns] * self.lengths[self.rows])
+        self._flat = self.rows * len(self.used) + self.columns
+
+    def matrices(self, rows: Array) -> Array:
+        """Return rows of values of Phi_q as matrices, (k, n_lam, n_used)."""
+        matrices = np.zeros((len(rows), self.shape[0] * self.shape[1]))
+        matrices[:, self._flat] = rows * self._scale
+        return matrices.reshape(-1, *self.shape)
+
+    def sparse(self, values: Array) -> scipy.sparse.csr_array:
+        """Return values of Phi_q as a sparse matrix."""
+        places = self.rows, self.columns
+        return scipy.sparse.csr_array((values * self._scale, places), shape=self.shape)
+
+
+@final
+class Place:
+    """A place c of the motion: Phi_q there, (nnz,), and P."""
+
+    def __init__(self, form: Form, values: Array) -> None:
+        self._form, self._values = form, values
+        self._P: Array | None = None
+        self._factors: scipy.sparse.linalg.SuperLU | None = None
+        # Of X, so that its norm is nearly its largest eigenvalue.
+        self._balance: Array | None = None
+        if form.shape[0] <= _DENSE:
+            self._P = self._pseudo_inverse()
+        else:
+            self._factors = self._factorised()
+
+    def changes(self, rows: Array) -> Array:
+        """Return norm(X) for rows of values of Phi_q, shape (k,); infinite where P is none."""
+        changes = rows - self._values
+        if self._factors is not None:
+            sizes = np.array([self._estimated(x) for x in changes])
+        elif self._P is None:
+            return np.full(len(rows), np.inf)
+        else:
+            sizes = self._norms(changes)
+        return np.where(np.isfinite(sizes), sizes, np.inf)
+
+    def _norms(self, changes: Array) -> Array:
+        """Return norms of X, balanced, and where these are large nearly its largest eigenvalue."""
+        n_lam, n_used = self._form.shape
+        X = self._form.matrices(changes).reshape(-1, n_used) @ self._P
+        X = X.reshape(-1, n_lam, n_lam)
+        if self._balance is None and np.all(np.isfinite(X[-1])):
+            scale = scipy.linalg.matrix_balance(X[-1], permute=False, separate=True)[1][0]
+            self._balance = (scale[None] / scale[:, None]) ** 2
+        squares = X * X if self._balance is None else X * X * self._balance
+        sizes = np.asarray(np.sqrt(np.einsum("kij->k", squares)))
+        for k in np.flatnonzero(sizes > CHANGED):
+            power = np.linalg.matrix_power(X[k] / sizes[k], 8)
+            sizes[k] *= np.linalg.norm(power) ** 0.125
+            if sizes[k] > CHANGED:  # Rows after the first that is far do not matter.
+                break
+        return sizes
+
+    def nearest(self, side: Array, x: Array) -> Array | None:
+        """Return the solution of Phi_q y = side nearest to x, (n_q,); None without full rank."""
+        form = self._form
+        missing = side - form.system.constraint_pattern.dot(self._values, x)
+        missing = missing / form.lengths
+        if self._P is not None:
+            change = self._P @ missing
+        elif self._factors is not None:
+            change = self._lifted(missing)
+        else:
+            return None
+        x = x.copy()
+        x[form.used] += change / form.root
+        return x if finite(x) else None
+
+    def _pseudo_inverse(self) -> Array | None:
+        """Return P, None where Phi_q has not full rank."""
+        Q, R = np.linalg.qr(self._form.matrices(self._values[None])[0].T)
+        pivots = np.abs(np.diag(R))
+        if len(pivots) < self._form.shape[0] or not np.min(pivots) > _SINGULAR * np.max(pivots):
+            return None
+        return np.asarray(np.linalg.solve(R, Q.T).T)
+
+    def _factorised(self) -> scipy.sparse.linalg.SuperLU | None:
+        """Factorise [I B^T; B 0]."""
+        B, one = self._form.sparse(self._values), scipy.sparse.eye_array(self._form.shape[1])
+        try:
+            return scipy.sparse.linalg.splu(scipy.sparse.bmat([[one, B.T], [B, None]], "csc"))
+        except RuntimeError:
+            return None
+
+    def _lifted(self, y: Array) -> Array:
+        """Return P y."""
+        assert self._factors is not None
+        n_used = self._form.shape[1]
+        return np.asarray(self._factors.solve(np.concatenate([np.zeros(n_used), y]))[:n_used])
+
+    def _estimated(self, change: Array) -> float:
+        """Return the growth in the last of some products with X."""
+        change_B, size = self._form.sparse(change), 0.0
+        y = np.cos(np.arange(self._form.shape[0]))  # no eigenvector of anything
+        for _ in range(_PRODUCTS):
+            y, before = change_B @ self._lifted(y), np.linalg.norm(y)
+            size = float(np.linalg.norm(y) / before)
+            if not 0 < size < np.inf:
+                break
+        return size
+
+
+def followed(
+    system: MechanicalSystem, t: float, q: Array, end: float, guide: Guide | None = None
+) -> tuple[float, Array]:
+    """Follow a motion on its branch from (t, q); return the time reached, and the place.
+
+    A guide is needed where constraints leave motions free.
+    """
+    h, least = end - t, _SHORTEST * (end - t)
+    values = system.constraint_q(t, q)
+    form = Form(system, values)
+    place = Place(form, values)
+    while t < end:
+        h = min(h, end - t)
+        later = end if h == end - t else t + h
+        aim = np.zeros(system.n_q) if guide is None else guide(later) - q
+        taken = _part(form, place, (t, q), later, aim)
+        if taken is not None:
+            q, place = taken
+            t, h = later, 2 * h
+        elif h <= least:
+            return t, q
+        else:
+            h /= 4
+    return t, q if guide is None else _settled(form, place, t, q, guide(t))
+
+
+def _settled(form: Form, place: Place, t: float, q: Array, aim: Array) -> Array:
+    """Move along the constraints of one time to the place that is nearest to the aim."""
+    system, share = form.system, 1.0
+    none = np.zeros(system.n_lam)
+    for _ in range(_MOVES):
+        moved = _part(form, place, (t, q), t, share * (aim - q))
+        if moved is None:
+            share /= 4
+            continue
+        (new, place), before = moved, q
+        q, share = new, min(1.0, 2 * share)
+        ahead = place.nearest(none, aim - q)
+        least = 10 * SMALL * norm(q, system.weights)
+        if ahead is None or norm(ahead, system.weights) <= max(
+            least, APART**2 * norm(q - before, system.weights)
+        ):
+            break
+    return q
+
+
+def _part(
+    form: Form, place: Place, begin: tuple[float, Array], end: float, aim: Array
+) -> tuple[Array, Place] | None:
+    """Return q at `end`, and its place, by Newton's method; None if it is not surely near."""
+    (t, q), system = begin, form.system
+    side = (end - t) * velocity_side(system, t, q) if end > t else np.zeros(system.n_lam)
+    step = place.nearest(side, aim)
+    if step is None:
+        return None
+    solved = _solved(form, end, q + step, _CURVED * norm(step, system.weights))
+    if solved is None:
+        return None
+    values = system.constraint_q(end, solved)
+    on = place.changes(values[None])[0] <= CHANGED
+    return (solved, Place(form, values)) if on else None
+
+
+def closed(system: MechanicalSystem, t: float, q: Array) -> Array:
+    """Return q with its constraints closed to round-off; as it is if Newton's method fails."""
+    form = Form(system, system.constraint_q(t, q))
+    solved = _solved(form, t, q, APART * norm(q, system.weights))
+    return q if solved is None else solved
+
+
+def _solved(form: Form, t: float, q: Array, allowed: float) -> Array | None:
+    """Close the constraints by Newton's method; None unless corrections shrink from `allowed`."""
+    system, none = form.system, np.zeros(form.system.n_q)
+    w = system.weights
+    least = SMALL * norm(q, w)
+    for _ in range(_ITERATIONS):
+        change = Place(form, system.constraint_q(t, q)).nearest(system.constraint(t, q), none)
+        size = np.inf if change is None else norm(change, w)
+        if change is None or size > max(allowed, least):
+            return None
+        q, allowed = q - change, _CURVED * size
+        if size <= least:
+            return q
+    return None

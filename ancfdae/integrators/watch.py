@@ -1,0 +1,41 @@
+"""Checks what a run has recorded, some instants at a time, and cuts it back to what is right."""
+
+from typing import final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.integrators.prescribed_motion import Branch
+from ancfdae.integrators.recorder import Recorder
+
+# Instants that are checked together: one by one they would cost a quarter of a small step.
+_TOGETHER = 64
+
+
+@final
+class Watch:
+    """Checks each instant of a recorder once."""
+
+    def __init__(self, system: MechanicalSystem, recorder: Recorder) -> None:
+        self._branch, self._recorder = Branch(system), recorder
+        self._right = max(recorder.instants, 1)
+
+    def missed(self, all_of_them: bool = False) -> str:
+        """Check many instants, or all that there are; return in words what is wrong, or nothing.
+
+        The recorder then forgets the step in which that happened and all after it.
+        """
+        recorder = self._recorder
+        self._right = min(self._right, recorder.instants)
+        late = recorder.instants - self._right
+        if not late or (late < _TOGETHER and not all_of_them):
+            return ""
+        # What has diverged overflows: it is on no branch.
+        with np.errstate(all="ignore"):
+            lost = self._branch.lost(recorder.last(late + 1))
+        if lost is None:
+            self._right = recorder.instants
+            return ""
+        recorder.cut(self._right + lost.first)
+        self._right = recorder.instants
+        return lost.remedy
