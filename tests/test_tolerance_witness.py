@@ -32,7 +32,8 @@ from ancfdae import (
 )
 from ancfdae.studies.tolerance.bars import Estimate, spread
 from ancfdae.studies.tolerance.features import features
-from ancfdae.studies.tolerance.sequences import Second
+from ancfdae.studies.tolerance.gradients import _wanted
+from ancfdae.studies.tolerance.sequences import Eighth, Second
 from ancfdae.studies.tolerance.waves import radius, wave_of
 from validation.tolerance.generator import case
 
@@ -254,3 +255,41 @@ def test_no_random_scene_errs_without_a_word(family, seed):
         np.linalg.norm((found.gradient - exact.gradient) * scale) / size,
     )
     assert not found.accuracy.reached or max(errors) <= 1e-3
+
+
+def test_two_time_scales_are_answered_within_a_few_runs():
+    """Waves of 3,300 rad/s beside 3 rad/s, seen in a velocity: steps that cost more were taken."""
+    scene, b = ringing()
+    t_end, h = 0.1, 1e-5
+    end = Terminal(velocity(b.at(0), 0))
+    found = gradient(scene, end, t_end, tolerance=1e-2, design=["m.stiffness"])
+    up, down = (of_ringing(t_end, SOFT, STIFF * (1 + x))[1] for x in (h, -h))
+    slope = (up - down) / (2 * h)
+    # Central differences err by (omega t h)^2 / 6 = 2e-6.
+    assert found.accuracy.reached
+    assert found.gradient[0] * STIFF == pytest.approx(slope, rel=1e-2)
+    # Runs of HHT follow the waves with 4,000 steps, those of Explicit with 108 to 400.
+    assert sum(trial.steps for trial in found.accuracy.trials) < 12_000
+
+
+def test_instants_of_explicit_are_no_error_that_all_runs_share():
+    """A mass swings 40 times: panels of 64 leave an error between instants that runs share."""
+    a = RigidBody("a", (0.5, 0), mass=1.0, inertia=0.01)
+    spring = SpringDamper(a.at(0), 100.0, 0.0, 0.4, ground=(0.0, 0.0), name="s")
+    scene = Scene([], [PointOnLine(a.at(0), direction=(1, 0))], loads=[spring], bodies=[a])
+    system = assemble(scene, ["s.free_length"])
+    sequence = Eighth(Second(_wanted(system, [], 25.0, 1e-4)), 64, _wanted(system, [], 25.0, 1e-4))
+    first = sequence.setting
+    sequence._taken.append(1e-5)
+    assert (first.intervals, sequence.setting.intervals) == (64, 128)
+
+
+def test_an_observable_that_underflows_is_differentiable():
+    """exp(-676) is a number, and a complex step of 1e-40 of it is none."""
+    a = RigidBody("a", (0.5, 0), mass=1.0, inertia=0.01)
+    spring = SpringDamper(a.at(0), 100.0, 0.0, 0.4, ground=(0.0, 0.0), name="s")
+    scene = Scene([], [PointOnLine(a.at(0), direction=(1, 0))], loads=[spring], bodies=[a])
+    seen = custom(lambda t, q, v, lam, b: 3e-294 * q[:, 0], "small")
+    found = gradient(scene, Integral(seen), 0.1, HHT(0.01), design=["s.free_length"])
+    # The mass is within (0.3, 0.5) all the time.
+    assert 0.3 * 3e-295 < found.value < 0.5 * 3e-295

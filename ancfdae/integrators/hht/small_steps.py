@@ -56,6 +56,15 @@ def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion:
     return 1.0 if noise <= allowed else allowed / noise
 
 
+def small_from(system: MechanicalSystem, run: Solution, alpha: float) -> float:
+    """Return the number of equal steps above which half of those of a run would be small."""
+    root = np.sqrt(system.weights)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        q, A = (np.linalg.norm(root * x.real, axis=1) for x in (run.q, run.a))
+        longest = np.sqrt(_EPS * q / (_QUIET_DERIVATIVES * Coefficients(1.0, alpha).beta * A))
+        return float(run.t[-1] / np.median(longest))
+
+
 @final
 @dataclass(frozen=True)
 class ConstraintRow:

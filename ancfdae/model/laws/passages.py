@@ -14,7 +14,7 @@ from ancfdae.numerics.arrays import Array
 
 # The polynomial of least degree from 0 to 1 whose first three derivatives vanish at both ends.
 _STEP = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
-_ORDERS = {order: _STEP.deriv(order) for order in range(4)} | {-1: _STEP.integ()}
+_ORDERS = {order: _STEP.deriv(order).coef for order in range(4)} | {-1: _STEP.integ().coef}
 
 
 def passage(begin: complex, duration: complex) -> tuple[float, float]:
@@ -29,7 +29,11 @@ def smooth_step(t: Any, begin: complex, duration: complex, order: int) -> Array:
     """
     s = (t - begin) / duration
     held = np.where(s.real < 0, 0.0, np.where(s.real > 1, 1.0, s))
-    x: Array = _ORDERS[order](held)
+    # By Horner's rule: a call of Polynomial costs ten times as much at one instant.
+    first, *others = _ORDERS[order][::-1].tolist()
+    x: Array = first + 0.0 * held
+    for coefficient in others:
+        x = x * held + coefficient
     if order == -1:
         x = x + np.where(s.real > 1, s - 1.0, 0.0)
     return x / duration**order

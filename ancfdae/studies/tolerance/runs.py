@@ -18,6 +18,9 @@ from ancfdae.studies.tolerance.waves import Numbers
 
 # Work of a run without its steps.
 OF_A_RUN = 2500.0
+# Work of one evaluation of loads that move, each, and of driven joints with their derivatives, by
+# methods other than HHT-I3: in Python.
+_OF_A_LOAD, _OF_DRIVES = 140.0, 600.0
 # Two kinds of runs contradict each other beyond so many bars: one in twenty does not hold.
 _CONTRADICTS = 3.0
 
@@ -72,7 +75,12 @@ class Runs(abc.ABC):
         system = wanted.system
         self._wanted, self._system, self._n, self._t_end = wanted, system, system.n_q, wanted.t_end
         self._tolerance, self._sizes = wanted.tolerance, wanted.sizes
-        self._compiled = isinstance(system, PlannedSystem) and system.plan is not None
+        plan = system.plan if isinstance(system, PlannedSystem) else None
+        self._compiled = plan is not None
+        self._of_laws = 0.0
+        if plan is not None:
+            self._of_laws = _OF_A_LOAD * len(plan.moving)
+            self._of_laws += _OF_DRIVES * (plan.joint_factors is not None)
         self.samples, self.estimates = list[Sample](), list[Estimate]()
         self.error = math.inf
 

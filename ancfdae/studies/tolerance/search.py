@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
+from ancfdae.errors import InvalidInput
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.sensitivity.method import Trial
@@ -63,6 +64,17 @@ class _Spent:
         return f"{runs.name}{seen} about {seconds:.1g} s more"
 
 
+def _out_of_reach(spent: _Spent, ways: dict[Runs, float]) -> InvalidInput:
+    """Return the refusal of a search whose runs do not follow what happens, and say no error."""
+    costs = "; ".join(spent.price(*x) for x in ways.items())
+    return InvalidInput(
+        "tolerance",
+        "must be within reach: laws, observables or waves are too fast for the steps of a search",
+        costs,
+        "Choose an integrator, for example HHT(step=...), or a shorter t_end.",
+    )
+
+
 def search(seer: Second, others: Sequence[Runs], measure: Measure, tolerance: float) -> Found:
     """Take runs until the error of some kind is below the tolerance, or the next is too dear.
 
@@ -86,7 +98,7 @@ def search(seer: Second, others: Sequence[Runs], measure: Measure, tolerance: fl
         if isinstance(sample.result, Exception):
             failures.append(sample.result)
     if not best.estimates:
-        raise failures[-1]
+        raise failures[-1] if failures else _out_of_reach(spent, ways)
     reached = best.error <= tolerance
     # What was foreseen before the last run.
     left = "; ".join(spent.price(*x) for x in ways.items() if not reached or x[0] is not best)

@@ -12,6 +12,7 @@ import numpy as np
 from ancfdae.equations import EstimatedErrors
 from ancfdae.errors import AncfdaeError
 from ancfdae.integrators import HHT, Explicit, Integrator, Radau
+from ancfdae.integrators.hht.small_steps import small_from
 from ancfdae.integrators.problem import Problem
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.periods import fastest
@@ -23,6 +24,8 @@ from ancfdae.studies.tolerance.waves import followed, missed
 # Order at which the estimated errors of derivatives fall where steps resolve their waves; where
 # there are three runs, a little less will do.
 _RESOLVED, _NEARLY = 1.95, 1.9
+# Estimated errors above this have no order: the run is another motion.
+_SENSE = 1.0
 # States and their derivatives of a run at fixed steps, bytes.
 _MEMORY = 5e8
 # A run aims at a share of the tolerance, with at least so many times the steps of the one before.
@@ -43,6 +46,13 @@ _LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
 _PER_RTOL = 1.0
 # Length of its steps times the fastest motion, and the tolerance below which they are shorter.
 _STABLE, _FOLLOWED = 5.7, 1e-3
+# Steps that it takes at least, so that more are tried where they are too few.
+_FEWEST = 20.0
+# Errors over the tolerance of two runs that do not resolve waves, at least: they may agree by
+# chance in all that is wanted.
+_DOUBTED = 2.0
+# Work of the derivatives of a small step of HHT-I3 (`small_from`).
+_OF_A_SMALL = 250.0
 
 
 class _Steps(Runs):
@@ -80,17 +90,25 @@ class _Steps(Runs):
 
     def _growth(self, order: float, most: float) -> float:
         """How many times the steps lead to the tolerance from the last error, and at most."""
-        wanted = math.pow(self.error / (_AIM * self._tolerance), 1 / order)
+        error = (
+            self.error if self.estimates else self.relative(self._gaps, self.samples[-1].vectors)
+        )
+        wanted = math.pow(error / (_AIM * self._tolerance), 1 / order)
         return min(max(wanted, _LEAST), most)
+
+    @property
+    def _gaps(self) -> list[Array]:
+        """Differences of the last two runs."""
+        before, after = (x.vectors for x in self.samples[-2:])
+        return [y - x for x, y in zip(before, after, strict=True)]
 
     @final
     def _work(self, steps: float) -> float:
-        return OF_A_RUN + steps * self.of_a_step
+        return OF_A_RUN + steps * self._of_a_step(steps)
 
-    @property
     @abc.abstractmethod
-    def of_a_step(self) -> float:
-        """The work of a step, as measured (docs/measurements.md)."""
+    def _of_a_step(self, steps: float) -> float:
+        """Return the work of one of so many steps, as measured (docs/measurements.md)."""
 
     @property
     @abc.abstractmethod
@@ -111,6 +129,13 @@ class _Steps(Runs):
         rows = zip(*(x.vectors for x in self.samples[-3:]), strict=True)
         known = self.counts[-3:], self.order, self.resolved, self._wanted.along
         estimates = [refined(x, *known) for x in rows]
+        if len(self.samples) == 2 and not self.resolved:
+            sizes = self._sizes([x for x, _ in estimates])
+            least = (_DOUBTED * self._tolerance * size for size in sizes)
+            estimates = [
+                Estimate(x, np.maximum(bar, doubt / math.sqrt(x.size)))
+                for (x, bar), doubt in zip(estimates, least, strict=True)
+            ]
         lost = self.lost or [np.zeros(x.shape) for x, _ in estimates]
         return [Estimate(x, bar + more) for (x, bar), more in zip(estimates, lost, strict=True)]
 
@@ -135,6 +160,10 @@ class Second(_Steps):
         super().__init__(wanted)
         # What is lost by waves, and the frequency of those of the motion, 1/s.
         self._lost, self._speed = list[Array](), 0.0
+        # Whether its runs damped waves of the motion.
+        self.waves = False
+        # Steps above which they are small.
+        self._small = math.inf
 
     def take(self, sample: Sample) -> None:
         """Add a run; look for waves that it damps.
@@ -148,9 +177,12 @@ class Second(_Steps):
             self.samples = self.samples[-1:] if sample.steps < self._following / 2 else []
         self._lost, self._speed = [], 0.0
         wanted, system = self._wanted, self._system
+        if sample.vectors and wanted.slopes:
+            self._small = small_from(system, sample.run, _ALPHA)
         if self.samples and sample.vectors:
             found = missed(system, sample.run, _ALPHA, wanted.numbers, wanted.integrated)
             self._speed = found.speed
+            self.waves = self.waves or self._speed > 0
             for each in found.parts if found.speed else ():
                 self._lost += [each.value, each.slope] if wanted.slopes else [each.value]
         super().take(sample)
@@ -212,10 +244,11 @@ class Second(_Steps):
         runs = math.ceil(math.log(last / self._taken) / math.log(most))
         return self._work(last) * (1 - most**-runs) / (1 - 1 / most)
 
-    @property
-    def of_a_step(self) -> float:
-        """That of a compiled step, or of one in Python."""
-        return 4.0 + 0.7 * self._n if self._compiled else 1300.0
+    def _of_a_step(self, steps: float) -> float:
+        """Return that of a compiled step, or of one in Python, as derivatives of small ones are."""
+        if not self._compiled:
+            return 1300.0
+        return 4.0 + 0.7 * self._n + (_OF_A_SMALL if steps > self._small else 0.0)
 
     @property
     def resolved(self) -> bool:
@@ -236,17 +269,15 @@ class Second(_Steps):
         """Steps at which an error is a hundredth, by the last difference; a guess without."""
         if len(self.samples) < 2:
             return float(max(self._planned, 2 * self._taken))
-        vectors = [x.vectors for x in self.samples[-2:]]
         ratio = self.counts[-1] / self.counts[-2]
-        gaps = [y - x for x, y in zip(*vectors, strict=True)]
-        error = self.relative(gaps, vectors[-1]) / (ratio**2 - 1)
+        error = self.relative(self._gaps, self.samples[-1].vectors) / (ratio**2 - 1)
         return self.counts[-1] * math.sqrt(error / _PERCENT)
 
 
 def _estimated_order(coarse: Sample, fine: Sample) -> float:
     """Return the order at which estimated errors fall from a run to a finer one."""
     before, after = _largest(coarse.estimated), _largest(fine.estimated)
-    if not (0 < after < math.inf and before > 0):
+    if not (0 < after < math.inf and 0 < before <= _SENSE):
         return 0.0
     return math.log(before / after) / math.log(fine.steps / coarse.steps)
 
@@ -309,10 +340,11 @@ class Fifth(_Steps):
             return self._work(self._growth(self.order, math.inf) * self._taken)
         return self._work(self.count) + self._work(2 * self.count)
 
-    @property
-    def of_a_step(self) -> float:
-        """That of a compiled step, or of one in Python."""
-        return 100.0 + 25.0 * self._n if self._compiled else 6500.0
+    def _of_a_step(self, steps: float) -> float:
+        """Return that of a compiled step, or of one in Python."""
+        if not self._compiled:
+            return 6500.0
+        return 100.0 + 25.0 * self._n + 6.0 * self._of_laws
 
     @property
     def resolved(self) -> bool:
@@ -353,7 +385,9 @@ class Eighth(Runs):
         """A tolerance."""
         most = math.ceil(3 * self._foreseen) + 20
         stops = self._wanted.features.stops
-        return Explicit(max(self._rtol, _LEAST_RTOL), self._intervals, most, stops=stops)
+        # Interpolation between instants is an error too: each run has twice as many.
+        intervals = self._intervals * 2 ** len(self._taken)
+        return Explicit(max(self._rtol, _LEAST_RTOL), intervals, most, stops=stops)
 
     def take(self, sample: Sample) -> None:
         """Add a run; the next is as tight as the last two ask for, or may take more steps."""
@@ -389,6 +423,8 @@ class Eighth(Runs):
         if self.samples:
             return self.samples[-1].steps * math.pow(max(self._taken[-1] / rtol, 1.0), 1 / 8)
         smooth = self._seer.percent / _FEWER * math.pow(max(_PERCENT / rtol, 1.0), 1 / 8)
+        if self._seer.waves:  # HHT errs by these, which stability asks to be followed anyway.
+            smooth = _FEWEST
         waves = self._fastest * math.pow(max(_FOLLOWED / rtol, 1.0), 1 / 8)
         return self._more * max(smooth, waves)
 
@@ -404,10 +440,11 @@ class Eighth(Runs):
     def _of(self, steps: float) -> float:
         instants = 8 * self._intervals
         evaluations = 12 * steps + instants
-        of_one = 8.0 + 0.25 * self._n if self._compiled else 1100.0
+        of_one = 25.0 + 0.25 * self._n if self._compiled else 1100.0
         traits = self._system.traits
         if not (traits.constant_mass and traits.constant_constraints):
             of_one = max(of_one, 100.0 + 7.0 * self._n)
+        of_one += self._of_laws
         # Measured with up to three variables; every one is a row of the states.
         return OF_A_RUN + evaluations * of_one * max(1.0, (1 + self._system.n_b) / 4)
 
