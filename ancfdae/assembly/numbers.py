@@ -118,22 +118,25 @@ class Numbers:
     def at(self, b: Array) -> Numbers | None:
         """Return the numbers at other values, None where they have another structure."""
         structure, geometry = self.structure, self.geometry
-        moved = np.ones(len(b), dtype=bool)
-        if np.iscomplexobj(b) == np.iscomplexobj(self.b):
-            moved = b != self.b
+        # Numbers are of the kind of b, real or complex.
+        other_kind, moved = np.iscomplexobj(b) != np.iscomplexobj(self.b), b != self.b
+
+        def changes(reached: Array) -> bool:
+            return bool(other_kind or np.any(moved & reached))
+
         fixed = self.constraints, self.loads, self.start
-        displaced = bool(np.any(moved & geometry.reached_by(structure)))
+        displaced = changes(geometry.reached_by(structure))
         if displaced:
             changed = geometry.at(b)
             if changed is None:
                 return None
             geometry, fixed = changed, _placed(structure, changed, b)
         block, elastic = self.block, self.elastic
-        if np.any(moved & structure.reaches_elements()):
+        if changes(structure.reaches_elements()):
             block = _block(structure, b)
             elastic = ElasticForces(block, structure.places, structure.soft, structure.n_b)
         masses = self.inertia, self.turning
-        if displaced or np.any(moved & structure.reaches_masses()):
+        if displaced or changes(structure.reaches_masses()):
             masses = _masses(structure, geometry, block, b)
         return Numbers(structure, b, geometry, *fixed, block, elastic, *masses)
 
