@@ -58,9 +58,11 @@ def values(system, t=0.3):
     yield system.mass(q)
     yield system.force(t, q, v)
     yield system.constraint(t, q, v, a)
-    local, partials = system.linearise(time, *states), system.design_partials(time, *states)
+    local = system.linearise(time, *states)
     yield from (local.M, local.f_q, local.f_q if local.f_v is None else local.f_v, local.Phi_q)
-    yield from (partials.f_b, partials.Phi_b)
+    if not np.iscomplexobj(system.b):  # Partials are those of real systems.
+        partials = system.design_partials(time, *states)
+        yield from (partials.f_b, partials.Phi_b)
     yield from (system.pattern.columns, system.constraint_pattern.columns, system.weights)
     yield from (system.naming.lengths, system._reference.Z)
     yield np.array([system.traits.force_round_off])
