@@ -24,7 +24,7 @@ from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only
-from ancfdae.statics import RestingStart
+from ancfdae.statics.equilibrium import RestingStart
 
 
 def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:

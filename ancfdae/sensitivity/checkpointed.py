@@ -17,8 +17,8 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput, require_package, require_positive
-from ancfdae.integrators import AdjointIntegrator, PartwiseIntegrator, RunInParts, Seeds
-from ancfdae.modes import advised
+from ancfdae.integrators.integrator import AdjointIntegrator, PartwiseIntegrator, RunInParts, Seeds
+from ancfdae.modes.periods import advised
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.numerics.time_grid import TimeGrid

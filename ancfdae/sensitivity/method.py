@@ -25,8 +25,8 @@ from ancfdae.errors import (
     uninterrupted,
 )
 from ancfdae.errors.text import columns, page
-from ancfdae.integrators import Integrator, QuadratureIntegrator
-from ancfdae.modes import advised
+from ancfdae.integrators.integrator import Integrator, QuadratureIntegrator
+from ancfdae.modes.periods import advised
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals

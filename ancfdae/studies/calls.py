@@ -6,7 +6,7 @@ from typing import overload
 
 import numpy as np
 
-from ancfdae.assembly import assemble
+from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import (
@@ -17,7 +17,7 @@ from ancfdae.errors import (
     require_sequence,
     uninterrupted,
 )
-from ancfdae.integrators import AdjointIntegrator, Integrator
+from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.integrators.problem import Problem
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene

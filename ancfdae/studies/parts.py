@@ -10,8 +10,8 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Statistics
 from ancfdae.errors import InvalidInput, require_array, require_count
-from ancfdae.integrators import Integrator, PartwiseIntegrator
-from ancfdae.modes import advised
+from ancfdae.integrators.integrator import Integrator, PartwiseIntegrator
+from ancfdae.modes.periods import advised
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.integrators import Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.sensitivity.method import Trial
 from ancfdae.studies.tolerance.bars import Estimate

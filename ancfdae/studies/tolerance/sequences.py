@@ -11,8 +11,11 @@ import numpy as np
 
 from ancfdae.equations import EstimatedErrors
 from ancfdae.errors import AncfdaeError
-from ancfdae.integrators import HHT, Explicit, Integrator, Radau
+from ancfdae.integrators.explicit import Explicit
+from ancfdae.integrators.hht.method import HHT
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.radau.method import Radau
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.periods import fastest
 from ancfdae.numerics.arrays import Array
