@@ -1,6 +1,7 @@
 """First-order design sensitivities of flexible multibody systems in ANCF."""
 
-from ancfdae.assembly import AncfSystem, assemble, load_solution
+from ancfdae.assembly.saved import load_solution
+from ancfdae.assembly.system import AncfSystem, assemble
 from ancfdae.equations import (
     ComplexStepSystem,
     Conformance,
@@ -30,18 +31,14 @@ from ancfdae.errors import (
     UnknownName,
     Verdict,
 )
-from ancfdae.integrators import (
-    HHT,
-    IDA,
-    IDAS,
-    ControlledSteps,
-    Explicit,
-    FixedSteps,
-    GivenSteps,
-    IndexReduction,
-    Integrator,
-    Radau,
-)
+from ancfdae.integrators.explicit import Explicit
+from ancfdae.integrators.hht.method import HHT
+from ancfdae.integrators.integrator import Integrator
+from ancfdae.integrators.radau.method import Radau
+from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps
+from ancfdae.integrators.sundials.ida import IDA
+from ancfdae.integrators.sundials.idas import IDAS
+from ancfdae.integrators.sundials.index_reduced import IndexReduction
 from ancfdae.model.bodies import (
     Beam,
     BodyShape,
@@ -119,19 +116,13 @@ from ancfdae.model.sections import (
 )
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion
 from ancfdae.model.turning_frame import TurningFrame
-from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
+from ancfdae.modes.configuration import Configuration
+from ancfdae.modes.periods import StepSuggestion
+from ancfdae.modes.result import Modes, MotionKind
 from ancfdae.numerics.patterns import Pattern
-from ancfdae.sensitivity import (
-    Accuracy,
-    Adjoint,
-    ComplexStep,
-    ContinuousAdjoint,
-    Direct,
-    FiniteDifference,
-    Gradient,
-    Searched,
-    UnfinishedRun,
-)
+from ancfdae.sensitivity.adjoint import Adjoint, Direct
+from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
+from ancfdae.sensitivity.method import Accuracy, Gradient, Searched, UnfinishedRun
 from ancfdae.sensitivity.objectives import (
     AtTimes,
     Integral,
@@ -174,61 +165,28 @@ from ancfdae.sensitivity.observables import (
     velocity,
     von_mises,
 )
-from ancfdae.statics import (
-    CriticalLoad,
-    Equilibrium,
-    FreeMechanism,
-    LoadOutcome,
-    NoCriticalPoint,
-    NoEquilibrium,
-)
-from ancfdae.studies import (
-    AdjointError,
-    Campbell,
-    Choice,
-    CriticalValue,
-    ErrorBars,
-    Evaluate,
-    Fit,
-    FrequencyMisfit,
-    MassProperties,
-    Misfit,
-    ModelLadder,
-    NoModel,
-    Observations,
-    Observed,
-    Response,
-    Responses,
-    RunFit,
-    Rung,
-    RungRun,
-    Setting,
-    StaticMisfit,
-    Sweep,
-    SweepRow,
-    TargetNotReached,
-    TaylorTest,
-    Tradeoff,
-    adjoint_error,
-    campbell,
-    choose_model,
-    critical_load,
-    differentiate,
-    equilibrium,
-    error_bars,
-    evaluate,
-    gradient,
-    gradients,
-    mass_properties,
-    modes,
-    observations,
-    simulate,
-    static_gradient,
-    suggest_step,
-    sweep,
-    taylor_test,
-    tradeoff,
-)
+from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference
+from ancfdae.statics.critical import CriticalLoad, NoCriticalPoint
+from ancfdae.statics.equilibrium import Equilibrium, NoEquilibrium
+from ancfdae.statics.outcome import FreeMechanism, LoadOutcome
+from ancfdae.studies.calls import differentiate, evaluate, gradient, gradients, simulate
+from ancfdae.studies.campbell import Campbell, campbell
+from ancfdae.studies.error_bars import AdjointError, ErrorBars, adjoint_error, error_bars
+from ancfdae.studies.fit import Fit
+from ancfdae.studies.ladder import choose_model
+from ancfdae.studies.ladder_result import Choice, ModelLadder, NoModel, Rung, RungRun
+from ancfdae.studies.mass_properties import MassProperties, mass_properties
+from ancfdae.studies.misfit import FrequencyMisfit, Misfit, RunFit, StaticMisfit
+from ancfdae.studies.modes import modes, suggest_step
+from ancfdae.studies.observing import Observations, observations
+from ancfdae.studies.responses import Response, Responses
+from ancfdae.studies.statics import CriticalValue, critical_load, equilibrium, static_gradient
+from ancfdae.studies.sweep import Evaluate, sweep
+from ancfdae.studies.sweep_file import Sweep, SweepRow
+from ancfdae.studies.taylor import TaylorTest, taylor_test
+from ancfdae.studies.tolerance.observables import Observed
+from ancfdae.studies.tradeoff import tradeoff
+from ancfdae.studies.tradeoff_result import Setting, TargetNotReached, Tradeoff
 
 __version__: str
 

@@ -57,8 +57,8 @@ from ancfdae import (
     velocity,
 )
 from ancfdae.errors import PassFailed, SingularMatrix, Verdict
-from ancfdae.integrators import Seeds
-from ancfdae.studies import cheapest
+from ancfdae.integrators.integrator import Seeds
+from ancfdae.studies.calls import cheapest
 from validation.scenes import crank_slider, pendulum
 
 from mechanisms import CartesianPendulum

@@ -238,7 +238,7 @@ def test_every_scene_and_every_parameter_has_a_case():
         for scene, design in CASES.values():
             system = assemble(SCENES[scene](), design)
             if system.naming.layout.d == dimension:
-                targets = [t for variable in system._design for t in variable.targets]
+                targets = [t for variable in system._structure.design for t in variable.targets]
                 beams = {beam.name for beam in system._scene.beams}
                 owners = (target.split(".") for target in targets)
                 driven |= {name.split("[")[0] for owner, name in owners if owner in beams}
@@ -707,7 +707,7 @@ def test_cases_contain_projected_starts():
 
 def scaled_values(system, factor):
     values = {}
-    for variable, value in zip(system._design, system.b, strict=True):
+    for variable, value in zip(system._structure.design, system.b, strict=True):
         values |= {target: float(value) * factor for target in variable.targets}
     return values
 

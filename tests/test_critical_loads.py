@@ -38,8 +38,9 @@ from ancfdae import (
     gradients,
     mass,
 )
-from ancfdae.assembly import assemble
-from ancfdae.statics import critical, find_equilibrium
+from ancfdae.assembly.system import assemble
+from ancfdae.statics import critical
+from ancfdae.statics.equilibrium import find_equilibrium
 from ancfdae.statics.held_coordinate import HeldSystem
 
 from scenes import rotor

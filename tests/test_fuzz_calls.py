@@ -43,7 +43,7 @@ from ancfdae import (
     plotting,
     simulate,
 )
-from ancfdae.sensitivity import GradientMethod, Method
+from ancfdae.sensitivity.method import GradientMethod, Method
 
 from junk import JUNK, ROD, TIP
 

@@ -50,6 +50,23 @@ def test_a_first_assembly_and_step_load_no_other_package_either() -> None:
     assert {x for x in after - before if not x.startswith("ancfdae")} == set()
 
 
+def test_the_names_of_a_first_program_load_no_study_of_another_kind() -> None:
+    """Packages are imported without their modules; what an ended run is told is loaded then."""
+    program = "from ancfdae import Scene, Beam, simulate, gradient, HHT"
+    told = "print(*(x for x in sys.modules if x.startswith('ancfdae')))"
+    call = [sys.executable, "-c", f"import sys\n{program}\n{told}"]
+    run = subprocess.run(call, capture_output=True, text=True, check=True)
+    loaded = set(run.stdout.split())
+    others = ("campbell", "fit", "ladder", "misfit", "responses", "sweep", "tradeoff")
+    unused = {f"ancfdae.studies.{name}" for name in others}
+    unused |= {"ancfdae.modes.solver", "ancfdae.statics.critical", "ancfdae.plotting"}
+    unused |= {f"ancfdae.integrators.sundials.{name}" for name in ("ida", "idas")}
+    assert loaded & unused == set()
+    packages = packages_after(program)
+    assert third_party(packages) == {"numpy", "scipy"}
+    assert HEAVY.isdisjoint(packages)
+
+
 def test_every_listed_name_is_the_one_of_its_module() -> None:
     for name, module in ancfdae._MODULES.items():
         assert getattr(ancfdae, name) is getattr(sys.modules[module], name)

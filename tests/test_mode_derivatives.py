@@ -30,7 +30,7 @@ from ancfdae import (
     equilibrium,
     modes,
 )
-from ancfdae.statics import find_equilibrium
+from ancfdae.statics.equilibrium import find_equilibrium
 
 from mechanisms import (
     CartesianPendulum,

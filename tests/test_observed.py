@@ -25,7 +25,7 @@ from ancfdae import (
     reaction,
     simulate,
 )
-from ancfdae.integrators import Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.studies.tolerance import search
 
 

@@ -64,7 +64,7 @@ def random_numbers(rng, *shape):
 
 def declared(item, U, t):
     """Equations of a joint at vectors, from what it declares alone."""
-    value, *moving = (c.at(U) for c in item.parts())
+    value, *moving = (c.at(U) for c in item.parts)
     if isinstance(item.joint, DrivenJoint):
         value = value + sum(
             f * x for f, x in zip(item.factors(np.array([t]), 0), moving, strict=True)

@@ -26,7 +26,7 @@ from ancfdae import (
     mass,
     position,
 )
-from ancfdae.sensitivity import GradientMethod
+from ancfdae.sensitivity.method import GradientMethod
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum

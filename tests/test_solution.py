@@ -37,7 +37,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.sensitivity import Run
+from ancfdae.sensitivity.method import Run
 
 from members import constraint_force, force_q
 from oracle import plain_ancf as ancf

@@ -39,7 +39,7 @@ from ancfdae import (
     sweep,
 )
 from ancfdae.model.bodies import Point
-from ancfdae.statics import Equilibrium
+from ancfdae.statics.equilibrium import Equilibrium
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum

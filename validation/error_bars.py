@@ -26,7 +26,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.plotting import Panel, Series
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.studies import as_system
+from ancfdae.studies.calls import as_system
 from validation.error_estimates import estimates
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.report import Agreement, Report

@@ -17,9 +17,9 @@ from ancfdae import (
     Solution,
     differentiate,
 )
-from ancfdae.assembly import AncfSystem
-from ancfdae.integrators import IndexReduction
+from ancfdae.assembly.system import AncfSystem
 from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.integrators.sundials.index_reduced import IndexReduction
 from ancfdae.numerics.timing import stopwatch
 from validation.scenes import pendulum_deflection
 

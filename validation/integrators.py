@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ancfdae import HHT, IDA, IDAS, Explicit, Integrator, assemble
-from ancfdae.assembly import AncfSystem
-from ancfdae.integrators import IndexReduction
+from ancfdae.assembly.system import AncfSystem
+from ancfdae.integrators.sundials.index_reduced import IndexReduction
 from ancfdae.plotting import Panel, Series
 from validation import integrators_crank_slider
 from validation.external.runs import Requirement, add_verdict

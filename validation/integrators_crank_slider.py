@@ -20,7 +20,7 @@ from ancfdae import (
     gradient,
     position,
 )
-from ancfdae.assembly import AncfSystem
+from ancfdae.assembly.system import AncfSystem
 from ancfdae.numerics.timing import timed
 from ancfdae.plotting import Panel, Series
 from validation.external.runs import Requirement

@@ -21,7 +21,10 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True, eq=False)
 class AssembledStart:
-    """Start of a scene at design values b, of its mechanism as declared or as it closes."""
+    """Start of a scene at design values b, of its mechanism as declared or as it closes.
+
+    `displaced` tells whether the design has moved what closes it.
+    """
 
     scene: Scene
     numbering: Numbering
@@ -30,6 +33,7 @@ class AssembledStart:
     joints: JointConstraints
     pattern: Pattern
     b: Array
+    displaced: bool
 
     @cached_property
     def state(self) -> tuple[Array, Array]:
@@ -42,11 +46,10 @@ class AssembledStart:
         self.joints.refuse_opposite(q, 0.0)
         return q, v
 
-    @cached_property
+    @property
     def _moves(self) -> bool:
-        """Whether bodies follow the joints: where asked to, and where the design has moved."""
-        follows = self.scene.assemble or self.scene.project_start
-        return bool(follows or np.any(self.b.real != self.mapping.nominal))
+        """Whether bodies follow the joints: where asked to, and where the design displaces them."""
+        return self.scene.assemble or self.scene.project_start or self.displaced
 
     @property
     def _stands(self) -> bool:

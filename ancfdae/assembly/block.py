@@ -37,13 +37,14 @@ class ElementBlock:
     m_b: Array
 
 
-# Parameters that the mass does not depend on, and those that stiffness does not depend on.
-_WEIGHTLESS = (
+#: Parameters that no mass depends on.
+WEIGHTLESS = (
     ElementParameter.YOUNGS_MODULUS,
     ElementParameter.POISSON_RATIO,
     ElementParameter.DAMPING_TIME,
     ElementParameter.INITIAL_STRAIN,
 )
+# Those that no stiffness depends on.
 _LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
 
 
@@ -61,7 +62,7 @@ def element_block(
     distinct, index = _distinct(element, beams, wanted, parameters)
     chosen = np.zeros(1, dtype=np.int64) if len(distinct.A) == 1 else index
     stiffness = np.flatnonzero(~np.isin(mapping.parameters, _LIMP))
-    mass = np.flatnonzero(~np.isin(mapping.parameters, _WEIGHTLESS))
+    mass = np.flatnonzero(~np.isin(mapping.parameters, WEIGHTLESS))
     A_b = np.zeros((len(stiffness), *distinct.A.shape[1:]), dtype=distinct.A.dtype)
     c_b = np.zeros((len(stiffness), distinct.A.shape[1]), dtype=distinct.A.dtype)
     rest_b = np.zeros((len(c_b), c_b.shape[1] + 2), dtype=c_b.dtype)

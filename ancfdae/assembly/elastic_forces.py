@@ -1,5 +1,8 @@
 """Elastic and internal damping forces of all elements that deform, with design derivatives."""
 
+from __future__ import annotations
+
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -25,32 +28,47 @@ from ancfdae.numerics.patterns import Pattern
 
 
 @final
+@dataclass(frozen=True, eq=False)
+class ElementPlaces:
+    """Where elements that deform stand, whatever their laws.
+
+    `vectors`, (n, n_a), are those of the numbering, `coordinates`, (n, n_a d), theirs. Entry by
+    entry the tangent of an element has the places `index`, (n, (n_a d)^2), among `size` values of
+    the system's pattern.
+    """
+
+    vectors: Array
+    d: int
+    n_q: int
+    coordinates: Array
+    index: Array
+    size: int
+
+    @staticmethod
+    def of(numbering: Numbering, pattern: Pattern) -> ElementPlaces:
+        """Return the places on a pattern that holds the entries of every element."""
+        vectors, d = numbering.vectors, numbering.d
+        n, width = len(vectors), vectors.shape[1] * d
+        at = numbering.coordinates(vectors).reshape(n, width)
+        index = pattern.index(at[:, :, None], at[:, None]).reshape(n, width**2).astype(np.int32)
+        return ElementPlaces(vectors, d, numbering.n_q, at, index, pattern.size)
+
+
+@final
 class ElasticForces:
     """Generalised elastic forces Q_s and their partials.
 
-    States are given as rows of an array (k, n_q), one per instant. The pattern is that of the
-    system's matrices and must hold the entries of every element; `tangent_places` are the elements,
-    and where their tangents stand on it.
+    States are given as rows of an array (k, n_q), one per instant. `tangent_places` are the
+    elements, and where their tangents stand on the system's pattern.
     """
 
     def __init__(
-        self,
-        block: ElementBlock,
-        numbering: Numbering,
-        mapping: ParameterMap,
-        n_b: int,
-        pattern: Pattern,
+        self, block: ElementBlock, places: ElementPlaces, mapping: ParameterMap, n_b: int
     ) -> None:
-        self._block, self._n_b, self._size = block, n_b, pattern.size
-        vectors, d = numbering.vectors, numbering.d
+        self._block, self._n_b, self._places = block, n_b, places
         invariants = block.A, block.g_o, block.bending, block.tau
-        self._elements = Block(*invariants, vectors, d, numbering.n_q)
-        n, size = len(vectors), vectors.shape[1] * d
-        self._coordinates = numbering.coordinates(vectors).reshape(n, size)
-        at = self._coordinates
-        index = pattern.index(at[:, :, None], at[:, None]).reshape(n, size**2)
-        self._index = index.astype(np.int32)
-        self.tangent_places = self._elements, self._index
+        self._elements = Block(*invariants, places.vectors, places.d, places.n_q)
+        self.tangent_places = self._elements, places.index
         pairs = np.concatenate([block.stiffness_pairs, block.damping_pairs])
         self._stiff = len(block.stiffness_pairs)
         self._pair_element = mapping.elements[pairs]
@@ -58,7 +76,7 @@ class ElasticForces:
         self._pair_weight = mapping.weights[pairs]
         # What variables change in the law, pairs in the order that `force_totals` asks for.
         order = np.lexsort((self._pair_variable, self._pair_element))
-        first = np.searchsorted(self._pair_element[order], np.arange(n + 1))
+        first = np.searchsorted(self._pair_element[order], np.arange(len(places.vectors) + 1))
         tau_b = self._pair_weight[self._stiff :]
         self._law_b = block.A_b, block.rest_b, tau_b, first, order, self._pair_variable[order]
 
@@ -73,7 +91,7 @@ class ElasticForces:
         Relative node vectors carry eps |q| each, and forces the tangent times that; all terms
         by their magnitude, in the norm sqrt(sum Q^2 / weights).
         """
-        places, (n, size) = self._coordinates, self._coordinates.shape
+        places, (n, size) = self._places.coordinates, self._places.coordinates.shape
         apart = np.arange(n * size**2, dtype=np.int32).reshape(n, size**2)
         block = self._elements
         bending = None if block.bending is None else block.bending.real
@@ -94,11 +112,11 @@ class ElasticForces:
     def internal_q(self, q: Array, v: Array) -> Array:
         """Values of -(Q_s)_q on the pattern, shape (k, nnz)."""
         v_or_none = v if self.damped else None
-        return tangents(self._elements, q, v_or_none, False, self._index, self._size)
+        return tangents(self._elements, q, v_or_none, False, self._places.index, self._places.size)
 
     def internal_v(self, q: Array) -> Array:
         """Values of -(Q_s)_v on the pattern, shape (k, nnz); only if `damped`."""
-        return tangents(self._elements, q, None, True, self._index, self._size)
+        return tangents(self._elements, q, None, True, self._places.index, self._places.size)
 
     def totals(self, q: Array, v: Array) -> Array:
         """-Q_s at the first of the rows of q and v, and total design derivatives along the others.
@@ -189,7 +207,7 @@ class ElasticForces:
         # d(1/2 dg^T A dg) = 1/2 dg^T A_b dg - dg^T c_b.
         per_pair = np.sum(dg * (0.5 * elastic.apply_invariant(block.A_b, dg) - block.c_b), axis=2)
         if block.bending is not None:
-            bending = np.broadcast_to(block.bending, (len(self._coordinates), 2))[pairs]
+            bending = np.broadcast_to(block.bending, (len(self._places.vectors), 2))[pairs]
             change = block.rest_b[:, -2:]
             per_pair = per_pair + curvature.energy_along(bending, change, Y[:, pairs])
         result = np.zeros((len(q), self._n_b), dtype=per_pair.dtype)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -69,10 +70,11 @@ class JointInput:
     reference_b: dict[int, Array]
     dropped: tuple[int, ...] = ()
 
+    @cached_property
     def parts(self) -> list[Equations]:
-        """Return the constant coefficients, and what goes with each factor."""
-        joint = self.joint
-        parts = [joint.coefficients(self.p, self.reference), *joint.moving(self.p, self.reference)]
+        """The constant coefficients, and what goes with each factor."""
+        joint, given = self.joint, (self.p, self.reference)
+        parts = [joint.checked_coefficients(*given), *joint.moving(*given)]
         return [c.without(self.dropped) for c in parts]
 
     def factors(self, t: Array, order: int) -> Array:
@@ -89,9 +91,10 @@ class JointInput:
 
     def shaped(self, held: HeldAngles) -> JointInput:
         """Leave out right angles that are held without this joint."""
-        c = self.joint.checked_coefficients(self.p, self.reference)
+        c = self.parts[0]
         shapes = enumerate(c.shapes, len(c.offset) - len(c.shapes))
-        return replace(self, dropped=tuple(row for row, angle in shapes if not held.add(angle)))
+        dropped = tuple(row for row, angle in shapes if not held.add(angle))
+        return replace(self, dropped=dropped) if dropped else self
 
     @property
     def active(self) -> set[int]:
@@ -110,7 +113,7 @@ class JointInput:
         # Generic parameters: a coefficient that is not zero by structure shows.
         p = self.p * (1 + 1j * STEP) + 1j * STEP * np.sqrt(1.0 + np.arange(len(self.p)))
         reference = self.reference + 1j * STEP * sum(self.reference_b.values())
-        parts = [*self.parts(), *replace(self, p=p, reference=reference).parts()]
+        parts = [*self.parts, *replace(self, p=p, reference=reference).parts]
 
         def size(x: Sequence[Array]) -> Array:
             return np.asarray(sum(np.abs(part.real) + np.abs(part.imag) for part in x))

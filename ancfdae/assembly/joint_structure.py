@@ -44,10 +44,18 @@ class Slot:
         # Both halves of the symmetric matrix in one entry, 1/2 on the diagonal.
         half = np.where(i == j, 0.5, 1.0)
         rows = (
-            (c.linear[self.linear], c.bilinear[self.products] * half, c.offset)
-            for c in item.parts()
+            (c.linear[self.linear], c.bilinear[self.products] * half, c.offset) for c in item.parts
         )
         return np.array([np.concatenate(row) for row in rows])
+
+    @property
+    def fits(self) -> bool:
+        """Whether coefficients vanish wherever the indices leave them out."""
+        return len(self.item.parts) == 1 + self.parts.stop - self.parts.start and all(
+            np.count_nonzero(c.linear) == np.count_nonzero(c.linear[self.linear])
+            and np.count_nonzero(np.triu(c.bilinear)) == np.count_nonzero(c.bilinear[self.products])
+            for c in self.item.parts
+        )
 
     def partials(self, i: int) -> tuple[Array, Array, Array]:
         """Return parts, entries and values of the partial derivatives by a design variable."""
@@ -108,6 +116,14 @@ class JointStructure:
         """Coefficients of each joint."""
         return [slot.coefficients(slot.item) for slot in self.slots]
 
+    def with_numbers(self, inputs: Sequence[JointInput], vectors: Vectors) -> JointStructure | None:
+        """Return the same forms with other numbers, None where those do not fit them."""
+        pairs = zip(self.slots, inputs, strict=True)
+        slots = tuple(replace(slot, item=item) for slot, item in pairs)
+        if not (vectors.is_like(self.vectors) and all(slot.fits for slot in slots)):
+            return None
+        return replace(self, slots=slots, vectors=vectors)
+
     def moved(self, i: int) -> JointStructure:
         """Return the joints moved in design variable i by an imaginary step."""
         slots = tuple(replace(slot, item=slot.item.moved(i)) for slot in self.slots)
@@ -150,7 +166,7 @@ def _shape(item: JointInput) -> _Shape:
     c = item.structure()
     linear, products = np.nonzero(c.linear), np.nonzero(np.triu(c.bilinear))
     sizes = len(item.reference), len(linear[0]), len(products[0]), len(c.offset)
-    return _Shape(linear, products, (*sizes, len(item.parts()) - 1))
+    return _Shape(linear, products, (*sizes, len(item.parts) - 1))
 
 
 def _placed(

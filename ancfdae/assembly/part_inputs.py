@@ -1,6 +1,6 @@
 """Joints and loads of a scene as numbers: their vectors, design fields and reference."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -72,6 +72,15 @@ class PartInputs:
             inputs.append(item.shaped(held))
             points += named
         return JointStructure.of(inputs, self._vectors(points))
+
+    def joints_like(self, known: JointStructure) -> JointStructure | None:
+        """Return the joints at these values in the forms that are known, None if they differ."""
+        inputs, points = [], []
+        for slot in known.slots:
+            item, named = self._joint(slot.item.joint)
+            inputs.append(replace(item, dropped=slot.item.dropped))
+            points += named
+        return known.with_numbers(inputs, self._vectors(points))
 
     def loads(self) -> list[LoadInput]:
         """Return all loads."""

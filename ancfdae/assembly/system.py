@@ -9,24 +9,12 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.assembled_start import AssembledStart
 from ancfdae.assembly.beam_sections import BeamSections
-from ancfdae.assembly.block import element_block
-from ancfdae.assembly.constraints import JointConstraints
-from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.energies import Energies
 from ancfdae.assembly.folds import Folds
-from ancfdae.assembly.inertia import Inertia, element_masses, other_masses
-from ancfdae.assembly.joint_structure import JointStructure
-from ancfdae.assembly.layout import Layout
-from ancfdae.assembly.load_forces import LoadForces
-from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.naming import SceneNaming
-from ancfdae.assembly.numbering import number
-from ancfdae.assembly.parameters import ParameterMap, parameter_map
-from ancfdae.assembly.part_inputs import PartInputs
-from ancfdae.assembly.reference import Reference
-from ancfdae.assembly.turning import TurningForces
+from ancfdae.assembly.numbers import Numbers
+from ancfdae.assembly.parameters import parameter_map
 from ancfdae.assembly.works import Works
 from ancfdae.equations import DesignPartials, Direction, Linearisation, PlannedSystem, Traits
 from ancfdae.equations.motion import States
@@ -34,11 +22,9 @@ from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.errors.text import listed
 from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
-from ancfdae.model.elements import ElementParameter
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only
-from ancfdae.numerics.patterns import Pattern
-from ancfdae.statics import RestingStart
+from ancfdae.statics.equilibrium import RestingStart
 
 
 def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
@@ -51,63 +37,35 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
     variables = as_design(design)
     scene = scene.with_grounds(text for variable in variables for text in variable.targets)
     mapping = parameter_map(scene, variables)
-    return AncfSystem(scene, variables, mapping, mapping.nominal)
+    return AncfSystem(Numbers.first(scene, variables, mapping, mapping.nominal))
 
 
 @final
 class AncfSystem(PlannedSystem):
     """A scene at given values b of its design variables, real or complex; made by `assemble`.
 
-    Everything that depends on b is computed in its dtype. `naming` has the places of beams and
-    joints in q and lam, and the lengths of elements; `inputs` are what joints and loads are made
-    of, and vectors of points in the reference.
+    What depends on b are its numbers, in the dtype of b; all else is its structure. `naming` has
+    the places of beams and joints in q and lam, and the lengths of elements; `inputs` are what
+    joints and loads are made of, and vectors of points in the reference.
     """
 
     naming: SceneNaming
 
-    def __init__(
-        self,
-        scene: Scene,
-        design: tuple[DesignVariable, ...],
-        mapping: ParameterMap,
-        b: Array,
-    ) -> None:
-        self._scene, self._design, self._mapping, self.b = scene, design, mapping, np.asarray(b)
-        self.n_b, self.design_names = len(design), mapping.names
-        parameters = mapping.values(self.b)
-        numbering = self._numbering = number(scene)
-        self.n_q = numbering.n_q
-        lengths = parameters[:, ElementParameter.LENGTH]
-        masses = tuple(mass.name for mass in scene.point_masses)
-        layout = Layout(numbering.d, numbering.bodies, numbering.beams, masses, ())
-        self.naming = SceneNaming(layout, lengths, mapping.lengths_b(self.n_b))
-        self._reference = Reference(scene, mapping, self.b, self.naming)
-        inputs = PartInputs(scene, numbering, self.naming, mapping, self._reference, self.b)
-        joints, loads = inputs.joints(), inputs.loads()
-        self.pattern = self._whole_pattern(joints, loads)
-        self._constraints = JointConstraints.on(self.pattern, joints, self.n_b)
-        self._loads = LoadForces(loads, self.pattern, self.n_b)
-        soft = mapping.only(numbering.elements)
-        beams = [beam for beam in scene.beams if not beam.rigid]
-        block = element_block(numbering.widest, beams, soft, soft.values(self.b))
-        self._elastic = ElasticForces(block, numbering, soft, self.n_b, self.pattern)
-        others = other_masses(scene, self.naming, mapping, self.b)
-        blocks = (element_masses(numbering, soft, block), *others)
-        gravity, frame = self._scene_numbers()
-        inertia = self._inertia = Inertia(blocks, numbering, self.n_b, self.pattern, gravity)
-        turns = scene.frame
-        self._turning = turns and TurningForces(turns, frame, inertia, self.pattern)
-        self._describe()
-        self.inputs = inputs
-        of_ground = (
-            abs(value)
-            for load in scene.loads
-            for name, value in load.parameters().items()
-            if name.startswith("ground_")
-        )
-        self.reach = max(of_ground, default=0.0)
-        start = mapping, self._reference, self._constraints, self.pattern, self.b
-        self._start = AssembledStart(scene, numbering, *start)
+    def __init__(self, numbers: Numbers) -> None:
+        structure, geometry = numbers.structure, numbers.geometry
+        self._numbers, self._structure, self.b = numbers, structure, numbers.b
+        self._scene, self._mapping = structure.scene, structure.mapping
+        self._numbering, self._reference = structure.numbering, geometry.reference
+        self._constraints, self._loads = numbers.constraints, numbers.loads
+        self._elastic, self._inertia = numbers.elastic, numbers.inertia
+        self._turning, self._start = numbers.turning, numbers.start
+        self.n_b, self.design_names = structure.n_b, structure.mapping.names
+        self.n_q, self.n_lam = structure.numbering.n_q, geometry.joints.n_lam
+        self.pattern, self.constraint_pattern = structure.pattern, geometry.joints.pattern
+        self.naming = replace(geometry.naming, layout=structure.layout)
+        self.constraint_names, self.reach = structure.constraint_names, structure.reach
+        self.inputs, self.weights = geometry.inputs, numbers.inertia.weights
+        self.traits = self._described()
 
     @cached_property
     def energies(self) -> Energies:
@@ -139,28 +97,10 @@ class AncfSystem(PlannedSystem):
         sizes = f"{self.n_q} coordinates, {self.n_lam} multipliers"
         return f"AncfSystem: {sizes}\n{self._scene}\ndesign variables: {values}"
 
-    def _scene_numbers(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Return gravity and the numbers of the frame, with their design derivatives."""
-        (p, p_b), d = self._mapping.numbers("scene", self.b), self._numbering.d
-        if self._scene.gravity is None:
-            return (np.zeros(d), np.zeros((d, self.n_b))), (p, p_b)
-        return (p[:d], p_b[:d]), (p[d:], p_b[d:])
-
-    def _whole_pattern(self, structure: JointStructure, loads: Sequence[LoadInput]) -> Pattern:
-        """Pattern of elements, rigid bodies, curvature of joints, tangents of loads."""
-        moving = [item.couplings for item in loads if not item.load.constant]
-        bodies = self._numbering.couplings(self._scene.frame is not None)
-        parts = zip(bodies, structure.couplings, *moving, strict=True)
-        rows, columns = (np.concatenate(part) for part in parts)
-        return Pattern((self.n_q, self.n_q), rows, columns)
-
-    def _describe(self) -> None:
-        structure = self._constraints.structure
-        self.n_lam, self.constraint_pattern = structure.n_lam, structure.pattern
+    def _described(self) -> Traits:
         joints, moving = self._constraints, self._loads.moving
         damped, turning = self._elastic.damped, self._turning is not None
-        self.weights = self._inertia.weights
-        self.traits = Traits(
+        return Traits(
             constant_mass=True,
             linear_constraints=joints.linear,
             constant_constraints=joints.constant,
@@ -172,9 +112,6 @@ class AncfSystem(PlannedSystem):
             force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
             breakpoints=self._breakpoints(),
         )
-        rows = structure.joints
-        self.naming = replace(self.naming, layout=replace(self.naming.layout, joints=rows))
-        self.constraint_names = tuple(joint.name for joint in rows for _ in range(joint.rows))
 
     def _breakpoints(self) -> tuple[float, ...]:
         """Instants between which all laws of time are smooth."""
@@ -220,10 +157,11 @@ class AncfSystem(PlannedSystem):
         if b.shape != (self.n_b,):
             rule = f"must have shape ({self.n_b},)"
             raise InvalidInput("design values", rule, b.shape, "One per variable.")
+        scene, design = self._scene, self._structure.design
         if np.any(b.real != self.b.real):
-            # Refuses values that a part cannot take.
-            self._scene.with_values(dict(zip(self._design, b.real.tolist(), strict=True)))
-        return AncfSystem(self._scene, self._design, self._mapping, b)
+            scene.refuse_values(dict(zip(design, b.real.tolist(), strict=True)))
+        numbers = self._numbers.at(b)
+        return AncfSystem(numbers or Numbers.first(scene, design, self._mapping, b))
 
     @cached_property
     def _rest(self) -> RestingStart | None:
@@ -234,7 +172,9 @@ class AncfSystem(PlannedSystem):
         mapping, rest = self._mapping, self._scene.rest
         if rest is not None and rest.gravity is not None:
             mapping = mapping.holding("scene", rest.gravity, len(self._scene.gravity or ()))
-        return RestingStart(AncfSystem(scene, self._design, mapping, self.b))
+        return RestingStart(
+            AncfSystem(Numbers.first(scene, self._structure.design, mapping, self.b))
+        )
 
     def start(self) -> tuple[Array, Array]:
         """Return the declared start, or the equilibrium."""

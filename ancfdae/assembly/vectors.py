@@ -58,6 +58,11 @@ class Vectors:
         first, column = np.cumsum(sizes), np.concatenate(columns)
         return Vectors(d, n_q, n_b, first, column, np.concatenate(values), at, variable, change)
 
+    def is_like(self, other: Vectors) -> bool:
+        """Whether L has its entries where that of the other has them."""
+        places = (self.first, other.first), (self.column, other.column)
+        return all(np.array_equal(x, y) for x, y in places)
+
     @property
     def count(self) -> int:
         """Number of vectors."""

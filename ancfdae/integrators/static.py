@@ -10,7 +10,8 @@ from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator, Seeds
 from ancfdae.numerics.arrays import Array
-from ancfdae.statics import MAX_STEPS, Tangent, find_equilibrium
+from ancfdae.statics.derivatives import Tangent
+from ancfdae.statics.equilibrium import MAX_STEPS, find_equilibrium
 
 
 @final

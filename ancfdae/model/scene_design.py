@@ -227,6 +227,23 @@ class SceneDesign(Designable):
         changes = [change for key, value in values.items() for change in self._changes(key, value)]
         return self.with_grounds(str(target) for _, target, _ in changes)._changed(changes)
 
+    def refuse_values(self, values: Mapping[str | DesignVariable, float]) -> None:
+        """Raise what `with_values` raises, but make the parts alone that change.
+
+        The scene is made anew only where its own checks could find what parts do not: where
+        points, sections or the scene itself change.
+        """
+        changes_of: dict[str, list[_Change]] = {}
+        for key, value in values.items():
+            for change in self._changes(key, value):
+                changes_of.setdefault(change[1].owner, []).append(change)
+        for owner, changes in changes_of.items():
+            part = self._members.get(owner) or self.parts().get(owner)
+            started = isinstance(self.start_of(owner), RigidMotion)
+            if part is None or started or not _fits_alike(part, _with_values(part, changes)):
+                self.with_values(values)
+                return
+
     def _changes(self, key: str | DesignVariable, value: float) -> list[_Change]:
         """Return (what errors name, target, value) of everything that a value changes."""
         if isinstance(key, DesignVariable):
@@ -395,6 +412,15 @@ def _with_values(part: _Part, changes: list[_Change]) -> _Part:
         named = [c for c in changes if error.where.endswith(f".{c[1].parameter}")] or changes
         where = ", ".join(dict.fromkeys(change[0] for change in named))
         raise InvalidInput(where, error.rule, error.got, error.repair) from error
+
+
+def _fits_alike(part: _Part, changed: _Part) -> bool:
+    """Tell whether points of a changed part, or in it, lie in sections as before."""
+    if isinstance(part, BeamBody) and isinstance(changed, BeamBody):
+        return part.extents() == changed.extents()
+    return isinstance(part, RigidBody) or (
+        isinstance(part, Part) and isinstance(changed, Part) and part.points == changed.points
+    )
 
 
 def _differ(values: list[float]) -> bool:

@@ -12,7 +12,7 @@ from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind
 from ancfdae.modes.solver import solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.statics import motions_in_words
+from ancfdae.statics.outcome import motions_in_words
 
 
 def modes_about(

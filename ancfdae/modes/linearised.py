@@ -25,7 +25,7 @@ from ancfdae.kernels import norm
 from ancfdae.modes.configuration import Configuration
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.statics import Balance
+from ancfdae.statics.balance import Balance
 
 EPS = float(np.finfo(float).eps)
 # Operations that an entry of K and a product with it go through, with a margin: what is below

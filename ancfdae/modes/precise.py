@@ -28,7 +28,8 @@ from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.modes.rigid import distinct
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization
-from ancfdae.statics import Balance, stiffness_of_coordinates
+from ancfdae.statics.balance import Balance
+from ancfdae.statics.softness import stiffness_of_coordinates
 
 # Round-off of z, twice that of a frequency, above which products with the matrix do not do, and
 # above which modes are refused. The bound that decides of the former is 50 times what it bounds.

@@ -15,7 +15,7 @@ from ancfdae.plotting.charts import settings
 from ancfdae.plotting.mechanism import Mechanism, mechanism
 from ancfdae.plotting.painters import canvas
 from ancfdae.plotting.shapes import BeamMesh
-from ancfdae.sensitivity import Gradient
+from ancfdae.sensitivity.method import Gradient
 
 # Of the extent of the picture: the longest bar.
 _LONGEST = 0.22

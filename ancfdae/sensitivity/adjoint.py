@@ -9,7 +9,7 @@ import numpy as np
 
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput
-from ancfdae.integrators import AdjointIntegrator, Seeds
+from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity import checkpointed
 from ancfdae.sensitivity.checkpointed import size_of

@@ -17,8 +17,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput, require_package, require_positive
-from ancfdae.integrators import AdjointIntegrator, PartwiseIntegrator, RunInParts, Seeds
-from ancfdae.modes import advised
+from ancfdae.integrators.integrator import AdjointIntegrator, PartwiseIntegrator, RunInParts, Seeds
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.numerics.time_grid import TimeGrid
@@ -197,6 +196,8 @@ class _Backward:
                 self._node = self._kept.pop(k)
 
     def _forward(self, k: int, hold: bool) -> None:
+        from ancfdae.modes.periods import advised
+
         first, begin = self._ends[k], self._node
         solution, self._node = self._replay.part(begin, first, self._ends[k + 1])
         finished(advised(self._system, solution))

@@ -25,8 +25,7 @@ from ancfdae.errors import (
     uninterrupted,
 )
 from ancfdae.errors.text import columns, page
-from ancfdae.integrators import Integrator, QuadratureIntegrator
-from ancfdae.modes import advised
+from ancfdae.integrators.integrator import Integrator, QuadratureIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
@@ -197,12 +196,18 @@ class Run:
         if self.after is not None:
             require_kind("after", self.after, (Solution,), "Pass what simulate returned.")
 
+    def _advised(self, run: Solution) -> Solution:
+        """Return a run that ended early with what modes tell about it, which others do not load."""
+        from ancfdae.modes.periods import advised
+
+        return advised(self.system, run)
+
     def solution(self, *, sensitivities: bool = False) -> Solution:
         """Integrate."""
         settings = {"sensitivities": sensitivities, "progress": self.progress}
         if self.after is not None:
             run = self.integrator.resume(self.system, self.t_end, self.after, **settings)
-            return run if run.outcome.success else advised(self.system, run)
+            return run if run.outcome.success else self._advised(run)
         return self._told(
             self.integrator.integrate(self.system, self.t_end, **settings), sensitivities
         )
@@ -226,7 +231,7 @@ class Run:
     def _told(self, run: Solution, sensitivities: bool) -> Solution:
         """Return a run with advice; refuse one without the derivatives that were asked for."""
         if not run.outcome.success:
-            return advised(self.system, run)
+            return self._advised(run)
         if sensitivities and run.sensitivities is None:
             raise InvalidInput(
                 f"integrator {type(self.integrator).__name__}",

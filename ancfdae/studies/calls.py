@@ -6,7 +6,7 @@ from typing import overload
 
 import numpy as np
 
-from ancfdae.assembly import assemble
+from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import (
@@ -17,8 +17,7 @@ from ancfdae.errors import (
     require_sequence,
     uninterrupted,
 )
-from ancfdae.integrators import AdjointIntegrator, Integrator
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
@@ -28,7 +27,6 @@ from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables import Observable, states_of
 from ancfdae.studies.parts import Keep, RunOfParts
 from ancfdae.studies.remedies import with_remedies
-from ancfdae.studies.tolerance.gradients import gradients_within
 from ancfdae.studies.tolerance.observables import Observed, observed_within
 
 
@@ -234,6 +232,8 @@ def gradients(
     require_objectives(system, objectives, t_end)
     if tolerance is not None:
         _require_alone(integrator=integrator, memory=memory, after=after)
+        from ancfdae.studies.tolerance.gradients import gradients_within
+
         return gradients_within(system, objectives, t_end, tolerance, method, progress)
     integrator = _required(integrator)
     if memory is not None:
@@ -292,6 +292,8 @@ def evaluate(
     system = as_system(model, design)
     t_end = float(solution.t[-1])
     require_objectives(system, [objective], t_end)
+    from ancfdae.integrators.problem import Problem
+
     Problem.of(system, t_end).require_run(solution, t_end, "solution")
     if not solution.outcome.success:
         raise UnfinishedRun(solution)

@@ -9,16 +9,16 @@ from typing import final
 import numpy as np
 import scipy
 
-from ancfdae.assembly import assemble
+from ancfdae.assembly.system import assemble
 from ancfdae.errors import InvalidInput, require_array, require_count, require_kind
 from ancfdae.errors.text import columns
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.model.turning_frame import TurningFrame
-from ancfdae.modes import Modes, MotionKind
 from ancfdae.modes.linearised import EPS
+from ancfdae.modes.result import Modes, MotionKind
 from ancfdae.numerics.arrays import Array, Numbers
-from ancfdae.statics import Equilibrium, NoEquilibrium
+from ancfdae.statics.equilibrium import Equilibrium, NoEquilibrium
 from ancfdae.studies.modes import modes
 from ancfdae.studies.statics import equilibrium
 

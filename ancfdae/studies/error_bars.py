@@ -35,10 +35,10 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.errors.text import columns
-from ancfdae.integrators import DefectIntegrator, Integrator, Seeds
+from ancfdae.integrators.integrator import DefectIntegrator, Integrator, Seeds
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
-from ancfdae.modes import advice
+from ancfdae.modes.periods import advice
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Direct

@@ -9,7 +9,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly import assemble
+from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import (
     AncfdaeError,
@@ -19,13 +19,13 @@ from ancfdae.errors import (
     require_kind,
     require_positive,
 )
-from ancfdae.integrators import HHT
+from ancfdae.integrators.hht.method import HHT
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.timing import timed
-from ancfdae.sensitivity import UnfinishedRun
+from ancfdae.sensitivity.method import UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import differentiable, evaluate, gradient, require_objectives, simulate
 from ancfdae.studies.error_bars import MESH_ORDER, bars

@@ -15,7 +15,7 @@ import numpy as np
 
 from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
 from ancfdae.errors.text import columns
-from ancfdae.integrators import HHT
+from ancfdae.integrators.hht.method import HHT
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array

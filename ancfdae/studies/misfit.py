@@ -19,15 +19,16 @@ from ancfdae.errors import (
     require_positive,
     require_sequence,
 )
-from ancfdae.integrators import Integrator, Static
+from ancfdae.integrators.integrator import Integrator
+from ancfdae.integrators.static import Static
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
-from ancfdae.modes import Modes, MotionKind
+from ancfdae.modes.result import Modes, MotionKind
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.sensitivity.method import Run, finished
 from ancfdae.sensitivity.objectives import NonFiniteObjective
 from ancfdae.sensitivity.observables import Observable, States, states_of
-from ancfdae.statics import NoEquilibrium, find_equilibrium
+from ancfdae.statics.equilibrium import NoEquilibrium, find_equilibrium
 from ancfdae.studies.calls import design_bounds, differentiable
 from ancfdae.studies.fit import MeasuredFit
 from ancfdae.studies.modes import modes

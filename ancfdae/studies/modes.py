@@ -19,12 +19,16 @@ from ancfdae.integrators.start import (
 )
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
-from ancfdae.modes import Configuration, Modes, StepSuggestion, modes_about, suggestion
+from ancfdae.modes.analysis import modes_about
+from ancfdae.modes.configuration import Configuration
+from ancfdae.modes.periods import StepSuggestion, suggestion
+from ancfdae.modes.result import Modes
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, Direct
-from ancfdae.statics import Equilibrium, Tangent
+from ancfdae.statics.derivatives import Tangent
+from ancfdae.statics.equilibrium import Equilibrium
 from ancfdae.studies.calls import as_system
 
 

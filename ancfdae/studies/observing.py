@@ -19,7 +19,7 @@ from ancfdae.errors import (
     uninterrupted,
 )
 from ancfdae.errors.text import columns
-from ancfdae.integrators import Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables import Observable, remembered, states_of

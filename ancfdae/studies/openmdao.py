@@ -3,7 +3,7 @@
 from typing import Any, final
 
 from ancfdae.errors import AncfdaeError, MissingPackage, require_kind
-from ancfdae.studies import Responses
+from ancfdae.studies.responses import Responses
 
 try:
     import openmdao.api as om

@@ -10,8 +10,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Statistics
 from ancfdae.errors import InvalidInput, require_array, require_count
-from ancfdae.integrators import Integrator, PartwiseIntegrator
-from ancfdae.modes import advised
+from ancfdae.integrators.integrator import Integrator, PartwiseIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
@@ -59,6 +58,8 @@ class RunOfParts:
             for first in range(0, last, self._length):
                 end = min(first + self._length, last)
                 part, node = in_one_thread(self._run.part)(node, first, end)
+                from ancfdae.modes.periods import advised
+
                 part = advised(self._system, part)
                 bar.update(len(part.t) - 1)
                 lowest = -np.inf if first == 0 else part.t[0]

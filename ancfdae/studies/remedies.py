@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from ancfdae.assembly import assemble
+from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import AncfdaeError, Interrupted, ManySteps, Verdict

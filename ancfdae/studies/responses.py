@@ -36,12 +36,12 @@ from ancfdae.errors import (
     require_kind,
     require_text,
 )
-from ancfdae.integrators import AdjointIntegrator, Integrator
+from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity import Direct, GradientMethod
-from ancfdae.sensitivity.method import Run
+from ancfdae.sensitivity.adjoint import Direct
+from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import cheapest, design_bounds, differentiable, require_objectives
 from ancfdae.studies.sweep_file import Sweep, SweepRow

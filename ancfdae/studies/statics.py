@@ -20,7 +20,7 @@ from ancfdae.errors import (
     uninterrupted,
 )
 from ancfdae.errors.text import listed
-from ancfdae.integrators import Static
+from ancfdae.integrators.static import Static
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
@@ -30,13 +30,8 @@ from ancfdae.sensitivity.objectives import Objective, ObjectivePartials, Termina
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
 from ancfdae.sensitivity.observables import Observable
 from ancfdae.sensitivity.observables.states import States
-from ancfdae.statics import (
-    MAX_STEPS,
-    CriticalLoad,
-    Equilibrium,
-    find_critical,
-    find_equilibrium,
-)
+from ancfdae.statics.critical import CriticalLoad, find_critical
+from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, find_equilibrium
 from ancfdae.studies.calls import as_system, cheapest, differentiable
 
 _STEPS = "For example 100."

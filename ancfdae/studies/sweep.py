@@ -22,12 +22,11 @@ from ancfdae.errors import (
     require_path,
     require_sequence,
 )
-from ancfdae.integrators import Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity import GradientMethod
-from ancfdae.sensitivity.method import Run, finished
+from ancfdae.sensitivity.method import GradientMethod, Run, finished
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables import Observable, observe, states_of
 from ancfdae.studies.calls import as_system, gradient

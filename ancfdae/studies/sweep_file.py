@@ -19,7 +19,7 @@ from ancfdae.equations.files import saving
 from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors import InvalidInput
 from ancfdae.errors.text import columns, listed, page
-from ancfdae.sensitivity import Gradient
+from ancfdae.sensitivity.method import Gradient
 from ancfdae.studies.identity import digest
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import InvalidInput, require_array
 from ancfdae.errors.text import columns
-from ancfdae.integrators import Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
-from ancfdae.modes import advised
+from ancfdae.modes.periods import advised
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.sensitivity.method import Gradient, GradientMethod, finished
 from ancfdae.sensitivity.objectives import Objective

@@ -19,10 +19,12 @@ from ancfdae.errors import (
     require_positive,
     uninterrupted,
 )
-from ancfdae.integrators import IDA, Explicit, Integrator
+from ancfdae.integrators.explicit import Explicit
+from ancfdae.integrators.integrator import Integrator
+from ancfdae.integrators.sundials.ida import IDA
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
-from ancfdae.sensitivity import GradientMethod
+from ancfdae.sensitivity.method import GradientMethod
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import differentiable, require_objectives
 from ancfdae.studies.jobs import answers

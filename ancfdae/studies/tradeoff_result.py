@@ -21,7 +21,8 @@ from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
 from ancfdae.errors.text import columns
-from ancfdae.integrators import Integrator, StepControl
+from ancfdae.integrators.integrator import Integrator
+from ancfdae.integrators.step_control import StepControl
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tradeoff_run import Measurement, Results, Task, common_times
 

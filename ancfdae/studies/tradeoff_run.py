@@ -7,14 +7,14 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly import AncfSystem
+from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import AncfdaeError, Verdict
-from ancfdae.integrators import Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch, timed
-from ancfdae.sensitivity import Gradient, GradientMethod, UnfinishedRun
+from ancfdae.sensitivity.method import Gradient, GradientMethod, UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import gradient
 from ancfdae.studies.jobs import TimeLimit

@@ -18,8 +18,8 @@ from ancfdae import (
     Verdict,
     position,
 )
-from ancfdae.integrators import AdjointIntegrator
 from ancfdae.integrators.index_1 import stacked
+from ancfdae.integrators.integrator import AdjointIntegrator
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
 

@@ -15,7 +15,7 @@ from ancfdae import (
     gradient,
     position,
 )
-from ancfdae.sensitivity import GradientMethod
+from ancfdae.sensitivity.method import GradientMethod
 from validation.scenes import crank_slider
 
 Array = npt.NDArray[np.float64]

@@ -17,7 +17,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.numerics.timing import timed
-from ancfdae.sensitivity import GradientMethod
+from ancfdae.sensitivity.method import GradientMethod
 from validation.crank_slider.case import (
     DESIGN,
     STEP,

@@ -15,7 +15,7 @@ from ancfdae import (
     gradient,
     reaction,
 )
-from ancfdae.integrators import Seeds
+from ancfdae.integrators.integrator import Seeds
 from ancfdae.plotting import Panel, Series
 from validation.crank_slider.case import (
     DESIGN,

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from ancfdae import HHT, IDA, IDAS, Adjoint, Direct, Solution
-from ancfdae.integrators import Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.plotting import Panel, Series
 from validation.external import published
 from validation.external.runs import (

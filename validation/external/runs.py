@@ -26,11 +26,11 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.integrators import Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.plotting import Panel, Series
-from ancfdae.sensitivity import GradientMethod
+from ancfdae.sensitivity.method import GradientMethod
 from ancfdae.sensitivity.objectives import Objective
 from validation.external.scleronomic import Array
 from validation.integrator_runs import MANY, step_of

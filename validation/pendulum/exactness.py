@@ -15,7 +15,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.plotting import Panel, Series
-from ancfdae.sensitivity import Method
+from ancfdae.sensitivity.method import Method
 from validation.pendulum.case import DESIGN, STEP, SYMBOLS, Array, Curves, Extent, relative, scaled
 from validation.report import Report
 from validation.scenes import pendulum

@@ -19,7 +19,7 @@ from ancfdae import (
     Radau,
 )
 from ancfdae.plotting import Panel
-from ancfdae.sensitivity import GradientMethod
+from ancfdae.sensitivity.method import GradientMethod
 from validation.external.runs import Attempt, Problem, differentiated, work_precision
 from validation.integrator_runs import MANY
 from validation.report import Agreement, Report

@@ -172,9 +172,13 @@ class BeamBody(Placed):
 
     def half_extents(self, elements: Array) -> tuple[float, float]:
         """Half of the height and of the width that enclose the sections of some elements; m."""
-        sections = [self._per_element()[0][k].half_extents for k in elements]
-        y, z = np.max(sections, axis=0)
+        extents = self.extents()
+        y, z = np.max([extents[k] for k in elements], axis=0)
         return float(y), float(z)
+
+    def extents(self) -> list[tuple[float, float]]:
+        """Half of the height and of the width of the section of every element; m."""
+        return [section.half_extents for section in self._per_element()[0]]
 
     def with_values(self, changes: Iterable[tuple[str, int | None, float]]) -> BeamBody:
         """Return the same beam with (parameter, element, value) changed together.

@@ -11,7 +11,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import AncfdaeError
-from ancfdae.integrators import Density
+from ancfdae.integrators.integrand import Density
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables import States
 from ancfdae.sensitivity.observables.expression import (

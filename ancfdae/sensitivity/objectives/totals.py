@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.integrators import Density, Integrand, PartialIntegral, Points
+from ancfdae.integrators.integrand import Density, Integrand, PartialIntegral, Points
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.objectives.objective import (
     Integrated,

@@ -12,7 +12,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly import AncfSystem
+from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import InvalidInput, require_text, require_vector
 from ancfdae.model.bodies import Point

@@ -9,7 +9,7 @@ from typing import ClassVar, cast, final
 
 import numpy as np
 
-from ancfdae.assembly import StatePartials
+from ancfdae.assembly.beam_elements import StatePartials
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.numerics.arrays import Array

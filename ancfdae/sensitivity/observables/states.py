@@ -8,8 +8,8 @@ from typing import Protocol, final
 
 import numpy as np
 
-from ancfdae.assembly import AncfSystem
 from ancfdae.assembly.naming import SceneNaming
+from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem, Naming, Solution
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array

@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import InvalidInput, ToleranceMissed, require_positive
-from ancfdae.integrators import AdjointIntegrator, Integrator
+from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.adjoint import Adjoint, Direct
 from ancfdae.sensitivity.method import Accuracy, Gradient, GradientMethod, Run, UnfinishedRun

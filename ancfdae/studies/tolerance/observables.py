@@ -21,7 +21,7 @@ from ancfdae.errors import (
     uninterrupted,
 )
 from ancfdae.errors.text import columns
-from ancfdae.integrators import Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import LOBATTO_DEGREE, TimeGrid
 from ancfdae.sensitivity.method import Searched, UnfinishedRun

@@ -10,7 +10,7 @@ from typing import ClassVar, NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import EstimatedErrors, MechanicalSystem, PlannedSystem, Solution
-from ancfdae.integrators import Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import Estimate
 from ancfdae.studies.tolerance.features import Features

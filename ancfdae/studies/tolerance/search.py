@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.errors import InvalidInput
-from ancfdae.integrators import Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.sensitivity.method import Trial
 from ancfdae.studies.tolerance.bars import Estimate

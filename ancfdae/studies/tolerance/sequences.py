@@ -11,11 +11,12 @@ import numpy as np
 
 from ancfdae.equations import EstimatedErrors
 from ancfdae.errors import AncfdaeError
-from ancfdae.integrators import HHT, Explicit, Integrator, Radau
+from ancfdae.integrators.explicit import Explicit
+from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.hht.small_steps import small_from
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.problem import Problem
-from ancfdae.modes.configuration import Configuration
-from ancfdae.modes.periods import fastest
+from ancfdae.integrators.radau.method import Radau
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import HIGH_GRANTED, Estimate, refined, tightened
 from ancfdae.studies.tolerance.runs import OF_A_RUN, Runs, Sample, Wanted
@@ -411,6 +412,9 @@ class Eighth(Runs):
     @cached_property
     def _fastest(self) -> float:
         """Steps that stability takes."""
+        from ancfdae.modes.configuration import Configuration
+        from ancfdae.modes.periods import fastest
+
         try:
             initial = Problem.of(self._system, self._t_end).initial
             speed = fastest(self._system, Configuration(initial.q, initial.lam, t=initial.t))

@@ -1,0 +1,184 @@
+"""Numbers of a scene at design values: where parts stand, forces, masses, the start.
+
+They come in groups, each with the design variables that reach it. At other values of the design a
+group that none of the changed variables reaches is taken over as it is, with all that it has
+computed: Young's modulus leaves joints and the closed start alone. The others are made anew on the
+same structure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.assembled_start import AssembledStart
+from ancfdae.assembly.block import ElementBlock, element_block
+from ancfdae.assembly.constraints import JointConstraints
+from ancfdae.assembly.elastic_forces import ElasticForces
+from ancfdae.assembly.inertia import Inertia, element_masses, other_masses
+from ancfdae.assembly.joint_structure import JointStructure
+from ancfdae.assembly.layout import Layout
+from ancfdae.assembly.load_forces import LoadForces
+from ancfdae.assembly.load_input import LoadInput
+from ancfdae.assembly.naming import SceneNaming
+from ancfdae.assembly.numbering import Numbering, number
+from ancfdae.assembly.parameters import ParameterMap
+from ancfdae.assembly.part_inputs import PartInputs
+from ancfdae.assembly.reference import Reference
+from ancfdae.assembly.structure import Structure
+from ancfdae.assembly.turning import TurningForces
+from ancfdae.model.design import DesignVariable
+from ancfdae.model.elements import ElementParameter
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Where bodies stand, and what joints and loads are made of."""
+
+    naming: SceneNaming
+    reference: Reference
+    inputs: PartInputs
+    joints: JointStructure
+    loads: list[LoadInput]
+
+    @staticmethod
+    def of(
+        scene: Scene, layout: Layout, numbering: Numbering, mapping: ParameterMap, b: Array
+    ) -> Geometry:
+        """Return the geometry at b, and with it the forms of joints and loads."""
+        lengths = mapping.values(b)[:, ElementParameter.LENGTH]
+        naming = SceneNaming(layout, lengths, mapping.lengths_b(len(b)))
+        reference = Reference(scene, mapping, b, naming)
+        inputs = PartInputs(scene, numbering, naming, mapping, reference, b)
+        return Geometry(naming, reference, inputs, inputs.joints(), inputs.loads())
+
+    def at(self, b: Array) -> Geometry | None:
+        """Return it at other values, None where forms change.
+
+        So they do where a coefficient appears that had vanished, or a point comes to another
+        element.
+        """
+        old = self.inputs
+        lengths = old.mapping.values(b)[:, ElementParameter.LENGTH]
+        naming = SceneNaming(self.naming.layout, lengths, self.naming.lengths_b)
+        reference = Reference(old.scene, old.mapping, b, naming)
+        inputs = PartInputs(old.scene, old.numbering, naming, old.mapping, reference, b)
+        joints, loads = inputs.joints_like(self.joints), inputs.loads()
+        pairs = zip(loads, self.loads, strict=True)
+        if joints is None or not all(x.vectors.is_like(y.vectors) for x, y in pairs):
+            return None
+        return Geometry(naming, reference, inputs, joints, loads)
+
+    def reached_by(self, structure: Structure) -> Array:
+        """Tell which design variables change it, (n_b,)."""
+        reached = structure.reaches_parts()
+        reached[self.reference.active] = True
+        return reached
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """All numbers of a scene at design values b, real or complex."""
+
+    structure: Structure
+    b: Array
+    geometry: Geometry
+    constraints: JointConstraints
+    loads: LoadForces
+    start: AssembledStart
+    block: ElementBlock
+    elastic: ElasticForces
+    inertia: Inertia
+    turning: TurningForces | None
+
+    @staticmethod
+    def first(
+        scene: Scene, design: tuple[DesignVariable, ...], mapping: ParameterMap, b: Array
+    ) -> Numbers:
+        """Return the numbers of a scene, with the structure that they share with those to come."""
+        numbering = number(scene)
+        masses = tuple(mass.name for mass in scene.point_masses)
+        layout = Layout(numbering.d, numbering.bodies, numbering.beams, masses, ())
+        geometry = Geometry.of(scene, layout, numbering, mapping, b)
+        parts = geometry.joints, geometry.loads
+        structure = Structure.of(scene, design, mapping, numbering, layout, parts)
+        block = _block(structure, b)
+        elastic = ElasticForces(block, structure.places, structure.soft, structure.n_b)
+        fixed = _placed(structure, geometry, b)
+        return Numbers(
+            structure, b, geometry, *fixed, block, elastic, *_masses(structure, geometry, block, b)
+        )
+
+    def at(self, b: Array) -> Numbers | None:
+        """Return the numbers at other values, None where they have another structure."""
+        structure, geometry = self.structure, self.geometry
+        # Numbers are of the kind of b, real or complex.
+        other_kind, moved = np.iscomplexobj(b) != np.iscomplexobj(self.b), b != self.b
+
+        def changes(reached: Array) -> bool:
+            return bool(other_kind or np.any(moved & reached))
+
+        fixed = self.constraints, self.loads, self.start
+        displaced = changes(geometry.reached_by(structure))
+        if displaced:
+            changed = geometry.at(b)
+            if changed is None:
+                return None
+            geometry, fixed = changed, _placed(structure, changed, b)
+        block, elastic = self.block, self.elastic
+        if changes(structure.reaches_elements()):
+            block = _block(structure, b)
+            elastic = ElasticForces(block, structure.places, structure.soft, structure.n_b)
+        masses = self.inertia, self.turning
+        if displaced or changes(structure.reaches_masses()):
+            masses = _masses(structure, geometry, block, b)
+        return Numbers(structure, b, geometry, *fixed, block, elastic, *masses)
+
+
+def _block(structure: Structure, b: Array) -> ElementBlock:
+    """Return the laws and masses of elements that deform."""
+    beams = [beam for beam in structure.scene.beams if not beam.rigid]
+    soft = structure.soft
+    return element_block(structure.numbering.widest, beams, soft, soft.values(b))
+
+
+def _placed(
+    structure: Structure, geometry: Geometry, b: Array
+) -> tuple[JointConstraints, LoadForces, AssembledStart]:
+    """Return what depends on where parts stand."""
+    pattern, mapping, n_b = structure.pattern, structure.mapping, structure.n_b
+    constraints = JointConstraints.on(pattern, geometry.joints, n_b)
+    reached = geometry.reached_by(structure)
+    start = AssembledStart(
+        structure.scene,
+        structure.numbering,
+        mapping,
+        geometry.reference,
+        constraints,
+        pattern,
+        b,
+        bool(np.any((b.real != mapping.nominal)[reached])),
+    )
+    return constraints, LoadForces(geometry.loads, pattern, n_b), start
+
+
+def _masses(
+    structure: Structure, geometry: Geometry, block: ElementBlock, b: Array
+) -> tuple[Inertia, TurningForces | None]:
+    """Return masses with gravity, and what a turning frame adds."""
+    scene, numbering, n_b, d = structure.scene, structure.numbering, len(b), structure.numbering.d
+    p, p_b = structure.mapping.numbers("scene", b)
+    gravity, frame = (np.zeros(d), np.zeros((d, n_b))), (p, p_b)
+    if scene.gravity is not None:
+        gravity, frame = (p[:d], p_b[:d]), (p[d:], p_b[d:])
+    others = other_masses(scene, geometry.naming, structure.mapping, b)
+    blocks = (element_masses(numbering, structure.soft, block), *others)
+    inertia = Inertia(blocks, numbering, n_b, structure.pattern, gravity)
+    turns = scene.frame
+    return inertia, turns and TurningForces(turns, frame, inertia, structure.pattern)

@@ -1,0 +1,165 @@
+"""A system at other values of its design is what an assembly there gives, bit by bit.
+
+Numbers that no changed variable reaches are taken over, the others are made on the structure that
+is there: whatever was left out of what a variable reaches shows as a difference here.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from test_assembler import CASES
+
+from ancfdae import (
+    HHT,
+    Beam,
+    Direct,
+    Joint,
+    Material,
+    Pin,
+    Point,
+    PointOnLine,
+    Rectangle,
+    RigidBody,
+    Scene,
+    Terminal,
+    assemble,
+    gradient,
+    position,
+    simulate,
+)
+from ancfdae.assembly.assembly import Assembly
+from ancfdae.assembly.numbers import Numbers
+from ancfdae.assembly.system import AncfSystem
+from ancfdae.errors import InvalidInput
+from ancfdae.model.design import numbers
+from ancfdae.model.joints.joint import empty_coefficients
+
+from scenes import SCENES
+
+STEEL = Material(7800, 2e11, 0.3)
+
+
+def anew(system):
+    """The same system with a structure of its own."""
+    structure = system._structure
+    given = structure.scene, structure.design, structure.mapping, system.b
+    return AncfSystem(Numbers.first(*given))
+
+
+def values(system, t=0.3):
+    """Everything that a run reads, at a state of no special kind."""
+    generator = np.random.default_rng(5)
+    q = system._reference.q.real + 0.01 * generator.uniform(-1, 1, system.n_q)
+    v, a = generator.uniform(-1, 1, (2, system.n_q))
+    lam = generator.uniform(-1, 1, system.n_lam)
+    states = q[None], v[None], a[None], lam[None]
+    time = np.array([t])
+    yield system.mass(q)
+    yield system.force(t, q, v)
+    yield system.constraint(t, q, v, a)
+    local = system.linearise(time, *states)
+    yield from (local.M, local.f_q, local.f_q if local.f_v is None else local.f_v, local.Phi_q)
+    if not np.iscomplexobj(system.b):  # Partials are those of real systems.
+        partials = system.design_partials(time, *states)
+        yield from (partials.f_b, partials.Phi_b)
+    yield from (system.pattern.columns, system.constraint_pattern.columns, system.weights)
+    yield from (system.naming.lengths, system._reference.Z)
+    yield np.array([system.traits.force_round_off])
+
+
+def require_equal(system):
+    other = anew(system)
+    for ours, theirs in zip(values(system), values(other), strict=True):
+        assert ours.dtype == theirs.dtype
+        assert np.array_equal(ours, theirs)
+    assert system.traits == other.traits
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_each_variable_moved_by_itself_gives_what_an_assembly_gives(case):
+    scene, design = CASES[case]
+    system = assemble(SCENES[scene](), design)
+    for i in range(system.n_b):
+        b = system.b.copy()
+        b[i] = 1.01 * b[i] if b[i] else 0.01
+        # The one before stays moved: numbers come from numbers that came from others.
+        try:
+            system = system.with_values(b)
+        except InvalidInput:  # A cable in space has no section that is wider than high.
+            continue
+        require_equal(system)
+    if system.n_b:
+        moved = system.b.astype(complex)
+        moved[0] += 1e-40j
+        require_equal(system.with_values(moved))
+        require_equal(system.with_values(moved).with_values(system.b))
+
+
+def crank(**settings):
+    """A crank and a rod of cables, one degree of freedom, as a mechanism that closes."""
+    arm = RigidBody("arm", (0, 0), 1.0, 0.01, centre=(0.1, 0))
+    rod = Beam("rod", (0.2, 0), (0.7, 0), 2, Rectangle(0.01, 0.01), STEEL)
+    joints = [
+        Pin(arm.at(0, 0)),
+        Pin(arm.at(0.2, 0), rod.at_start),
+        PointOnLine(rod.at_end, direction=(1, 0), name="guide"),
+    ]
+    return Scene([rod], joints, (0, -9.81), bodies=[arm], **settings)
+
+
+@pytest.mark.parametrize("settings", [{}, {"assemble": True}, {"project_start": True}])
+def test_a_variable_that_moves_no_body_leaves_the_closed_start_as_it_is(settings, monkeypatch):
+    system = assemble(crank(**settings), ["rod.youngs_modulus", "arm.mass", "rod.length"])
+    start, start_b = system.start(), system.start_b()
+
+    def closed_again(*_):
+        raise AssertionError("the start is closed again")
+
+    monkeypatch.setattr(Assembly, "_search", closed_again)
+    stiffer = system.with_values(system.b * [1.5, 0.5, 1.0])
+    for ours, theirs in zip(
+        (*start, *start_b), (*stiffer.start(), *stiffer.start_b()), strict=True
+    ):
+        assert np.array_equal(ours, theirs)
+    with pytest.raises(AssertionError, match="closed again"):
+        stiffer.with_values(system.b * [1.0, 1.0, 1.01]).start()
+
+
+def test_a_run_at_other_values_is_that_of_the_scene_at_these_values():
+    names = ["rod.youngs_modulus", "arm.mass"]
+    system = assemble(crank(), names)
+    moved = system.with_values(system.b * [2.0, 3.0])
+    scene = crank().with_values(dict(zip(names, moved.b.tolist(), strict=True)))
+    other = assemble(Scene(scene.beams, scene.joints, scene.gravity, bodies=scene.bodies), names)
+    method, end = HHT(2.0**-8), Terminal(position(scene.beams[0].at_end, 0))
+    ours, theirs = (simulate(x, 0.125, method) for x in (moved, other))
+    assert np.array_equal(ours.q, theirs.q)
+    ours, theirs = (gradient(x, end, 0.125, method, method=Direct()) for x in (moved, other))
+    assert np.array_equal(ours.gradient, theirs.gradient)
+
+
+@dataclass(frozen=True)
+class Ramp(Joint):
+    """A point on a line whose slope is one less the cosine of an angle."""
+
+    point: Point
+    angle: float
+
+    kind = "ramp"
+    design_fields = numbers("angle")
+
+    def coefficients(self, p, reference):
+        c = empty_coefficients(1, p, reference)
+        c.linear[0, 0] = 1.0 - np.cos(p[0]), 1.0
+        return c
+
+
+def test_a_coefficient_that_appears_makes_another_structure():
+    """At an angle of zero the slope vanishes, and its derivative too: no generic step shows it."""
+    rod = Beam("rod", (0.0, 0.0), (0.5, 0.0), 2, Rectangle(0.01, 0.01), STEEL)
+    joints = [Pin(rod.at_start), Ramp(rod.at_end, 0.0, name="ramp")]
+    system = assemble(Scene([rod], joints), ["ramp.angle"])
+    turned = system.with_values(np.array([0.5]))
+    assert turned.constraint_pattern.size == system.constraint_pattern.size + 1
+    require_equal(turned)
