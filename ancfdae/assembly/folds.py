@@ -44,6 +44,9 @@ _NAMED = 3
 # Share of the energy of the mesh above which elements are too few: of a wire that hangs slack the
 # pull errs by five times as much (docs/howto/elements.md).
 _SHARE = 0.05
+# And the turn of an element, in rad: one that turns by less stretches by at most 1e-4, which a limp
+# cable, whose weight and not whose bending holds its shape, bears without an error of its pull.
+_TURN = 2.0 / 3.0
 # Weights of Boole's rule twice, and what of a strain at the places is not linear in xi.
 _WEIGHTS = np.array([7, 32, 12, 32, 14, 32, 12, 32, 7]) / 180.0
 _LINE = np.stack([np.ones(9), np.sqrt(3.0) * (2.0 * _PLACES - 1.0)])
@@ -122,7 +125,7 @@ class _Beam:
         return f"{self.name!r}, element{'s' if len(folded) > 1 else ''} {some}"
 
     def share(self, Z: Array) -> float:
-        """Return eta; see the module."""
+        """Return eta of the module, or zero where no element turns far."""
         X = Z[self._ends]
         strain = 0.5 * (np.sum(self._tangents(X) ** 2, axis=-1) / self._stretch_o - self._free)
         beyond = strain @ _BEYOND.T
@@ -133,7 +136,12 @@ class _Beam:
         change = np.sqrt(self._bends(X)) - np.sqrt(self._bend_o)
         bending = self._EI / self._lengths * change**2
         rest = float(np.sum(axial - error) + np.sum(bending))
-        return float(np.sum(error)) / rest if rest > 0 else 0.0
+        ends = [_unit(X[:, k + Quantity.SLOPE_X]) for k in (0, X.shape[1] // 2)]
+        # |t_2 - t_1| = 2 sin(phi/2).
+        turn = np.max(np.sqrt(np.sum((ends[1] - ends[0]) ** 2, axis=1)))
+        if turn <= 2.0 * np.sin(0.5 * _TURN) or rest <= 0:
+            return 0.0
+        return float(np.sum(error)) / rest
 
     def _bends(self, X: Array) -> Array:
         """Return the integral of kappa^2 ds times the length for each axis, shape (n, 1 or 2).
