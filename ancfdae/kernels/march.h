@@ -366,16 +366,37 @@ static int NAME(blurred)(const NAME(plan) *p, NAME(room) *r)
     return NAME(size_of)(p->n_q, r->force, p->inverse) < p->rules.blur;
 }
 
+/* The residual at the guess a, or at the state before the step where that balances better: as
+ * `_nearer` in `newton.py`. */
+static int NAME(residual_at_guess)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                                   const NAME(before) *b, const double *of_joints,
+                                   const double *of_loads, int small, double motion)
+{
+    int finite = NAME(residual_at)(p, r, c, b, of_joints, of_loads, small);
+    double unbalanced = NAME(size_of)(p->n_q, r->R, p->inverse);
+    if (unbalanced <= motion)
+        return finite;
+    for (npy_intp i = 0; i < p->n_q; i++)
+        r->a[i] = -r->dq_p[i] / c->in_q;
+    finite = NAME(residual_at)(p, r, c, b, of_joints, of_loads, small);
+    if (!(NAME(size_of)(p->n_q, r->R, p->inverse) >= unbalanced))
+        return finite;
+    NAME(look_ahead)(p, r, b, motion);
+    return NAME(residual_at)(p, r, c, b, of_joints, of_loads, small);
+}
+
 /* Newton's method for one step; the solution stands in a and lam. */
 static int NAME(iterated)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
                           const NAME(before) *b, const double *of_joints, const double *of_loads,
-                          int small, double most, double *motion_after)
+                          int small, double motion_before, double *motion_after)
 {
-    double last = INFINITY, motion = most;
+    double last = INFINITY;
+    double motion = motion_before > DBL_MIN ? p->rules.jump * motion_before : INFINITY;
     int fresh = 1;
     for (npy_intp i = 0; i < p->rules.max_iterations; i++) {
         r->counts[0]++;
-        if (!NAME(residual_at)(p, r, c, b, of_joints, of_loads, small))
+        if (!(i ? NAME(residual_at)(p, r, c, b, of_joints, of_loads, small)
+                : NAME(residual_at_guess)(p, r, c, b, of_joints, of_loads, small, motion_before)))
             return NOT_SOLVED;
         int failed = fresh ? NAME(factorised)(p, r, c, of_loads) : 0;
         if (failed || (failed = NAME(solve_rows)(p, r, 'N', 1, r->R, r->x)))
@@ -431,8 +452,7 @@ static int NAME(stepped)(const NAME(plan) *p, NAME(room) *r, const step_coeffici
     if (!p->still)
         NAME(coefficients)(p->constraints, &p->numbers, 0, 0, 1,
                            of_joints + AT_END * p->constraints->n_parts, r->at_end, r->c);
-    double most = motion > DBL_MIN ? p->rules.jump * motion : INFINITY;
-    return NAME(iterated)(p, r, c, b, of_joints, of_loads, small, most, motion_after);
+    return NAME(iterated)(p, r, c, b, of_joints, of_loads, small, motion, motion_after);
 }
 
 /* As many of k steps of sizes h as can be taken until the clock says so; the states after them are
