@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from test_assembler import CASES
+from design_cases import CASES
 
 from ancfdae import (
     HHT,
