@@ -3,7 +3,8 @@
 Constraints have several solutions, and a long step can end at another one than the motion leads to.
 The equation of a prescribed angle holds half a turn off as well: its root is checked at the start
 (`refuse_opposite` of the assembly), and here after every step. Joints may also close in another way
-(the crossed four-bar), or lock on the way: steps that change Phi_q much are followed (`branch`).
+(the crossed four-bar), or lock on the way: steps of prescribed motions that change Phi_q much are
+followed (`branch`).
 Where constraints determine the whole motion, n_lam = n_q, so are steps in which velocities change
 much: what locks and opens again within a step leaves Phi_q as it was.
 """
@@ -55,6 +56,8 @@ class Branch:
         self._system = system
         # Linear constraints have one solution, or none.
         self._several = not system.traits.linear_constraints and system.n_lam > 0
+        # Whether the motion is seen to be prescribed: other motions are not followed.
+        self._driven = system.n_lam == system.n_q
         self._form: Form | None = None
         self._place: Place | None = None
         self._count = _ROWS
@@ -72,6 +75,9 @@ class Branch:
     def _elsewhere(self, rows: Rows) -> Lost | None:
         """Return the first step that ended on another branch, or passed over a lock."""
         if not self._several or np.iscomplexobj(rows.q) or len(rows.t) < 2:
+            return None
+        self._driven = self._driven or _moving(self._system, rows)
+        if not self._driven:
             return None
         suspects = self._changed(rows)
         if self._system.n_lam == self._system.n_q:
@@ -111,6 +117,13 @@ def half_a_turn_off(system: MechanicalSystem, begin: float, t: Array, q: Array) 
     return _half_a_turn(
         system, joint, begin if first == 0 else float(t[first - 1]), float(t[first])
     )
+
+
+def _moving(system: MechanicalSystem, rows: Rows) -> bool:
+    """Whether the constraints change with time alone: at the middle or at the end of the rows."""
+    begin, middle, end = (float(rows.t[k]) for k in (0, len(rows.t) // 2, -1))
+    at_rest = system.constraint(begin, rows.q[0])
+    return any(np.any(system.constraint(t, rows.q[0]) != at_rest) for t in (middle, end))
 
 
 def _reached_otherwise(system: MechanicalSystem, step: Rows) -> str:
