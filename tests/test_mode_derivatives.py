@@ -70,7 +70,7 @@ def linkage(damping_time=None):
 def pressed(damping_time=None):
     """Follower force and spring-damper: K is not symmetric."""
     damped = {} if damping_time is None else {"damping_time": damping_time}
-    rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.05, 0.05), Material(1000, 2e7, 0.0, **damped))
+    rod = Beam("rod", (0, 0), (1, 0), 4, Rectangle(0.05, 0.05), Material(1000, 2e7, 0.0, **damped))
     loads = [
         FollowerForce(rod.at_end, (-9.0, -5.0), name="jet"),
         SpringDamper(rod.at(0.5), 300.0, 2.0 if damped else 0.0, ground=(0.4, -0.5), name="strut"),

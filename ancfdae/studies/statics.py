@@ -87,7 +87,7 @@ def equilibrium(
     if coarse:
         worst = max(coarse.values())
         warnings.warn(
-            f"equilibrium: {listed(map(repr, coarse))} bend too far for so few elements: "
+            f"equilibrium: too few elements for the bending of {listed(map(repr, coarse))}: "
             f"{100 * worst / (1 + worst):.2g} % of the energy is a stretch that cubics need to "
             "bend. Double the number of elements until this warning is gone.",
             CoarseMesh,
