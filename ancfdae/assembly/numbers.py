@@ -76,7 +76,8 @@ class Geometry:
 
     def reached_by(self, structure: Structure) -> Array:
         """Tell which design variables change it, (n_b,)."""
-        reached = structure.reaches_parts()
+        scene = structure.scene
+        reached = structure.reaches(part.name for part in (*scene.joints, *scene.loads))
         reached[self.reference.active] = True
         return reached
 
@@ -109,7 +110,7 @@ class Numbers:
         parts = geometry.joints, geometry.loads
         structure = Structure.of(scene, design, mapping, numbering, layout, parts)
         block = _block(structure, b)
-        elastic = ElasticForces(block, structure.places, structure.soft, structure.n_b)
+        elastic = ElasticForces(block, structure.places, structure.soft, len(b))
         fixed = _placed(structure, geometry, b)
         return Numbers(
             structure, b, geometry, *fixed, block, elastic, *_masses(structure, geometry, block, b)
@@ -134,7 +135,7 @@ class Numbers:
         block, elastic = self.block, self.elastic
         if changes(structure.reaches_elements()):
             block = _block(structure, b)
-            elastic = ElasticForces(block, structure.places, structure.soft, structure.n_b)
+            elastic = ElasticForces(block, structure.places, structure.soft, len(b))
         masses = self.inertia, self.turning
         if displaced or changes(structure.reaches_masses()):
             masses = _masses(structure, geometry, block, b)
@@ -152,7 +153,7 @@ def _placed(
     structure: Structure, geometry: Geometry, b: Array
 ) -> tuple[JointConstraints, LoadForces, AssembledStart]:
     """Return what depends on where parts stand."""
-    pattern, mapping, n_b = structure.pattern, structure.mapping, structure.n_b
+    pattern, mapping, n_b = structure.pattern, structure.mapping, len(b)
     constraints = JointConstraints.on(pattern, geometry.joints, n_b)
     reached = geometry.reached_by(structure)
     start = AssembledStart(

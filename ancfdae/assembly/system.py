@@ -59,7 +59,7 @@ class AncfSystem(PlannedSystem):
         self._constraints, self._loads = numbers.constraints, numbers.loads
         self._elastic, self._inertia = numbers.elastic, numbers.inertia
         self._turning, self._start = numbers.turning, numbers.start
-        self.n_b, self.design_names = structure.n_b, structure.mapping.names
+        self.n_b, self.design_names = len(structure.design), structure.mapping.names
         self.n_q, self.n_lam = structure.numbering.n_q, geometry.joints.n_lam
         self.pattern, self.constraint_pattern = structure.pattern, geometry.joints.pattern
         self.naming = replace(geometry.naming, layout=structure.layout)

@@ -54,8 +54,7 @@ class Branch:
 
     def __init__(self, system: MechanicalSystem) -> None:
         self._system = system
-        # Linear constraints have one solution, or none.
-        self._several = not system.traits.linear_constraints and system.n_lam > 0
+        self._linear = system.traits.linear_constraints or not system.n_lam
         # Whether the motion is seen to be prescribed: other motions are not followed.
         self._driven = system.n_lam == system.n_q
         self._form: Form | None = None
@@ -67,15 +66,15 @@ class Branch:
         t, q, _ = rows
         found = self._system.off_root(t[1:], q[1:])
         end = len(t) - 1 if found is None else found[0]
-        elsewhere = self._elsewhere(Rows(*(x[: end + 1] for x in rows)))
+        # Linear constraints have one solution, or none.
+        several = not self._linear and len(t) > 1 and not np.iscomplexobj(q)
+        elsewhere = self._elsewhere(Rows(*(x[: end + 1] for x in rows))) if several else None
         if elsewhere is not None or found is None:
             return elsewhere
         return Lost(end, _half_a_turn(self._system, found[1], *t[end : end + 2].tolist()))
 
     def _elsewhere(self, rows: Rows) -> Lost | None:
         """Return the first step that ended on another branch, or passed over a lock."""
-        if not self._several or np.iscomplexobj(rows.q) or len(rows.t) < 2:
-            return None
         self._driven = self._driven or _moving(self._system, rows)
         if not self._driven:
             return None

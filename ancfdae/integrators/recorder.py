@@ -52,7 +52,7 @@ class Recorder:
                 f"{rows} instants of {sum(sizes)} numbers",
                 "Use a larger step, fewer instants or a shorter run.",
             ) from error
-        self._rows = 0
+        self.instants = 0
         self._control: tuple[float, ...] = ()
         self.accepted: int | None = None
         self.iterations = self.factorisations = self.residuals = 0
@@ -68,26 +68,21 @@ class Recorder:
         arrays = [np.concatenate([x, np.zeros((more, *x.shape[1:]))]) for x in self._arrays]
         for array, rows in zip(arrays, kept, strict=True):
             array[:done] = rows
-        self._arrays, self._rows, self._control = arrays, done, before.control
+        self._arrays, self.instants, self._control = arrays, done, before.control
         self.iterations, self.factorisations = told.iterations, told.factorisations
         self.residuals, self.round_off_steps = told.residuals, told.round_off_steps
         self.rejected, self.continued = told.rejected, told.continued
         self._started -= told.wall_seconds
 
     @property
-    def instants(self) -> int:
-        """Recorded instants."""
-        return self._rows
-
-    @property
     def steps(self) -> int:
         """Accepted steps so far."""
-        return max(self._rows - 1, 0) // self._degree if self.accepted is None else self.accepted
+        return max(self.instants - 1, 0) // self._degree if self.accepted is None else self.accepted
 
     @property
     def time(self) -> float:
         """Time of the last recorded instant."""
-        return float(self._arrays[0][max(self._rows - 1, 0)])
+        return float(self._arrays[0][max(self.instants - 1, 0)])
 
     def record(
         self,
@@ -105,43 +100,43 @@ class Recorder:
         Or rows of several instants. They count only when all of it is stored, so that an interrupt
         leaves whole rows.
         """
-        rows = slice(self._rows, self._rows + np.size(t))
+        rows = slice(self.instants, self.instants + np.size(t))
         while rows.stop > len(self._arrays[0]):
             self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]
         for array, value in zip(self._arrays, (t, q, v, a, lam, *derivatives), strict=True):
             array[rows] = value
-        self._rows, self._control = rows.stop, control
+        self.instants, self._control = rows.stop, control
 
     def room(self, count: int) -> StateRows:
         """Return the next rows of q, v, a and lam, for states that `take` counts."""
-        while self._rows + count > len(self._arrays[0]):
+        while self.instants + count > len(self._arrays[0]):
             self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]
-        q, v, a, lam = (x[self._rows : self._rows + count] for x in self._arrays[1:5])
+        q, v, a, lam = (x[self.instants : self.instants + count] for x in self._arrays[1:5])
         return q, v, a, lam
 
     def take(self, t: Array) -> None:
         """Count rows that were written, at these instants."""
-        self._arrays[0][self._rows : self._rows + len(t)] = t
-        self._rows += len(t)
+        self._arrays[0][self.instants : self.instants + len(t)] = t
+        self.instants += len(t)
 
     def last(self, count: int) -> Rows:
         """Return the last instants, with coordinates and velocities."""
-        t, q, v, *_ = (x[self._rows - count : self._rows] for x in self._arrays)
+        t, q, v, *_ = (x[self.instants - count : self.instants] for x in self._arrays)
         return Rows(t, q, v)
 
     def cut(self, count: int) -> None:
         """Forget instants after the first ones of this count, by whole steps."""
-        self._rows = 1 + (count - 1) // self._degree * self._degree
+        self.instants = 1 + (count - 1) // self._degree * self._degree
         self._control = ()
 
     def restart(self) -> None:
         """Forget all instants but the first."""
-        self._rows, self._control = 1, ()
+        self.instants, self._control = 1, ()
 
     def solution(self, outcome: Outcome) -> Solution:
         """Return what was recorded."""
         system = self._system
-        t, q, v, a, lam, *derivatives = (array[: self._rows] for array in self._arrays)
+        t, q, v, a, lam, *derivatives = (array[: self.instants] for array in self._arrays)
         return Solution(
             t=t,
             q=q,

@@ -172,8 +172,7 @@ class BeamBody(Placed):
 
     def half_extents(self, elements: Array) -> tuple[float, float]:
         """Half of the height and of the width that enclose the sections of some elements; m."""
-        extents = self.extents()
-        y, z = np.max([extents[k] for k in elements], axis=0)
+        y, z = np.max([self._per_element()[0][k].half_extents for k in elements], axis=0)
         return float(y), float(z)
 
     def extents(self) -> list[tuple[float, float]]:
