@@ -25,6 +25,11 @@ enum { AT_END, AT_START, AT_GAUSS, RATE_AT_GAUSS = AT_GAUSS + 3, ALL_INSTANTS = 
  * points, whose matrix is indefinite, or that no time is left for. */
 enum { ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME };
 
+/* Corrections from a guess close to the solution shrink by this factor at least (`_CLOSE`). */
+#ifndef CLOSE
+#define CLOSE 0.5
+#endif
+
 /* A load that moves, and whether it uses velocities. */
 typedef struct {
     const load_plan *plan;
@@ -366,16 +371,40 @@ static int NAME(blurred)(const NAME(plan) *p, NAME(room) *r)
     return NAME(size_of)(p->n_q, r->force, p->inverse) < p->rules.blur;
 }
 
+/* The residual at the guess a, or where that is far from balance at the state before the step, as
+ * `_from_rest` in `newton.py`; `close` tells whether corrections must shrink quickly then. */
+static int NAME(residual_at_guess)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                                   const NAME(before) *b, const double *of_joints,
+                                   const double *of_loads, int small, double motion, int *close)
+{
+    int finite = NAME(residual_at)(p, r, c, b, of_joints, of_loads, small);
+    double unbalanced = NAME(size_of)(p->n_q, r->R, p->inverse);
+    *close = !(unbalanced <= p->rules.jump * motion);
+    if (!*close)
+        return finite;
+    for (npy_intp i = 0; i < p->n_q; i++)
+        r->a[i] = -r->dq_p[i] / c->in_q;
+    finite = NAME(residual_at)(p, r, c, b, of_joints, of_loads, small);
+    *close = !(NAME(size_of)(p->n_q, r->R, p->inverse) > p->rules.smooth * unbalanced);
+    if (*close)
+        return finite;
+    NAME(look_ahead)(p, r, b, motion);
+    return NAME(residual_at)(p, r, c, b, of_joints, of_loads, small);
+}
+
 /* Newton's method for one step; the solution stands in a and lam. */
 static int NAME(iterated)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
                           const NAME(before) *b, const double *of_joints, const double *of_loads,
-                          int small, double most, double *motion_after)
+                          int small, double motion_before, double *motion_after)
 {
-    double last = INFINITY, motion = most;
-    int fresh = 1;
+    double last = INFINITY;
+    double motion = motion_before > DBL_MIN ? p->rules.jump * motion_before : INFINITY;
+    int fresh = 1, close = 0;
     for (npy_intp i = 0; i < p->rules.max_iterations; i++) {
         r->counts[0]++;
-        if (!NAME(residual_at)(p, r, c, b, of_joints, of_loads, small))
+        if (!(i ? NAME(residual_at)(p, r, c, b, of_joints, of_loads, small)
+                : NAME(residual_at_guess)(p, r, c, b, of_joints, of_loads, small, motion_before,
+                                          &close)))
             return NOT_SOLVED;
         int failed = fresh ? NAME(factorised)(p, r, c, of_loads) : 0;
         if (failed || (failed = NAME(solve_rows)(p, r, 'N', 1, r->R, r->x)))
@@ -390,6 +419,8 @@ static int NAME(iterated)(const NAME(plan) *p, NAME(room) *r, const step_coeffic
         double size = (NAME(size_of)(p->n_q, r->x, p->weights) +
                        NAME(size_of)(p->n_q, r->force, p->inverse)) / motion;
         double rate = last > 0 && last < INFINITY ? fmin(size / last, 1) : size > 0;
+        if (close && last < INFINITY && size > p->rules.round_off && rate > CLOSE)
+            return NOT_SOLVED;
         int stuck = fresh && rate > 0.5 && size <= p->rules.round_off &&
                     NAME(size_of)(p->n_q, r->R, p->inverse) <= p->rules.round_off * now;
         double left = size * (fresh ? fmin(1, rate * rate) : rate / fmax(1 - rate, 1e-3));
@@ -431,8 +462,7 @@ static int NAME(stepped)(const NAME(plan) *p, NAME(room) *r, const step_coeffici
     if (!p->still)
         NAME(coefficients)(p->constraints, &p->numbers, 0, 0, 1,
                            of_joints + AT_END * p->constraints->n_parts, r->at_end, r->c);
-    double most = motion > DBL_MIN ? p->rules.jump * motion : INFINITY;
-    return NAME(iterated)(p, r, c, b, of_joints, of_loads, small, most, motion_after);
+    return NAME(iterated)(p, r, c, b, of_joints, of_loads, small, motion, motion_after);
 }
 
 /* As many of k steps of sizes h as can be taken until the clock says so; the states after them are

@@ -56,6 +56,8 @@ _TINY = float(np.finfo(float).tiny)
 
 # Coefficients, the state before the step, and the instant at its end.
 Step: TypeAlias = tuple[Coefficients, Node, float]
+# (q, v, A), and the residual with the reaction and the force that it contains.
+_Values: TypeAlias = tuple[tuple[Array, ...], tuple[Array, Array, Array]]
 
 
 @final
@@ -70,7 +72,11 @@ class _Equations:
         chi = share_of_defect(system, c, before.q, motion)
         self._defect = chi * system.constraint(before.t, before.q) if chi < 1 else None
 
-    def at(self, a: Array, lam: Array) -> tuple[tuple[Array, ...], tuple[Array, Array, Array]]:
+    def still(self) -> Array:
+        """Return the a that leaves the coordinates where they were before the step."""
+        return -self._dq_p / self._c.in_q
+
+    def at(self, a: Array, lam: Array) -> _Values:
         """Return (q, v, A), and the residual with the reaction and the force that it contains."""
         system, t, state = self._system, self._t, self._state(a)
         q, v, A = state
@@ -108,6 +114,14 @@ def _slow(size: float, rate: float | None, tolerance: float, allowed: float) -> 
     if rate is None:  # Along the branch of short steps every correction must shrink quickly.
         return size > _SLOW or allowed < math.inf
     return rate > _SLOW or (size < _NEAR and size * rate**3 > tolerance)
+
+
+class _Guess(NamedTuple):
+    """Unknowns, and what the equations say at them."""
+
+    a: Array
+    lam: Array
+    values: _Values
 
 
 class SolvedStep(NamedTuple):
@@ -169,9 +183,39 @@ class StepSolver:
     def advance(self, step: Step, patience: int = 1) -> Node | Failure:
         """Solve eqs. (4) and (5), in `patience` times as many iterations as are usual."""
         c, before, _ = step
-        guess = self._ahead(c, before), before.lam
-        solved = self._solve(step, guess, self._tolerance, math.inf, patience)
+        motion, lam = self._motion_before(before), before.lam
+        equations = _Equations(self._system, step, motion)
+        a = self._ahead(c, before)
+        ahead = _Guess(a, lam, equations.at(a, lam))
+        solved: SolvedStep | Failure | None = self._from_rest(step, equations, ahead, motion)
+        if solved is None:
+            solved = self._solve(step, equations, ahead, self._tolerance, math.inf, patience)
         return solved if isinstance(solved, Failure) else self.accept(solved)
+
+    def _from_rest(
+        self, step: Step, equations: _Equations, ahead: _Guess, motion: float
+    ) -> SolvedStep | None:
+        """Return the solution close to the state before the step if the guess is far off.
+
+        A wave far faster than the steps (omega h >> 1) has accelerations omega^2 u, and the line
+        through them leads (omega h)^2/2 times its amplitude u away: sections are turned inside out
+        there, and Newton's method finds the solution that they have so. None where corrections do
+        not shrink quickly from the first one on: the solution that they lead to may be another one.
+        """
+        unbalanced = self._unbalanced(ahead)
+        if unbalanced <= _JUMP * motion:
+            return None
+        a, lam = equations.still(), ahead.lam
+        still = _Guess(a, lam, equations.at(a, lam))
+        if self._unbalanced(still) > _SMOOTH * unbalanced:  # A load has grown: it acts on both.
+            return None
+        solved = self._solve(step, equations, still, self._tolerance, _CLOSE)
+        return None if isinstance(solved, Failure) else solved
+
+    def _unbalanced(self, guess: _Guess) -> float:
+        """Return the size of the forces that a guess leaves."""
+        _, (R, *_) = guess.values
+        return norm(R[: self._system.n_q], self._inverse_weights)
 
     def _ahead(self, c: Coefficients, before: Node) -> Array:
         """Return a guess of a: a stands for q'' at t + alpha h, A at t."""
@@ -188,7 +232,10 @@ class StepSolver:
         Where corrections do not shrink quickly from the first one on, the solution that they lead
         to may be another one. A tolerance that is larger than that of the run may be given.
         """
-        return self._solve(step, guess, max(rough, self._tolerance), _CLOSE)
+        (_, before, _), (a, lam) = step, guess
+        equations = _Equations(self._system, step, self._motion_before(before))
+        first = _Guess(a, lam, equations.at(a, lam))
+        return self._solve(step, equations, first, max(rough, self._tolerance), _CLOSE)
 
     def accept(self, solved: SolvedStep) -> Node:
         """Count what was found as a step."""
@@ -198,21 +245,21 @@ class StepSolver:
     def _solve(
         self,
         step: Step,
-        guess: tuple[Array, Array],
+        equations: _Equations,
+        guess: _Guess,
         tolerance: float,
         allowed: float,
         patience: int = 1,
     ) -> SolvedStep | Failure:
         """Iterate from a guess; corrections above round-off shrink at the allowed rate at least."""
-        (c, before, t), system, n_q = step, self._system, self._system.n_q
-        equations = _Equations(system, step, self._motion_before(before))
-        a, lam = guess
+        (c, before, t), n_q = step, self._system.n_q
+        a, lam, values = guess
         settled, motion, shrinking = 0, self._most(before), _Shrinking()
         size, round_off = math.inf, False
         jacobian: Factorization | None = None
         more = self._for_imaginary_part(a, tolerance)
         for _ in range(patience * self.max_iterations + more):
-            (q, v, A), (R, *forces) = equations.at(a, lam)
+            (q, v, A), (R, *forces) = values
             self._recorder.residuals += 1
             self._recorder.iterations += 1
             if not finite(R):
@@ -243,6 +290,7 @@ class StepSolver:
                     return SolvedStep(equations.node(a, lam, now), round_off, shrinking.slowest)
             if settled or _slow(size, None if first else rate, tolerance, allowed):
                 jacobian = None
+            values = equations.at(a, lam)
         return Failure(Verdict.NO_CONVERGENCE, size)
 
     def _for_imaginary_part(self, a: Array, tolerance: float) -> int:

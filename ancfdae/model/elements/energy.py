@@ -13,6 +13,9 @@ import numpy as np
 from ancfdae.errors import require_kind
 from ancfdae.numerics.arrays import Array
 
+# Where 1 - 2 nu is smaller, sections of a beam need less than the full stiffness of the volume.
+_COMPRESSIBLE = 0.02
+
 
 @dataclass(frozen=True)
 class StrainEnergy(abc.ABC):
@@ -96,7 +99,9 @@ class EnhancedContinuum(StrainEnergy):
 
     Poisson's effect counts on the axis only, where sections can follow it, so that beams bend with
     E I and stretch with E A; shears take the section's shear factors, torsion its torsion constant.
-    Plane stress in the plane.
+    Plane stress in the plane. Above nu = 0.49 sections contract by nu as ever, but what keeps them
+    to it is at most 1.11 times as stiff as at 0.49 instead of growing without bound: a beam needs
+    E, G and nu, and its volume no stiffness of its own.
 
     Parameters
     ----------
@@ -114,7 +119,31 @@ class EnhancedContinuum(StrainEnergy):
         normal = np.arange(d)
         uncoupled[:, normal, normal] = E[:, None]
         (full,) = (SaintVenantKirchhoff() if d == 3 else PlaneStress()).stiffness(d, E, nu)
+        if d == 3:
+            soft = np.real(1 - 2 * nu) < _COMPRESSIBLE
+            full[soft] = _nearly_incompressible(E[soft], nu[soft])
         return uncoupled, full - uncoupled
+
+
+def _nearly_incompressible(E: Array, nu: Array) -> Array:
+    """Return C of Lame's law with a bounded stiffness of sections against contracting otherwise.
+
+    For normal strains Lame's energy is 1/2 E e_x^2 + 1/2 K (e_y + e_z + 2 nu e_x)^2
+    + 1/2 G (e_y - e_z)^2 with K = E/(2 (1 + nu)(1 - 2 nu)). Whatever K, a stress along x alone
+    finds E and nu. In K the compressibility u = 1 - 2 nu is replaced below u_o by
+    u_o - w (1 - exp((u - u_o)/w)) with w = u_o/10, which leaves u with its slope.
+    """
+    w = 0.1 * _COMPRESSIBLE
+    u = _COMPRESSIBLE - w * (1 - np.exp((1 - 2 * nu - _COMPRESSIBLE) / w))
+    G = E / (2 * (1 + nu))
+    C = _isotropic(3, 0 * E, G)
+    one, none = np.ones_like(nu), np.zeros_like(nu)
+    C[:, :3, :3] = 0
+    squares = (E, (one, none, none)), (G / u, (2 * nu, one, one)), (G, (none, one, -one))
+    for stiffness, form in squares:
+        row = np.stack(form, axis=1)
+        C[:, :3, :3] += stiffness[:, None, None] * row[:, :, None] * row[:, None, :]
+    return C
 
 
 def _isotropic(d: int, kappa: Array, G: Array) -> Array:
