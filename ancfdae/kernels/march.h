@@ -25,6 +25,11 @@ enum { AT_END, AT_START, AT_GAUSS, RATE_AT_GAUSS = AT_GAUSS + 3, ALL_INSTANTS = 
  * points, whose matrix is indefinite, or that no time is left for. */
 enum { ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME };
 
+/* Corrections from a guess close to the solution shrink by this factor at least (`_CLOSE`). */
+#ifndef CLOSE
+#define CLOSE 0.5
+#endif
+
 /* A load that moves, and whether it uses velocities. */
 typedef struct {
     const load_plan *plan;
@@ -366,20 +371,22 @@ static int NAME(blurred)(const NAME(plan) *p, NAME(room) *r)
     return NAME(size_of)(p->n_q, r->force, p->inverse) < p->rules.blur;
 }
 
-/* The residual at the guess a, or at the state before the step where that balances better: as
- * `_nearer` in `newton.py`. */
+/* The residual at the guess a, or where that is far from balance at the state before the step, as
+ * `_from_rest` in `newton.py`; `close` tells whether corrections must shrink quickly then. */
 static int NAME(residual_at_guess)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
                                    const NAME(before) *b, const double *of_joints,
-                                   const double *of_loads, int small, double motion)
+                                   const double *of_loads, int small, double motion, int *close)
 {
     int finite = NAME(residual_at)(p, r, c, b, of_joints, of_loads, small);
     double unbalanced = NAME(size_of)(p->n_q, r->R, p->inverse);
-    if (unbalanced <= motion)
+    *close = !(unbalanced <= p->rules.jump * motion);
+    if (!*close)
         return finite;
     for (npy_intp i = 0; i < p->n_q; i++)
         r->a[i] = -r->dq_p[i] / c->in_q;
     finite = NAME(residual_at)(p, r, c, b, of_joints, of_loads, small);
-    if (!(NAME(size_of)(p->n_q, r->R, p->inverse) >= unbalanced))
+    *close = !(NAME(size_of)(p->n_q, r->R, p->inverse) > p->rules.smooth * unbalanced);
+    if (*close)
         return finite;
     NAME(look_ahead)(p, r, b, motion);
     return NAME(residual_at)(p, r, c, b, of_joints, of_loads, small);
@@ -392,11 +399,12 @@ static int NAME(iterated)(const NAME(plan) *p, NAME(room) *r, const step_coeffic
 {
     double last = INFINITY;
     double motion = motion_before > DBL_MIN ? p->rules.jump * motion_before : INFINITY;
-    int fresh = 1;
+    int fresh = 1, close = 0;
     for (npy_intp i = 0; i < p->rules.max_iterations; i++) {
         r->counts[0]++;
         if (!(i ? NAME(residual_at)(p, r, c, b, of_joints, of_loads, small)
-                : NAME(residual_at_guess)(p, r, c, b, of_joints, of_loads, small, motion_before)))
+                : NAME(residual_at_guess)(p, r, c, b, of_joints, of_loads, small, motion_before,
+                                          &close)))
             return NOT_SOLVED;
         int failed = fresh ? NAME(factorised)(p, r, c, of_loads) : 0;
         if (failed || (failed = NAME(solve_rows)(p, r, 'N', 1, r->R, r->x)))
@@ -411,6 +419,8 @@ static int NAME(iterated)(const NAME(plan) *p, NAME(room) *r, const step_coeffic
         double size = (NAME(size_of)(p->n_q, r->x, p->weights) +
                        NAME(size_of)(p->n_q, r->force, p->inverse)) / motion;
         double rate = last > 0 && last < INFINITY ? fmin(size / last, 1) : size > 0;
+        if (close && last < INFINITY && size > p->rules.round_off && rate > CLOSE)
+            return NOT_SOLVED;
         int stuck = fresh && rate > 0.5 && size <= p->rules.round_off &&
                     NAME(size_of)(p->n_q, r->R, p->inverse) <= p->rules.round_off * now;
         double left = size * (fresh ? fmin(1, rate * rate) : rate / fmax(1 - rate, 1e-3));

@@ -183,27 +183,34 @@ class StepSolver:
     def advance(self, step: Step, patience: int = 1) -> Node | Failure:
         """Solve eqs. (4) and (5), in `patience` times as many iterations as are usual."""
         c, before, _ = step
-        motion = self._motion_before(before)
+        motion, lam = self._motion_before(before), before.lam
         equations = _Equations(self._system, step, motion)
-        guess = self._nearer(equations, self._ahead(c, before), before.lam, motion)
-        solved = self._solve(step, equations, guess, self._tolerance, math.inf, patience)
+        a = self._ahead(c, before)
+        ahead = _Guess(a, lam, equations.at(a, lam))
+        solved: SolvedStep | Failure | None = self._from_rest(step, equations, ahead, motion)
+        if solved is None:
+            solved = self._solve(step, equations, ahead, self._tolerance, math.inf, patience)
         return solved if isinstance(solved, Failure) else self.accept(solved)
 
-    def _nearer(self, equations: _Equations, a: Array, lam: Array, motion: float) -> _Guess:
-        """Return the guess a, or the state before the step where that balances better.
+    def _from_rest(
+        self, step: Step, equations: _Equations, ahead: _Guess, motion: float
+    ) -> SolvedStep | None:
+        """Return the solution close to the state before the step if the guess is far off.
 
         A wave far faster than the steps (omega h >> 1) has accelerations omega^2 u, and the line
         through them leads (omega h)^2/2 times its amplitude u away: sections are turned inside out
-        there, and Newton's method finds the solution that they have so.
+        there, and Newton's method finds the solution that they have so. None where corrections do
+        not shrink quickly from the first one on: the solution that they lead to may be another one.
         """
-        ahead = _Guess(a, lam, equations.at(a, lam))
         unbalanced = self._unbalanced(ahead)
-        if unbalanced <= motion:
-            return ahead
-        self._recorder.residuals += 1
-        a = equations.still()
+        if unbalanced <= _JUMP * motion:
+            return None
+        a, lam = equations.still(), ahead.lam
         still = _Guess(a, lam, equations.at(a, lam))
-        return ahead if self._unbalanced(still) >= unbalanced else still
+        if self._unbalanced(still) > _SMOOTH * unbalanced:  # A load has grown: it acts on both.
+            return None
+        solved = self._solve(step, equations, still, self._tolerance, _CLOSE)
+        return None if isinstance(solved, Failure) else solved
 
     def _unbalanced(self, guess: _Guess) -> float:
         """Return the size of the forces that a guess leaves."""
