@@ -19,6 +19,13 @@ what is linear in xi (the loads), the energy E A eps^2/2 is an error of the mesh
 
 the error of the stiffness: 12 (l/h)^2 (phi^3/1920)^2 times 0.1 in a beam without tension. A wire
 turns by fractions of a radian until that is more than all its bending.
+
+An element whose sections stand upright at its nodes and that has little energy is not folded. (One
+that is turned inside out as a whole has no energy.) Where det F = 0 a principal strain is -1/2, and
+the density of energy at least E/16 (its smallest modulus is above E/2); along the axis it is a
+polynomial of degree eight at most, and across it of degree four, and the mean of one that is
+nowhere negative is its maximum over 25, and over 9, at least. A crushed axis has a strain of -1/3,
+and an axis that turns by a right angle bends by E I (pi/2)^2/(2 l).
 """
 
 from __future__ import annotations
@@ -68,10 +75,15 @@ class Folds:
             own = parameters[first : first + n].real
             self._beams.append(_Beam(beam, layouts[beam.name].ends, own))
             first += n
+        none = np.zeros(0)
+        self._least = np.concatenate([none, *(beam.least for beam in self._beams)])
 
-    def words(self, q: Array) -> str:
-        """Say which elements are folded at coordinates q; empty where none is."""
+    def words(self, q: Array, energies: Array) -> str:
+        """Say which elements, of these energies (n,), are folded at q; empty where none is."""
         Z = q.real.reshape(-1, self._d)
+        few = np.all(energies <= self._least)
+        if few and all(beam.upright(Z) for beam in self._beams):
+            return ""
         return "; ".join(words for beam in self._beams if (words := beam.words(Z)))
 
     def coarse(self, q: Array) -> dict[str, float]:
@@ -86,7 +98,7 @@ class _Beam:
     """The elements of one beam; vectors as (n, 2 n_s, d), and points as (n, n_f, n_p)."""
 
     def __init__(self, beam: BeamBody, ends: Array, parameters: Array) -> None:
-        self.name, self._ends = beam.name, ends
+        self.name, self._ends, self._d = beam.name, ends, beam.dimension
         self._lengths = parameters[:, ElementParameter.LENGTH, None]
         self._free = 1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN, None]
         kind, n_s = beam.element_type(), beam.element.n_s
@@ -99,6 +111,8 @@ class _Beam:
         start = np.zeros_like(Y[:, :1])
         chord = self._lengths[..., None] * Y[:, :1]
         X = np.concatenate([start, Y[:, 1:n_s], chord, Y[:, n_s:]], axis=1)
+        if self._has_sections:
+            self._upright = np.sign(np.linalg.det(X.reshape(-1, n_s, self._d)[:, 1:]))
         self._stretch_o = np.sum(self._tangents(X) ** 2, axis=-1)
         self._volume_o = self._volumes(X) if self._has_sections else None
         y, z, dA = kind.section.points(kind.sizes(parameters), False)
@@ -108,6 +122,18 @@ class _Beam:
         self._EA = modulus * np.sum(dA, axis=1, keepdims=True)
         self._EI = modulus * moments[:, : max(1, n_s - 2)]
         self._bend_o = self._bends(X)
+        stretch, bend = self._EA * self._lengths, self._EI[:, :1] / self._lengths
+        if self._has_sections:
+            self.least = stretch[:, 0] / (16 * 25 * 9.0 ** (self._d - 1))
+        else:
+            self.least = np.minimum(stretch / (18 * 25), bend)[:, 0]
+
+    def upright(self, Z: Array) -> bool:
+        """Whether sections are not turned inside out at nodes."""
+        if not self._has_sections:
+            return True
+        slopes = Z[self._ends].reshape(-1, self._d + 1, self._d)[:, 1:]
+        return bool(np.all(np.linalg.det(slopes) * self._upright > 0))
 
     def words(self, Z: Array) -> str:
         X = Z[self._ends]

@@ -250,7 +250,7 @@ class AncfSystem(PlannedSystem):
 
     def folded(self, q: Array) -> str:
         """Elements that are turned inside out, bent back on themselves, or crushed."""
-        return self._folds.words(q)
+        return self._folds.words(q, self._elastic.energies(q.real[None])[0])
 
     def coarse(self, q: Array) -> dict[str, float]:
         """Beams whose elements are too few, with the share of the energy that is the mesh's."""

@@ -20,7 +20,7 @@ class Verdict(Enum):
     OFF_ROOT = "a step ended at another solution of the joints than the motion leads to"
     TOO_ACCURATE = "the tolerance is below what round-off allows"
     EQUILIBRIUM = "the equilibrium was reached"
-    FOLDED = "what was found in balance is folded"
+    FOLDED = "elements are folded"
     LIMIT_POINT = "the load has a limit point, above which there is no equilibrium nearby"
 
 
