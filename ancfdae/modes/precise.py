@@ -29,7 +29,6 @@ from ancfdae.modes.rigid import distinct
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.statics.balance import Balance
-from ancfdae.statics.softness import stiffness_of_coordinates
 
 # Round-off of z, twice that of a frequency, above which products with the matrix do not do, and
 # above which modes are refused. The bound that decides of the former is 50 times what it bounds.
@@ -38,8 +37,8 @@ ALLOWED = 2e-6
 _GUARDS, _SWEEPS = 8, 60
 # Sweeps end where values change by less of themselves, or of what the matrix would round them by.
 _SETTLED = 1e-7
-# As in `statics.softness`.
-_SHIFT = 1e-14
+# As in `statics.softness`: a shift, and the part of the stiffest that counts where D is less.
+_SHIFT, _TRACE = 1e-14, 1e-8
 # What is stiff: axial forces, 1/n^2 of the diagonal, and neither bending nor rigid motions.
 _STIFF = 1e-10
 # Rigid motions searched for at first, and so many times as many as long as all of them are; and
@@ -211,9 +210,12 @@ def _without(R: Array, inertia: Array, X: Array) -> Array:
 
 
 def _stiffness(small: Linearised) -> Array:
-    """Return D = |diag K|."""
-    balance = Balance(small.system, small.at.t, small.at.q, small.at.lam)
-    return stiffness_of_coordinates(balance, small.K)
+    """Return D = |diag K|, and at least a trace of the stiffest by weight.
+
+    It serves as the shift of all motions at once: one that D leaves out would stay singular.
+    """
+    w, D = small.system.weights, np.abs(small.K[small.system.pattern.diagonal])
+    return np.asarray(np.maximum(D, _TRACE * np.max(D / w) * w) if np.any(D) else w)
 
 
 def _shifted(small: Linearised, shift: float) -> Array:
