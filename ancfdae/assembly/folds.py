@@ -112,15 +112,16 @@ class _Beam:
         chord = self._lengths[..., None] * Y[:, :1]
         X = np.concatenate([start, Y[:, 1:n_s], chord, Y[:, n_s:]], axis=1)
         if self._has_sections:
-            self._upright = np.sign(np.linalg.det(X.reshape(-1, n_s, self._d)[:, 1:]))
+            self._upright = np.sign(self._at_nodes(X))
         self._stretch_o = np.sum(self._tangents(X) ** 2, axis=-1)
-        self._volume_o = self._volumes(X) if self._has_sections else None
-        y, z, dA = kind.section.points(kind.sizes(parameters), False)
+        # Elements of the same numbers have the same section: most beams have one.
+        rows, same = np.unique(parameters, axis=0, return_inverse=True)
+        y, z, dA = kind.section.points(kind.sizes(rows), False)
         _, moments = central_moments(y, z, dA)
         # E A, and E I about the axes across which slopes are nodal vectors, or the first.
-        modulus = parameters[:, ElementParameter.YOUNGS_MODULUS, None]
-        self._EA = modulus * np.sum(dA, axis=1, keepdims=True)
-        self._EI = modulus * moments[:, : max(1, n_s - 2)]
+        modulus = rows[:, ElementParameter.YOUNGS_MODULUS, None]
+        self._EA = (modulus * np.sum(dA, axis=1, keepdims=True))[same.ravel()]
+        self._EI = (modulus * moments[:, : max(1, n_s - 2)])[same.ravel()]
         self._bend_o = self._bends(X)
         stretch, bend = self._EA * self._lengths, self._EI[:, :1] / self._lengths
         if self._has_sections:
@@ -132,18 +133,23 @@ class _Beam:
         """Whether sections are not turned inside out at nodes."""
         if not self._has_sections:
             return True
-        slopes = Z[self._ends].reshape(-1, self._d + 1, self._d)[:, 1:]
-        return bool(np.all(np.linalg.det(slopes) * self._upright > 0))
+        return bool(np.all(self._at_nodes(Z[self._ends]) * self._upright > 0))
+
+    def _at_nodes(self, X: Array) -> Array:
+        """Return det [r_x, r_y(, r_z)] at the two nodes, (n, 2)."""
+        slopes = X.reshape(-1, 2, self._d + 1, self._d)[:, :, 1:]
+        return np.asarray(np.linalg.det(slopes))
 
     def words(self, Z: Array) -> str:
         X = Z[self._ends]
         r_x = self._tangents(X)
         crushed = 3.0 * np.sum(r_x**2, axis=-1) <= self._free * self._stretch_o
-        if self._volume_o is None:
+        if not self._has_sections:
             chord = X[:, len(X[0]) // 2] - X[:, 0]
             turned = np.einsum("npd,nd->np", r_x, chord) <= 0
         else:
-            turned = np.any(self._volumes(X) * self._volume_o <= 0, axis=1)
+            # Those of the reference have one sign along an element.
+            turned = np.any(self._volumes(X) * self._upright[:, :1, None] <= 0, axis=1)
         folded = np.flatnonzero(np.any(crushed | turned, axis=1))
         if not len(folded):
             return ""
