@@ -207,8 +207,6 @@ class HighOrder(QuadratureIntegrator):
             verdict = Verdict.INTERRUPTED
         if remedy := remedy or watch.missed(all_of_them=True):
             verdict = Verdict.OFF_ROOT
-        if verdict is Verdict.FINISHED and (remedy := watch.folded()):
-            verdict = Verdict.FOLDED
         recorder.factorisations = problem.accelerations.factorisations
         size = 0.0
         if march is not None:

@@ -17,7 +17,7 @@ class Watch:
     """Checks each instant of a recorder once."""
 
     def __init__(self, system: MechanicalSystem, recorder: Recorder) -> None:
-        self._system, self._branch, self._recorder = system, Branch(system), recorder
+        self._branch, self._recorder = Branch(system), recorder
         self._right = max(recorder.instants, 1)
 
     def missed(self, all_of_them: bool = False) -> str:
@@ -39,17 +39,3 @@ class Watch:
         recorder.cut(self._right + lost.first)
         self._right = recorder.instants
         return lost.remedy
-
-    def folded(self) -> str:
-        """Return in words which elements are folded at the end, or nothing.
-
-        They stay so: the recorder forgets all instants from the first one at which they were.
-        """
-        recorder, system = self._recorder, self._system
-        q = recorder.last(recorder.instants).q
-        words = system.folded(q[-1])
-        if words:
-            first = next(k for k, row in enumerate(q) if system.folded(row))
-            recorder.cut(max(first, 1))
-        remedy = "Take shorter steps, or give materials a damping time."
-        return f"Folded afterwards: {words}. {remedy}" if words else ""

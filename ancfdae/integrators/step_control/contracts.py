@@ -196,8 +196,6 @@ def march(
     why = why or watch.missed(all_of_them=True)
     if why or isinstance(end, Reached):
         end = Failure(Verdict.OFF_ROOT, 0.0, why)
-    if end.verdict is Verdict.FINISHED and (words := watch.folded()):
-        end = Failure(Verdict.FOLDED, 0.0, words)
     verdict, correction, remedy = end
     if verdict in _STUCK:
         t, q, _ = recorder.last(1)
