@@ -110,7 +110,10 @@ def test_modes_of_strongly_damped_rods_are_those_of_the_undamped_ones(held, tau,
     free = [k is MotionKind.RIGID for k in found.kinds]
     assert sum(free) == (0 if held else 3)
     expected = kelvin_voigt(tau, omega[omega > 0])
-    key = lambda s: (s.imag == 0, abs(s))  # noqa: E731
+
+    def key(s):
+        return s.imag == 0, abs(s)
+
     got = sorted(found.exponents[np.invert(free)], key=key)
     # The lowest frequencies, of 1e-5 of the highest, carry eps (1e5)^2 = 2e-6 of theirs at most.
     np.testing.assert_allclose(got, sorted(expected, key=key), rtol=2e-6)

@@ -19,13 +19,6 @@ what is linear in xi (the loads), the energy E A eps^2/2 is an error of the mesh
 
 the error of the stiffness: 12 (l/h)^2 (phi^3/1920)^2 times 0.1 in a beam without tension. A wire
 turns by fractions of a radian until that is more than all its bending.
-
-An element whose sections stand upright at its nodes and that has little energy is not folded. (One
-that is turned inside out as a whole has no energy.) Where det F = 0 a principal strain is -1/2, and
-the density of energy at least E/16 (its smallest modulus is above E/2); along the axis it is a
-polynomial of degree eight at most, and across it of degree four, and the mean of one that is
-nowhere negative is its maximum over 25, and over 9, at least. A crushed axis has a strain of -1/3,
-and an axis that turns by a right angle bends by E I (pi/2)^2/(2 l).
 """
 
 from __future__ import annotations
@@ -51,8 +44,8 @@ _NAMED = 3
 # Share of the energy of the mesh above which elements are too few: of a wire that hangs slack the
 # pull errs by five times as much (docs/howto/elements.md).
 _SHARE = 0.05
-# And the turn of an element, in rad: one that turns by less stretches by at most 1e-4, which a limp
-# cable, whose weight and not whose bending holds its shape, bears without an error of its pull.
+# And the turn of an element, in rad, fitted, not derived: limp cables of few elements, which their
+# weight and not their bending shapes, turn by less and pull rightly whatever their share.
 _TURN = 2.0 / 3.0
 # Weights of Boole's rule twice, and what of a strain at the places is not linear in xi.
 _WEIGHTS = np.array([7, 32, 12, 32, 14, 32, 12, 32, 7]) / 180.0
@@ -75,15 +68,10 @@ class Folds:
             own = parameters[first : first + n].real
             self._beams.append(_Beam(beam, layouts[beam.name].ends, own))
             first += n
-        none = np.zeros(0)
-        self._least = np.concatenate([none, *(beam.least for beam in self._beams)])
 
-    def words(self, q: Array, energies: Array) -> str:
-        """Say which elements, of these energies (n,), are folded at q; empty where none is."""
+    def words(self, q: Array) -> str:
+        """Say which elements are folded at coordinates q; empty where none is."""
         Z = q.real.reshape(-1, self._d)
-        few = np.all(energies <= self._least)
-        if few and all(beam.upright(Z) for beam in self._beams):
-            return ""
         return "; ".join(words for beam in self._beams if (words := beam.words(Z)))
 
     def coarse(self, q: Array) -> dict[str, float]:
@@ -123,17 +111,6 @@ class _Beam:
         self._EA = (modulus * np.sum(dA, axis=1, keepdims=True))[same.ravel()]
         self._EI = (modulus * moments[:, : max(1, n_s - 2)])[same.ravel()]
         self._bend_o = self._bends(X)
-        stretch, bend = self._EA * self._lengths, self._EI[:, :1] / self._lengths
-        if self._has_sections:
-            self.least = stretch[:, 0] / (16 * 25 * 9.0 ** (self._d - 1))
-        else:
-            self.least = np.minimum(stretch / (18 * 25), bend)[:, 0]
-
-    def upright(self, Z: Array) -> bool:
-        """Whether sections are not turned inside out at nodes."""
-        if not self._has_sections:
-            return True
-        return bool(np.all(self._at_nodes(Z[self._ends]) * self._upright > 0))
 
     def _at_nodes(self, X: Array) -> Array:
         """Return det [r_x, r_y(, r_z)] at the two nodes, (n, 2)."""

@@ -250,7 +250,7 @@ class AncfSystem(PlannedSystem):
 
     def folded(self, q: Array) -> str:
         """Elements that are turned inside out, bent back on themselves, or crushed."""
-        return self._folds.words(q, self._elastic.energies(q.real[None])[0])
+        return self._folds.words(q)
 
     def coarse(self, q: Array) -> dict[str, float]:
         """Beams whose elements are too few, with the share of the energy that is the mesh's."""
@@ -265,7 +265,7 @@ class AncfSystem(PlannedSystem):
         return self._constraints.constraint_q(t, *motion)
 
     def constraints_q(self, t: Array, q: Array) -> Array:
-        """Phi_q at many instants."""
+        """Return the values of the constraint Jacobian Phi_q at k instants, shape (k, nnz)."""
         return self._constraints.constraints_q(q, t)
 
     def constraint_total(
