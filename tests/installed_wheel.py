@@ -68,9 +68,6 @@ def main() -> None:
         for program in (IMPORT_ALL, first, *tutorial):
             # Isolated: neither the checkout nor PYTHONPATH is seen.
             run(python, "-I", "-W", "error", "-c", program, folder=folder)
-        again = ("install", "--quiet", "--force-reinstall", "--no-deps", sdist)
-        run(python, "-m", "pip", *again, folder=folder)
-        run(python, "-I", "-W", "error", "-c", IMPORT_ALL, folder=folder)
 
 
 if __name__ == "__main__":

@@ -261,7 +261,7 @@ def positions_column(case):
 
 
 @pytest.mark.parametrize("which", INVARIANT)
-def test_derivative_invariants_are_the_complex_stebendingf_prepare(case, which):
+def test_derivative_invariants_are_the_complex_step_of_prepare(case, which):
     values, size = perturbed(which)
     inv, partial = case.prepare(values), case.inv.partials[which]
     # c is what a moving reference takes off the stress: A dg_o/db.
@@ -302,7 +302,7 @@ def test_damping_time_changes_no_invariant(case):
 
 
 @pytest.mark.parametrize("which", ELASTIC)
-def test_force_partial_is_the_complex_stebendingf_the_oracle(case, which):
+def test_force_partial_is_the_complex_step_of_the_oracle(case, which):
     X, (values, size) = case.state(11), perturbed(which)
     E, nu, _, l, _, _, h, w = values[:8]
     X_o = case.moved_reference(values)
@@ -314,7 +314,7 @@ def test_force_partial_is_the_complex_stebendingf_the_oracle(case, which):
 
 @pytest.mark.parametrize("tau", [None, TAU], ids=["undamped", "damped"])
 @pytest.mark.parametrize("which", ELASTIC)
-def test_force_partial_is_the_complex_stebendingf_force(case, which, tau):
+def test_force_partial_is_the_complex_step_of_force(case, which, tau):
     Y, V = case.relative(case.state(12)), case.relative(case.state(13))
     partial, (values, size) = case.inv.partials[which], perturbed(which)
     inv = case.prepare(values)
@@ -332,7 +332,7 @@ def test_force_partial_in_the_damping_time_is_the_stress_of_the_strain_rate(case
     assert_close(stressed(rate, Y), by_step, DERIVATIVE)
 
 
-def test_mass_partials_are_the_complex_stebendingf_the_oracle(case):
+def test_mass_partials_are_the_complex_step_of_the_oracle(case):
     for which in (ElementParameter.DENSITY, *GEOMETRIC):
         values, size = perturbed(which)
         _, _, rho, l, _, _, h, w = values[:8]
@@ -345,7 +345,7 @@ def test_mass_partials_are_the_complex_stebendingf_the_oracle(case):
 # ---------------------------------------------------------------- derivatives in the coordinates
 
 
-def test_force_is_the_complex_stebendingf_the_energy(case):
+def test_force_is_the_complex_step_of_the_energy(case):
     Y = case.relative(case.state(21))
     gradient = np.zeros_like(Y)
     for k in range(Y.size):
@@ -366,14 +366,14 @@ def by_component(case, Y, function):
 
 
 @pytest.mark.parametrize("tau", [None, TAU], ids=["undamped", "damped"])
-def test_tangent_is_the_complex_stebendingf_force(case, tau):
+def test_tangent_is_the_complex_step_of_force(case, tau):
     Y, V = case.relative(case.state(22)), case.relative(case.state(23))
     A, g_o, bending = *case.law, case.inv.bending
     expected = by_component(case, Y, lambda y: element_forces.force(A, g_o, y, V, tau, bending))
     assert_close(element_forces.tangent(A, g_o, Y, V, tau, bending), expected, DERIVATIVE)
 
 
-def test_damping_tangent_is_the_complex_stebendingf_force_in_the_velocities(case):
+def test_damping_tangent_is_the_complex_step_of_force_in_the_velocities(case):
     Y, V = case.relative(case.state(22)), case.relative(case.state(23))
     A, g_o, bending = *case.law, case.inv.bending
     expected = by_component(case, V, lambda v: element_forces.force(A, g_o, Y, v, TAU, bending))
@@ -381,7 +381,7 @@ def test_damping_tangent_is_the_complex_stebendingf_force_in_the_velocities(case
 
 
 @pytest.mark.parametrize("tau", [None, TAU], ids=["undamped", "damped"])
-def test_force_rate_is_the_complex_stebendingf_force_along_the_motion(case, tau):
+def test_force_rate_is_the_complex_step_of_force_along_the_motion(case, tau):
     Y, V, Z = (case.relative(case.state(seed)) for seed in (24, 25, 26))
     A, g_o, bending = *case.law, case.inv.bending
     moved = element_forces.force(A, g_o, Y + 1j * STEP * V, V + 1j * STEP * Z, tau, bending)

@@ -23,7 +23,9 @@ static void plan_dropped(ConstraintPlan *self)
         Py_XDECREF(self->real[i]);
         Py_XDECREF(self->complex_[i]);
     }
-    Py_TYPE(self)->tp_free((PyObject *)self);
+    PyTypeObject *type = Py_TYPE((PyObject *)self);
+    PyObject_Free(self);
+    Py_DECREF(type);
 }
 
 static int ascending(const npy_int32 *at, npy_intp count, npy_intp stride, npy_intp end)
@@ -109,16 +111,16 @@ static int plan_taken(ConstraintPlan *self, PyObject *indices, PyObject *numbers
                               &p->place_linear, &p->place_product, &p->curved, &p->moving_at,
                               &p->moving_part};
     for (int i = 0; i < PLAN_INDICES; i++) {
-        if (!taken(PyTuple_GET_ITEM(indices, i), NPY_INT32, 1, &self->indices[i]))
+        if (!taken(PyTuple_GetItem(indices, i), NPY_INT32, 1, &self->indices[i]))
             return 0;
         *to[i] = data_of(self->indices[i]);
     }
     self->type = NPY_DOUBLE;
     for (int i = 0; i < PLAN_NUMBERS; i++)
-        if (is_complex(PyTuple_GET_ITEM(numbers, i)))
+        if (is_complex(PyTuple_GetItem(numbers, i)))
             self->type = NPY_CDOUBLE;
     for (int i = 0; i < PLAN_NUMBERS; i++) {
-        PyObject *x = PyTuple_GET_ITEM(numbers, i);
+        PyObject *x = PyTuple_GetItem(numbers, i);
         if (!taken(x, NPY_CDOUBLE, 1, &self->complex_[i]) ||
             (self->type == NPY_DOUBLE && !taken(x, NPY_DOUBLE, 1, &self->real[i])))
             return 0;
@@ -138,7 +140,7 @@ static int plan_filled(ConstraintPlan *self, PyObject *arguments)
     if (!PyArg_ParseTuple(arguments, "O!O!innn", &PyTuple_Type, &indices, &PyTuple_Type, &numbers,
                           &p->d, &n_q, &n_values, &n_curved))
         return 0;
-    if (PyTuple_GET_SIZE(indices) != PLAN_INDICES || PyTuple_GET_SIZE(numbers) != PLAN_NUMBERS)
+    if (PyTuple_Size(indices) != PLAN_INDICES || PyTuple_Size(numbers) != PLAN_NUMBERS)
         return wrong("a plan is made of 13 arrays of indices and 3 of numbers");
     if (!plan_taken(self, indices, numbers))
         return 0;
@@ -160,11 +162,11 @@ static int plan_filled(ConstraintPlan *self, PyObject *arguments)
 
 static PyObject *plan_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
 {
-    ConstraintPlan *self = (ConstraintPlan *)type->tp_alloc(type, 0);
+    ConstraintPlan *self = (ConstraintPlan *)PyType_GenericAlloc(type, 0);
     if (!self)
         return NULL;
     self->arguments = Py_NewRef(arguments);
-    if ((names && PyDict_GET_SIZE(names) > 0 && !wrong("a plan takes no names")) ||
+    if ((names && PyDict_Size(names) > 0 && !wrong("a plan takes no names")) ||
         !plan_filled(self, arguments))
         Py_CLEAR(self);
     return (PyObject *)self;
@@ -178,14 +180,17 @@ static PyObject *plan_reduced(PyObject *self, PyObject *none)
 
 static PyMethodDef plan_methods[] = {{"__reduce__", plan_reduced, METH_NOARGS, NULL},
                                      {NULL, NULL, 0, NULL}};
-static PyTypeObject ConstraintPlanType = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "ancfdae.kernels._kernels.ConstraintPlan",
-    .tp_basicsize = sizeof(ConstraintPlan),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_dealloc = (destructor)plan_dropped,
-    .tp_methods = plan_methods,
-    .tp_new = plan_new,
+static PyType_Slot plan_slots[] = {{Py_tp_dealloc, (void *)plan_dropped},
+                                   {Py_tp_methods, plan_methods},
+                                   {Py_tp_new, (void *)plan_new},
+                                   {0, NULL}};
+static PyType_Spec plan_type = {
+    .name = "ancfdae.kernels._kernels.ConstraintPlan",
+    .basicsize = sizeof(ConstraintPlan),
+    .flags = Py_TPFLAGS_DEFAULT,
+    .slots = plan_slots,
 };
+static PyTypeObject *ConstraintPlanType; /* Made when the module is imported. */
 
 /* ---- functions of a plan -------------------------------------------------------------------- */
 
@@ -210,7 +215,7 @@ static int states_taken(ConstraintStates *x, PyObject *plan, PyObject *factors, 
                         PyObject *const *motion, Py_ssize_t count)
 {
     memset(x, 0, sizeof *x);
-    if (!PyObject_TypeCheck(plan, &ConstraintPlanType))
+    if (!PyObject_TypeCheck(plan, ConstraintPlanType))
         return wrong("the first argument must be a plan");
     if (count < 1 || count > ORDERS)
         return wrong("there must be coordinates and up to three time derivatives");
@@ -298,7 +303,7 @@ static PyObject *py_constraints(PyObject *const *args, Py_ssize_t count)
 /* constraint_curvature(plan, factors, lam); the factors are of one order. */
 static PyObject *py_constraint_curvature(PyObject *const *args)
 {
-    if (!PyObject_TypeCheck(args[0], &ConstraintPlanType))
+    if (!PyObject_TypeCheck(args[0], ConstraintPlanType))
         return wrong("the first argument must be a plan"), NULL;
     ConstraintPlan *of = (ConstraintPlan *)args[0];
     const constraint_plan *p = &of->plan;
@@ -402,14 +407,14 @@ static int partials_taken(TotalArguments *a, const constraint_plan *p, PyObject 
 {
     constraint_partials *of = &a->partials;
     const npy_int32 **to[] = {&of->variable, &of->number, &of->first, &of->part, &of->entry};
-    if (!PyTuple_Check(partials) || PyTuple_GET_SIZE(partials) != PARTIAL_INDICES + 1)
+    if (!PyTuple_Check(partials) || PyTuple_Size(partials) != PARTIAL_INDICES + 1)
         return wrong("partials are (variable, number, first, part, entry, value)");
     for (int i = 0; i < PARTIAL_INDICES; i++) {
-        if (!taken(PyTuple_GET_ITEM(partials, i), NPY_INT32, 1, &a->indices[i]))
+        if (!taken(PyTuple_GetItem(partials, i), NPY_INT32, 1, &a->indices[i]))
             return 0;
         *to[i] = data_of(a->indices[i]);
     }
-    if (!taken(PyTuple_GET_ITEM(partials, PARTIAL_INDICES), NPY_DOUBLE, 1, &a->value))
+    if (!taken(PyTuple_GetItem(partials, PARTIAL_INDICES), NPY_DOUBLE, 1, &a->value))
         return 0;
     of->value = data_of(a->value);
     of->n_b = PyArray_SIZE(a->indices[0]) - 1;
@@ -449,10 +454,10 @@ static int totals_taken(TotalArguments *a, const ConstraintStates *x, PyObject *
         return 0;
     if (motion_b == Py_None)
         return !a->lam_b || wrong("with lam_b there must be derivatives of the motion");
-    if (!PyTuple_Check(motion_b) || PyTuple_GET_SIZE(motion_b) != x->n + 1)
+    if (!PyTuple_Check(motion_b) || PyTuple_Size(motion_b) != x->n + 1)
         return wrong("there must be derivatives of all of the motion, or of none");
     for (int i = 0; i <= x->n; i++)
-        if (!rows_taken(PyTuple_GET_ITEM(motion_b, i), x->k, n_b, p->n_q, &a->X_b[i]) ||
+        if (!rows_taken(PyTuple_GetItem(motion_b, i), x->k, n_b, p->n_q, &a->X_b[i]) ||
             (!a->X_b[i] && !wrong("an array is missing")))
             return 0;
     return 1;
@@ -465,10 +470,13 @@ static PyObject *py_constraint_totals(PyObject *const *args)
     ConstraintStates x;
     PyArrayObject *out = NULL;
     memset(&a, 0, sizeof a);
-    if (!PyTuple_Check(args[6]))
-        return wrong("the motion must be a tuple"), NULL;
-    if (states_taken(&x, args[0], args[2], args[4], &PyTuple_GET_ITEM(args[6], 0),
-                     PyTuple_GET_SIZE(args[6])) &&
+    if (!PyTuple_Check(args[6]) || PyTuple_Size(args[6]) > ORDERS)
+        return wrong("the motion must be a tuple of up to four arrays"), NULL;
+    PyObject *motion[ORDERS];
+    Py_ssize_t count = PyTuple_Size(args[6]);
+    for (Py_ssize_t i = 0; i < count; i++)
+        motion[i] = PyTuple_GetItem(args[6], i);
+    if (states_taken(&x, args[0], args[2], args[4], motion, count) &&
         partials_taken(&a, &x.of->plan, args[1]) &&
         totals_taken(&a, &x, args[3], args[5], args[7])) {
         const constraint_plan *p = &x.of->plan;

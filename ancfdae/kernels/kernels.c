@@ -5,6 +5,8 @@
  */
 
 #define PY_SSIZE_T_CLEAN
+/* The stable ABI: one build serves every Python from 3.11 on. */
+#define Py_LIMITED_API 0x030A0000
 #include <Python.h>
 #define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
 #define NPY_TARGET_VERSION NPY_2_0_API_VERSION
@@ -14,6 +16,7 @@
 #include <float.h>
 #include <limits.h>
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
@@ -184,9 +187,9 @@ static int taken_number(PyObject *object, npy_intp most, npy_intp *number)
 /* An item of a tuple with so many of them. */
 static PyObject *item(PyObject *tuple, Py_ssize_t size, Py_ssize_t i)
 {
-    if (!tuple || !PyTuple_Check(tuple) || PyTuple_GET_SIZE(tuple) != size)
+    if (!tuple || !PyTuple_Check(tuple) || PyTuple_Size(tuple) != size)
         return wrong("a plan is made of named tuples"), NULL;
-    return PyTuple_GET_ITEM(tuple, i);
+    return PyTuple_GetItem(tuple, i);
 }
 
 static int is_complex(PyObject *object)
@@ -288,13 +291,13 @@ static int sized(Arguments *a, npy_intp n_y, npy_intp d)
 static int filled(Arguments *a, PyObject *block, PyObject *const *states, int count)
 {
     memset(a, 0, sizeof *a);
-    if (!PyTuple_Check(block) || PyTuple_GET_SIZE(block) != BLOCK_ITEMS)
+    if (!PyTuple_Check(block) || PyTuple_Size(block) != BLOCK_ITEMS)
         return wrong("a block is (A, g_o, bending, tau, vectors, d, n_q)");
     PyObject *items[BLOCK_ITEMS];
     npy_intp d;
     a->type = NPY_DOUBLE;
     for (int i = 0; i < BLOCK_ITEMS; i++)
-        items[i] = PyTuple_GET_ITEM(block, i);
+        items[i] = PyTuple_GetItem(block, i);
     for (int i = 0; i < 4; i++)
         if (is_complex(items[i]))
             a->type = NPY_CDOUBLE;
@@ -878,7 +881,7 @@ static PyObject *py_add_scaled(PyObject *const *args)
     }
     out = (PyArrayObject *)PyArray_SimpleNew(PyArray_NDIM(x), PyArray_DIMS(x), NPY_DOUBLE);
     if (out) {
-        const double *from = data_of(x), *added = data_of(y), s = PyFloat_AS_DOUBLE(args[1]);
+        const double *from = data_of(x), *added = data_of(y), s = PyFloat_AsDouble(args[1]);
         double *to = PyArray_DATA(out);
         for (npy_intp i = 0; i < PyArray_SIZE(x); i++)
             to[i] = from[i] + s * added[i];
@@ -1153,15 +1156,15 @@ enum { MOST_TERMS = 3 };
 /* Take terms (number, values) of a sum, all of one size. */
 static int terms_taken(PyObject *terms, int type, int *count, double *s, PyArrayObject **K)
 {
-    if (!PyTuple_Check(terms) || PyTuple_GET_SIZE(terms) < 1 || PyTuple_GET_SIZE(terms) > MOST_TERMS)
+    if (!PyTuple_Check(terms) || PyTuple_Size(terms) < 1 || PyTuple_Size(terms) > MOST_TERMS)
         return wrong("a sum is a tuple of at most three terms");
-    *count = (int)PyTuple_GET_SIZE(terms);
+    *count = (int)PyTuple_Size(terms);
     for (int i = 0; i < *count; i++) {
-        PyObject *term = PyTuple_GET_ITEM(terms, i);
-        if (!PyTuple_Check(term) || PyTuple_GET_SIZE(term) != 2)
+        PyObject *term = PyTuple_GetItem(terms, i);
+        if (!PyTuple_Check(term) || PyTuple_Size(term) != 2)
             return wrong("a term is a number with values");
-        s[i] = PyFloat_AsDouble(PyTuple_GET_ITEM(term, 0));
-        if (PyErr_Occurred() || !taken(PyTuple_GET_ITEM(term, 1), type, 0, &K[i]))
+        s[i] = PyFloat_AsDouble(PyTuple_GetItem(term, 0));
+        if (PyErr_Occurred() || !taken(PyTuple_GetItem(term, 1), type, 0, &K[i]))
             return 0;
         if (PyArray_SIZE(K[i]) != PyArray_SIZE(K[0]))
             return wrong("terms must have one size");
@@ -1171,10 +1174,10 @@ static int terms_taken(PyObject *terms, int type, int *count, double *s, PyArray
 
 static int terms_type(PyObject *terms)
 {
-    for (Py_ssize_t i = 0; PyTuple_Check(terms) && i < PyTuple_GET_SIZE(terms); i++) {
-        PyObject *term = PyTuple_GET_ITEM(terms, i);
-        if (PyTuple_Check(term) && PyTuple_GET_SIZE(term) == 2 &&
-            is_complex(PyTuple_GET_ITEM(term, 1)))
+    for (Py_ssize_t i = 0; PyTuple_Check(terms) && i < PyTuple_Size(terms); i++) {
+        PyObject *term = PyTuple_GetItem(terms, i);
+        if (PyTuple_Check(term) && PyTuple_Size(term) == 2 &&
+            is_complex(PyTuple_GetItem(term, 1)))
             return NPY_CDOUBLE;
     }
     return NPY_DOUBLE;
@@ -1379,8 +1382,11 @@ PyMODINIT_FUNC PyInit__kernels(void)
 {
     import_array();
     PyObject *module = PyModule_Create(&definition);
-    if (module && (PyModule_AddType(module, &ConstraintPlanType) < 0 ||
-                   PyModule_AddType(module, &LoadPlanType) < 0))
+    ConstraintPlanType = (PyTypeObject *)PyType_FromSpec(&plan_type);
+    LoadPlanType = (PyTypeObject *)PyType_FromSpec(&load_type);
+    if (module && (!ConstraintPlanType || !LoadPlanType ||
+                   PyModule_AddType(module, ConstraintPlanType) < 0 ||
+                   PyModule_AddType(module, LoadPlanType) < 0))
         Py_CLEAR(module);
     return module;
 }

@@ -22,7 +22,9 @@ static void load_dropped(LoadPlan *self)
         Py_XDECREF(self->real[i]);
         Py_XDECREF(self->complex_[i]);
     }
-    Py_TYPE(self)->tp_free((PyObject *)self);
+    PyTypeObject *type = Py_TYPE((PyObject *)self);
+    PyObject_Free(self);
+    Py_DECREF(type);
 }
 
 static int load_fits(const LoadPlan *self)
@@ -51,14 +53,14 @@ static int load_filled(LoadPlan *self, PyObject *arguments)
     if (!PyArg_ParseTuple(arguments, "O!O!nn", &PyTuple_Type, &indices, &PyTuple_Type, &numbers, &n_q,
                           &n_values))
         return 0;
-    if (PyTuple_GET_SIZE(indices) != LOAD_INDICES || PyTuple_GET_SIZE(numbers) != 2)
+    if (PyTuple_Size(indices) != LOAD_INDICES || PyTuple_Size(numbers) != 2)
         return wrong("a load is made of 7 arrays of indices and 2 of numbers");
     for (int i = 0; i < LOAD_INDICES; i++) {
-        if (!taken(PyTuple_GET_ITEM(indices, i), NPY_INT32, 1, &self->indices[i]))
+        if (!taken(PyTuple_GetItem(indices, i), NPY_INT32, 1, &self->indices[i]))
             return 0;
         *to[i] = data_of(self->indices[i]);
     }
-    PyObject *x[] = {PyTuple_GET_ITEM(numbers, 0), PyTuple_GET_ITEM(numbers, 1)};
+    PyObject *x[] = {PyTuple_GetItem(numbers, 0), PyTuple_GetItem(numbers, 1)};
     self->type = is_complex(x[0]) || is_complex(x[1]) ? NPY_CDOUBLE : NPY_DOUBLE;
     for (int i = 0; i < 2; i++)
         if (!taken(x[i], NPY_CDOUBLE, 1, &self->complex_[i]) ||
@@ -75,11 +77,11 @@ static int load_filled(LoadPlan *self, PyObject *arguments)
 
 static PyObject *load_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
 {
-    LoadPlan *self = (LoadPlan *)type->tp_alloc(type, 0);
+    LoadPlan *self = (LoadPlan *)PyType_GenericAlloc(type, 0);
     if (!self)
         return NULL;
     self->arguments = Py_NewRef(arguments);
-    if ((names && PyDict_GET_SIZE(names) > 0 && !wrong("a plan takes no names")) ||
+    if ((names && PyDict_Size(names) > 0 && !wrong("a plan takes no names")) ||
         !load_filled(self, arguments))
         Py_CLEAR(self);
     return (PyObject *)self;
@@ -93,14 +95,17 @@ static PyObject *load_reduced(PyObject *self, PyObject *none)
 
 static PyMethodDef load_methods[] = {{"__reduce__", load_reduced, METH_NOARGS, NULL},
                                      {NULL, NULL, 0, NULL}};
-static PyTypeObject LoadPlanType = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "ancfdae.kernels._kernels.LoadPlan",
-    .tp_basicsize = sizeof(LoadPlan),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_dealloc = (destructor)load_dropped,
-    .tp_methods = load_methods,
-    .tp_new = load_new,
+static PyType_Slot load_slots[] = {{Py_tp_dealloc, (void *)load_dropped},
+                                   {Py_tp_methods, load_methods},
+                                   {Py_tp_new, (void *)load_new},
+                                   {0, NULL}};
+static PyType_Spec load_type = {
+    .name = "ancfdae.kernels._kernels.LoadPlan",
+    .basicsize = sizeof(LoadPlan),
+    .flags = Py_TPFLAGS_DEFAULT,
+    .slots = load_slots,
 };
+static PyTypeObject *LoadPlanType; /* Made when the module is imported. */
 
 /* ---- functions of a plan -------------------------------------------------------------------- */
 
@@ -122,7 +127,7 @@ static void load_states_dropped(LoadStates *x)
 static int load_states_taken(LoadStates *x, PyObject *const *args, int count)
 {
     memset(x, 0, sizeof *x);
-    if (!PyObject_TypeCheck(args[0], &LoadPlanType))
+    if (!PyObject_TypeCheck(args[0], LoadPlanType))
         return wrong("the first argument must be the plan of a load");
     x->of = (LoadPlan *)args[0];
     x->type = x->of->type;

@@ -22,7 +22,7 @@ static void prepared_dropped(Prepared *x)
 {
     for (int i = 0; i < x->n_kept; i++)
         Py_DECREF(x->kept[i]);
-    PyMem_RawFree(x->memory);
+    free(x->memory);
     PyMem_Free(x->moving);
     PyMem_Free(x);
 }
@@ -112,7 +112,7 @@ enum { PLAN_ITEMS = 14, LAYOUT_ITEMS = 5 };
 static int kept_constraints(Prepared *x, PyObject *object, PyObject *B)
 {
     plan_real *p = &x->plan;
-    if (!PyObject_TypeCheck(object, &ConstraintPlanType) || x->n_kept == MOST_KEPT)
+    if (!PyObject_TypeCheck(object, ConstraintPlanType) || x->n_kept == MOST_KEPT)
         return wrong("constraints must be a plan of theirs");
     x->kept[x->n_kept++] = Py_NewRef(object);
     const ConstraintPlan *own = (ConstraintPlan *)object;
@@ -132,17 +132,17 @@ static int kept_loads(Prepared *x, PyObject *pairs)
     if (!pairs || !PyTuple_Check(pairs) || x->n_kept == MOST_KEPT)
         return wrong("a plan is made of named tuples");
     x->kept[x->n_kept++] = Py_NewRef(pairs);
-    p->n_moving = PyTuple_GET_SIZE(pairs), p->n_factors = p->n_loads + p->n_moving;
+    p->n_moving = PyTuple_Size(pairs), p->n_factors = p->n_loads + p->n_moving;
     p->velocity = p->damped;
     p->moving = x->moving = PyMem_Calloc((size_t)p->n_moving + 1, sizeof *x->moving);
     if (!x->moving)
         return PyErr_NoMemory(), 0;
     for (npy_intp k = 0; k < p->n_moving; k++) {
-        PyObject *pair = PyTuple_GET_ITEM(pairs, k), *object = item(pair, 2, 0);
+        PyObject *pair = PyTuple_GetItem(pairs, k), *object = item(pair, 2, 0);
         const LoadPlan *own = (const LoadPlan *)object;
         if (!object)
             return 0;
-        if (!PyObject_TypeCheck(object, &LoadPlanType) || own->type != NPY_DOUBLE ||
+        if (!PyObject_TypeCheck(object, LoadPlanType) || own->type != NPY_DOUBLE ||
             own->plan.n_q != p->n_q || own->plan.n_values != p->nnz)
             return wrong("loads must be real, and those of the coordinates");
         int velocity = PyObject_IsTrue(item(pair, 2, 1));
@@ -258,7 +258,7 @@ static int given_room(Prepared *x)
     }
     for (int i = 0; i < count; i++)
         total += rooms[i].size;
-    x->memory = PyMem_RawCalloc(total + n + of_fronts + 1, sizeof(double));
+    x->memory = calloc(total + n + of_fronts + 1, sizeof(double));
     if (!x->memory)
         return PyErr_NoMemory(), 0;
     double *at = x->memory;
@@ -452,14 +452,14 @@ static PyObject *py_differentiate_steps(PyObject *const *args)
     if (!in_place(args[2], 0, 3, of_right, &right) || !in_place(args[4], 0, 4, of_states, &states) ||
         !in_place(args[5], 0, 3, of_lam, &lam_b))
         return NULL;
-    double *room = PyMem_RawMalloc((size_t)(n_b * n) * sizeof(double) + 1);
+    double *room = malloc((size_t)(n_b * n) * sizeof(double) + 1);
     int ends = ALL_TAKEN;
     if (!room)
         return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS
     taken_steps = differentiated(p, &x->room, &s, n_b, right, z, states, lam_b, room, &ends);
     Py_END_ALLOW_THREADS
-    PyMem_RawFree(room);
+    free(room);
     return Py_BuildValue("ni", taken_steps, ends);
 }
 

@@ -228,7 +228,7 @@ static void *stage_room(stage_step *s)
     const plan_real *p = s->plan;
     size_t n = STAGES * (size_t)(p->n_q + p->n_lam);
     size_t band = n * (3 * (size_t)s->half + 1), n_B = STAGES * (size_t)p->constraints->n_values;
-    double *at = PyMem_RawMalloc((4 * n + n_B + (size_t)s->size_K + band + 1) * sizeof(double));
+    double *at = malloc((4 * n + n_B + (size_t)s->size_K + band + 1) * sizeof(double));
     if (!at)
         return PyErr_NoMemory();
     s->R = at, s->change = s->R + n, s->work = s->change + n, s->B = s->work + n;
@@ -314,6 +314,6 @@ static PyObject *py_solve_stages(PyObject *const *args)
     Py_BEGIN_ALLOW_THREADS
     ends = stages_iterated(&s);
     Py_END_ALLOW_THREADS
-    PyMem_RawFree(memory);
+    free(memory);
     return Py_BuildValue("id(nnn)", ends, s.size, s.iterations, s.factorisations, s.stuck);
 }
