@@ -64,7 +64,7 @@ _FALLING = (0.0, -9.81)
 # Objectives at instants read the polynomials between 200 of them: 64 leave 1e-3 of some gradients.
 _FINE = Explicit(1e-9, intervals=200)
 # Steps that follow damped waves as long as they last.
-_DAMPED = Radau(rtol=1e-9)
+_DAMPED = Radau(rtol=1e-12)
 _Random = np.random.Generator
 
 

@@ -20,7 +20,7 @@ from ancfdae.integrators.radau.method import Radau
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import HIGH_GRANTED, Estimate, refined, tightened
 from ancfdae.studies.tolerance.runs import OF_A_RUN, Runs, Sample, Wanted
-from ancfdae.studies.tolerance.waves import followed, missed
+from ancfdae.studies.tolerance.waves import Wave, followed, missed
 
 # Order at which the estimated errors of derivatives fall where steps resolve their waves; where
 # there are three runs, a little less will do.
@@ -159,8 +159,8 @@ class Second(_Steps):
 
     def __init__(self, wanted: Wanted) -> None:
         super().__init__(wanted)
-        # What is lost by waves, and the frequency of those of the motion, 1/s.
-        self._lost, self._speed = list[Array](), 0.0
+        # What is lost by waves, and the waves.
+        self._lost, self._damped = list[Array](), list[Wave]()
         # Whether its runs damped waves of the motion.
         self.waves = False
         # Steps above which they are small.
@@ -176,15 +176,15 @@ class Second(_Steps):
             self.samples = []
         elif self.damps:
             self.samples = self.samples[-1:] if sample.steps < self._following / 2 else []
-        self._lost, self._speed = [], 0.0
+        self._lost, self._damped = [], []
         wanted, system = self._wanted, self._system
         if sample.vectors and wanted.slopes:
             self._small = small_from(system, sample.run, _ALPHA)
         if self.samples and sample.vectors:
             found = missed(system, sample.run, _ALPHA, wanted.numbers, wanted.integrated)
-            self._speed = found.speed
-            self.waves = self.waves or self._speed > 0
-            for each in found.parts if found.speed else ():
+            self._damped = found.waves
+            self.waves = self.waves or bool(found.waves)
+            for each in found.parts:
                 self._lost += [each.value, each.slope] if wanted.slopes else [each.value]
         super().take(sample)
         self._taken = taken
@@ -198,13 +198,13 @@ class Second(_Steps):
     def damps(self) -> bool:
         """Whether waves that it damps may change more than the tolerance allows."""
         vectors = self.samples[-1].vectors if self.samples else []
-        return bool(self._lost) and self.relative(self._lost, vectors) > _AIM * self._tolerance
+        return bool(self._damped) and self.relative(self._lost, vectors) > _AIM * self._tolerance
 
     @property
     def words(self) -> str:
         """What is known of the waves."""
         if self.damps:
-            waves = f"waves of about {self._speed:.2g} rad/s" if self._speed else "fast waves"
+            waves = f"waves of about {max(x.speed for x in self._damped):.2g} rad/s"
             return f"{self.name} damps {waves}, which its steps pass over; bars hold their share"
         return super().words
 
@@ -228,7 +228,8 @@ class Second(_Steps):
     @property
     def _following(self) -> float:
         """Steps that keep the waves which the last run damps."""
-        return followed(self._speed, self._t_end, _ALPHA, 1.4 * self._taken)
+        less = _AIM * self._tolerance / self.relative(self._lost, self.samples[-1].vectors)
+        return followed(self._damped, self._t_end, _ALPHA, self._taken, less / 2)
 
     @property
     def left(self) -> float:

@@ -9,15 +9,17 @@ three). From s follow the amplitude x of the wave, its frequency and its physica
     K x + Phi_q^T mu = M s/(2 sin^2(theta/2)),   tan(theta/2) = omega h/2,
     omega^2 = x^T K x / x^T M x,                 c = x^T D x / 2 x^T M x
 
-(twice what a single wave has). It is lost by the share 1 - rho^n of a run of n steps. Then
-x cos(omega t) e^(-c t) is added to the states of the run: what that changes, times the share, is
-what the run may miss. The derivative of the phase, omega t / 2, comes from another frequency.
+(twice what a single wave has). The wave is x cos(omega t) e^(-c t); a run has x cos(omega t)
+rho^(t/h) of it, rho(omega h, c h) with the physical damping in the recurrence. Each is added to the
+states of the run: by what the numbers of the two differ is what the run may miss. A wave that
+physical damping takes away faster than the recurrence does is hardly missed. The derivative of the
+phase, omega t / 2, comes from another frequency.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple, final
 
@@ -53,18 +55,35 @@ Numbers = Callable[[States], Sequence[Array]]
 
 @final
 class Wave(NamedTuple):
-    """A wave from an instant on: amplitudes of q and lam, frequency and decay, 1/s."""
+    """A wave from an instant on: amplitudes of q and lam, frequency and damping c, 1/s."""
 
     begin: float
     q: Array
     lam: Array
     speed: float
-    decay: float
+    damping: float
 
-    def added(self, states: States, angle: float, phase: float) -> States:
-        """Return the states with the wave as one of another frequency, `angle`."""
+    @property
+    def decay(self) -> float:
+        """Rate of decay; overdamped motions relax at omega^2 / 2c; 1/s."""
+        slow = self.damping > self.speed
+        return self.speed**2 / (2 * self.damping) if slow else self.damping
+
+    def kept(self, h: float, alpha: float) -> float:
+        """Return the rate of decay in a run of HHT-I3 with the step h, 1/s."""
+        rho = radius(self.speed * h, alpha, 2 * self.damping * h)
+        return max(-math.log(rho), 0.0) / h
+
+    def missed(self, t_end: float, steps: float, alpha: float) -> float:
+        """Return the largest share of the amplitude by which a run errs at any time."""
+        kept = self.kept(t_end / steps, alpha)
+        t = np.geomspace(1e-3 * min(1 / max(self.decay, kept, 1 / t_end), t_end), t_end, 50)
+        return float(np.abs(np.exp(-self.decay * t) - np.exp(-kept * t)).max())
+
+    def added(self, states: States, angle: float, phase: float, decay: float) -> States:
+        """Return the states with the wave as one of another frequency, `angle`, and decay."""
         t = states.t - self.begin
-        size = (t >= 0) * np.exp(-self.decay * np.maximum(t, 0.0))
+        size = (t >= 0) * np.exp(-decay * np.maximum(t, 0.0))
         cos, sin = (size * f(angle * t + phase) for f in (np.cos, np.sin))
         q, lam = states.q + np.outer(cos, self.q), states.lam + np.outer(cos, self.lam)
         v = states.v - self.speed * np.outer(sin, self.q)
@@ -79,10 +98,10 @@ class Missed(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """What numbers may miss by waves, and the frequency of those of the motion; 1/s."""
+    """What numbers may miss by waves, and the waves that a run damps."""
 
     parts: list[Missed]
-    speed: float
+    waves: list[Wave]
 
 
 def _rows(run: Solution) -> list[Array]:
@@ -100,16 +119,17 @@ def _lasting(a: Array, weights: Array) -> Array:
     return np.min(np.lib.stride_tricks.sliding_window_view(sizes, _ROW), axis=1)
 
 
-def radius(angle: float, alpha: float) -> float:
-    """Return by what HHT-I3 multiplies a wave of omega h = `angle` in a step.
+def radius(angle: float, alpha: float, damped: float = 0.0) -> float:
+    """Return by what HHT-I3 multiplies a wave of omega h = `angle`, 2 c h = `damped` in a step.
 
-    The largest eigenvalue in size of the recurrence of (q, h v, h^2 a) of q'' + omega^2 q = 0.
+    The largest eigenvalue in size of the recurrence of (q, h v, h^2 a) of q'' + 2 c q' + omega^2 q
+    = 0.
     """
-    gamma, beta, W = 0.5 - alpha, (1 - alpha) ** 2 / 4, angle**2
+    gamma, beta, W, D = 0.5 - alpha, (1 - alpha) ** 2 / 4, angle**2, damped
     # q' = q + v + (1/2 - beta) a + beta a', v' = v + (1 - gamma) a + gamma a',
-    # a' + (1 + alpha) W q' - alpha W q = 0; all in powers of h.
-    left = np.array([[1, 0, -beta], [0, 1, -gamma], [(1 + alpha) * W, 0, 1]])
-    right = np.array([[1, 1, 0.5 - beta], [0, 1, 1 - gamma], [alpha * W, 0, 0]])
+    # a' + (1 + alpha) (W q' + D v') - alpha (W q + D v) = 0; all in powers of h.
+    left = np.array([[1, 0, -beta], [0, 1, -gamma], [(1 + alpha) * W, (1 + alpha) * D, 1]])
+    right = np.array([[1, 1, 0.5 - beta], [0, 1, 1 - gamma], [alpha * W, alpha * D, 0]])
     return float(np.abs(np.linalg.eigvals(np.linalg.solve(left, right))).max())
 
 
@@ -136,24 +156,22 @@ def wave_of(system: MechanicalSystem, run: Solution, a: Array) -> Wave | None:
         return None
     speed = math.sqrt(max(float(x @ dot(K, x)) / inertia, (_SMOOTH / h) ** 2))
     size = _AT_MOST / 4 * (1 + (2 / (speed * h)) ** 2)
-    decay = 0.0 if at.f_v is None else float(x @ dot(at.f_v[0], x)) / (2 * inertia)
-    # Overdamped motions relax at omega^2 / 2c.
-    decay = min(max(decay, 0.0), speed**2 / (2 * decay) if decay > speed else math.inf)
-    return Wave(float(run.t[n]), size * x, size * mu, speed, decay)
+    damping = 0.0 if at.f_v is None else float(x @ dot(at.f_v[0], x)) / (2 * inertia)
+    return Wave(float(run.t[n]), size * x, size * mu, speed, max(damping, 0.0))
 
 
-def followed(speed: float, t_end: float, alpha: float, at_least: float) -> float:
-    """Return the steps, `at_least` times a power of 1.4, that keep a wave to the end."""
-    steps = at_least
-    while _share(speed, t_end, steps, alpha) > _KEPT:
+def followed(waves: Sequence[Wave], t_end: float, alpha: float, begin: float, less: float) -> float:
+    """Return the steps, 1.4 or more times those of a run, that miss waves by a smaller share.
+
+    `less` is the share over that of `begin` steps; one that does not count is enough.
+    """
+    enough = [max(_KEPT, less * wave.missed(t_end, begin, alpha)) for wave in waves]
+    steps = 1.4 * begin
+    while any(
+        wave.missed(t_end, steps, alpha) > share for wave, share in zip(waves, enough, strict=True)
+    ):
         steps *= 1.4
     return steps
-
-
-def _share(speed: float, t_end: float, steps: float, alpha: float) -> float:
-    """Return the share of a wave's amplitude that a run loses."""
-    rho = min(radius(speed * t_end / steps, alpha), 1.0)
-    return -math.expm1(steps * math.log(rho))
 
 
 def missed(
@@ -168,58 +186,68 @@ def missed(
     Where a number is `integrated` over the instants, it sees the mean of a wave.
     """
     states, T, steps = states_of(run), float(run.t[-1]), len(run.t) - 1
-    waves = [wave_of(system, run, a) for a in _rows(run)]
-    shares = [x and _share(x.speed, T, steps, alpha) for x in waves]
-    plain, lost = numbers(states), Lost([], 0.0)
+    plain, lost = numbers(states), Lost([], [])
     for x in plain:
         lost.parts.append(Missed(np.zeros(x.shape), np.zeros(system.n_b)))
-    if waves[0] and shares[0] and shares[0] > _KEPT:
-        lost = lost._replace(speed=waves[0].speed)
-        _of_the_motion(waves[0], shares[0], states, (numbers, plain, integrated), lost.parts)
-    for j, (wave, share) in enumerate(zip(waves[1:], shares[1:], strict=True)):
-        if wave and share and share > _KEPT:
-            lost = lost._replace(speed=max(lost.speed, wave.speed))
-            scale = share * (abs(float(system.b[j])) or 1.0)
-            for each, size in zip(
-                lost.parts, _of_a_derivative(wave, states, numbers, plain), strict=True
-            ):
-                each.slope[j] += scale * size
+    for j, a in enumerate(_rows(run), -1):
+        wave = wave_of(system, run, a)
+        if wave is None or wave.missed(T, steps, alpha) <= _KEPT:
+            continue
+        decays = wave.decay, wave.kept(T / steps, alpha)
+        # One that lasts longer than it should shows in the differences of runs.
+        if decays[1] > decays[0]:
+            lost.waves.append(wave)
+        if j < 0:
+            _of_the_motion(wave, decays, states, (numbers, integrated), lost.parts)
+            continue
+        scale = abs(float(system.b[j])) or 1.0
+        for each, size in zip(
+            lost.parts, _of_a_derivative(wave, decays, states, numbers), strict=True
+        ):
+            each.slope[j] += scale * size
     return lost
 
 
 def _of_the_motion(
     wave: Wave,
-    share: float,
+    decays: tuple[float, float],
     states: States,
-    asked: tuple[Numbers, Sequence[Array], Sequence[bool]],
+    asked: tuple[Numbers, Sequence[bool]],
     parts: list[Missed],
 ) -> None:
     """Add what numbers and their derivatives miss by a wave of the motion."""
-    numbers, plain, integrated = asked
+    numbers, integrated = asked
     h, T = float(states.t[1] - states.t[0]), float(states.t[-1])
+    angle = min(wave.speed, _ANGLE / h)
     for phase in _PHASES:
-        angle = min(wave.speed, _ANGLE / h)
-        first = numbers(wave.added(states, angle, phase))
-        detuned = numbers(wave.added(states, angle + _TURN / T, phase))
-        for k, (x, y, z) in enumerate(zip(plain, first, detuned, strict=True)):
+        missed, detuned = (
+            _apart(numbers, (wave.added(states, x, phase, decay) for decay in decays))
+            for x in (angle, angle + _TURN / T)
+        )
+        for k, (x, y) in enumerate(zip(missed, detuned, strict=True)):
             speed = angle if integrated[k] else wave.speed
-            value = share * np.abs(y - x)
-            turned = share * float(np.abs(z - y).max()) * speed * T / _TURN
-            np.maximum(parts[k].value, value, out=parts[k].value)
-            slope = _POWER * turned + float(value.max())
+            np.maximum(parts[k].value, np.abs(x), out=parts[k].value)
+            turned = float(np.abs(y - x).max()) * speed * T / _TURN
+            slope = _POWER * turned + float(np.abs(x).max())
             np.maximum(parts[k].slope, slope, out=parts[k].slope)
 
 
+def _apart(numbers: Numbers, pair: Iterable[States]) -> list[Array]:
+    """Return by what the numbers of the first states exceed those of the second."""
+    true, kept = map(numbers, pair)
+    return [x - y for x, y in zip(true, kept, strict=True)]
+
+
 def _of_a_derivative(
-    wave: Wave, states: States, numbers: Numbers, plain: Sequence[Array]
+    wave: Wave, decays: tuple[float, float], states: States, numbers: Numbers
 ) -> list[float]:
     """Return what derivatives of numbers miss by a wave of a derivative of the motion."""
     h = float(states.t[1] - states.t[0])
     small = _SMALL * (float(np.abs(states.q).max()) or 1.0) / (float(np.abs(wave.q).max()) or 1.0)
     scaled = wave._replace(q=small * wave.q, lam=small * wave.lam)
-    sizes = [0.0 for _ in plain]
+    angle, sizes = min(wave.speed, _ANGLE / h), np.zeros(0)
     for phase in _PHASES:
-        changed = numbers(scaled.added(states, min(wave.speed, _ANGLE / h), phase))
-        for k, (x, y) in enumerate(zip(plain, changed, strict=True)):
-            sizes[k] = max(sizes[k], float(np.abs(y - x).max()) / small)
-    return sizes
+        missed = _apart(numbers, (scaled.added(states, angle, phase, x) for x in decays))
+        each = np.array([float(np.abs(x).max()) / small for x in missed])
+        sizes = np.maximum(sizes, each) if sizes.size else each
+    return list(sizes)
