@@ -34,6 +34,9 @@ class Numbering:
     # filled by their first one.
     vectors: Array
     n_q: int  # number of coordinates
+    # of int, (n, d + 1): vectors of every node with d slopes, and of everything rigid; each begins
+    # with the position.
+    sections: Array
 
     def rigid_motions(self) -> RigidMotions:
         """Return the rigid motions of all bodies."""
@@ -81,7 +84,7 @@ class Numbering:
 
 def number(scene: Scene) -> Numbering:
     """Assign numbers to the coordinates of a scene, body by body and node by node."""
-    bodies, beams, vectors, elements = [], [], [], []
+    bodies, beams, vectors, elements, sections = [], [], [], [], []
     soft = [beam.element for beam in scene.beams if not beam.rigid]
     widest = max(soft, key=lambda element: element.n_s, default=default_element(scene.dimension))
     vector = first = 0
@@ -89,6 +92,8 @@ def number(scene: Scene) -> Numbering:
         body = _body_layout(member, vector, scene.kinks.get(member.name, ()))
         bodies.append(body)
         vector += body.count
+        if body.stride == scene.dimension + 1:
+            sections.append(body.nodes)
         if isinstance(member, RigidBody):
             continue
         numbers = np.arange(member.element_count)
@@ -109,6 +114,7 @@ def number(scene: Scene) -> Numbering:
         widest=widest,
         vectors=np.concatenate([empty.reshape(0, widest.n_a), *vectors]),
         n_q=vector * scene.dimension,
+        sections=np.concatenate([empty.reshape(0, scene.dimension + 1), *sections]),
     )
 
 

@@ -290,6 +290,23 @@ class AncfSystem(PlannedSystem):
         first = int(instants[0])
         return first, self.constraint_names[int(np.argmax(off[first]))]
 
+    def mirrored(self, q: Array) -> tuple[int, str] | None:
+        """Compare the signs of det [r_x r_y (r_z)] at nodes with those of the first state."""
+        numbers, d = self._numbering.sections[:, 1:], self._numbering.d
+        # Axes last: x[i, j] is component j of slope i at all nodes and states.
+        x = q.real.reshape(len(q), -1, d)[:, numbers].transpose(2, 3, 0, 1)
+        if d == 2:
+            volumes = x[0, 0] * x[1, 1] - x[0, 1] * x[1, 0]
+        else:
+            volumes = np.einsum("iab,iab->ab", np.cross(x[0], x[1], axis=0), x[2])
+        # What is not a number is not mirrored: other checks see it.
+        rows, nodes = np.nonzero(volumes * np.sign(volumes[0]) < 0)
+        if not len(rows):
+            return None
+        vector = numbers[nodes[0], 0]
+        before = [body.name for body in self._numbering.bodies if body.first_vector < vector]
+        return int(rows[0]), before[-1]
+
     def turn_rate(self, t: Array) -> Array:
         """Return the rate of the fastest law of an angle."""
         return self._constraints.factors.turn_rate(t)

@@ -295,6 +295,15 @@ class MechanicalSystem(ComplexSteps):
         """
         return None
 
+    def mirrored(self, q: Array) -> tuple[int, str] | None:
+        """Return the first of k states in which a body is mirrored, and the name of that body.
+
+        q has the shape (k, n_q). A body is mirrored if its orientation differs from that in the
+        first state: steps may end there, for the strain energy is the same, but no motion leads
+        there. None if no body is mirrored; by default, of systems without bodies.
+        """
+        return None
+
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate at which constraints prescribe an angle, (k,); rad/s."""
         return np.zeros(len(t))

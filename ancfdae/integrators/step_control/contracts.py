@@ -177,7 +177,7 @@ def march(
     """
     if reached is _NOWHERE:
         recorder.record(*method.consistent())
-    watch, why = Watch(method.system, recorder), ""
+    watch, lost = Watch(method.system, recorder), None
     with progress_bar(progress, total=t_end, initial=reached.t, unit="s") as bar:
         try:
             # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
@@ -185,17 +185,18 @@ def march(
                 while isinstance(end := _next(method, controller, recorder, reached), Reached):
                     bar.update(end.t - reached.t)
                     reached = end
-                    if why := watch.missed():
+                    if lost := watch.missed():
                         break
-                why = why or watch.missed(all_of_them=True)
+                lost = lost or watch.missed(all_of_them=True)
         except SingularMatrix:
             end = Failure(Verdict.SINGULAR, 0.0)
         except KeyboardInterrupt:
             end = Failure(Verdict.INTERRUPTED, 0.0)
     # What ended before this check was reached is checked all the same.
-    why = why or watch.missed(all_of_them=True)
-    if why or isinstance(end, Reached):
-        end = Failure(Verdict.OFF_ROOT, 0.0, why)
+    lost = lost or watch.missed(all_of_them=True)
+    if lost is not None:
+        end = Failure(lost.verdict, 0.0, lost.remedy)
+    assert isinstance(end, Failure)
     verdict, correction, remedy = end
     if verdict in _STUCK:
         t, q, _ = recorder.last(1)
