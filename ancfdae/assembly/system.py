@@ -61,6 +61,7 @@ class AncfSystem(PlannedSystem):
         self._turning, self._start = numbers.turning, numbers.start
         self.n_b, self.design_names = len(structure.design), structure.mapping.names
         self.n_q, self.n_lam = structure.numbering.n_q, geometry.joints.n_lam
+        self.vector_size = structure.numbering.d
         self.pattern, self.constraint_pattern = structure.pattern, geometry.joints.pattern
         self.naming = replace(geometry.naming, layout=structure.layout)
         self.constraint_names, self.reach = structure.constraint_names, structure.reach
@@ -242,8 +243,7 @@ class AncfSystem(PlannedSystem):
 
     def centred(self, q: Array) -> Array:
         """Positions relative to their mean by weight; directions and slopes as they are."""
-        d = self._numbering.d
-        positions = np.concatenate([body.positions for body in self._numbering.bodies])
+        d, positions = self._numbering.d, self._numbering.positions
         Z, w = q.reshape(-1, d).copy(), self.weights.reshape(-1, d)[positions, :1]
         Z[positions] -= np.sum(w * Z[positions], axis=0) / np.sum(w)
         return Z.ravel()

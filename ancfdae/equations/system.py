@@ -140,6 +140,9 @@ class MechanicalSystem(ComplexSteps):
     reach: float = 0.0
     #: Names of points and joints for the solution; None for a system without any.
     naming: Naming | None = None
+    #: Components of a vector: every `vector_size` coordinates in a row are those of one vector in
+    #: space, and tolerances of a step are relative to its length. One where there are no vectors.
+    vector_size: int = 1
 
     @cached_property
     def pattern(self) -> Pattern:

@@ -31,10 +31,10 @@ _PLACES = np.linspace(0.0, 1.0, 5)
 _VELOCITIES = 0.1
 # What happened to a body, and what helps.
 _MIRRORED = (
-    "The next step turns sections of {!r} inside out (det [r_x r_y r_z] changes its sign), where the "
-    "strain energy is the same: the step is too long for the waves of the section. Take shorter "
-    "steps, give materials a damping_time, or start with sections that have the contraction of "
-    "their axis."
+    "The next step turns sections of {!r} inside out (det [r_x r_y r_z] changes its sign), where "
+    "the strain energy is the same: the step is too long for the waves of the section. Take "
+    "shorter steps, give materials a damping_time, or start with sections that have the "
+    "contraction of their axis."
 )
 # Rows of Phi_q that are compared with one place at once: twice as many as were near before, but at
 # least, and at most.
