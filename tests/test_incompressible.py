@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    CABLE_2D,
+    CABLE_3D,
     HHT,
     Adjoint,
     Beam,
@@ -15,6 +17,8 @@ from ancfdae import (
     Rectangle,
     Scene,
     Terminal,
+    Verdict,
+    assemble,
     gradient,
     position,
     simulate,
@@ -124,3 +128,56 @@ def test_bounded_stiffness_leaves_modulus_contraction_and_shear():
         # 1.11 times E/(2 (1 + nu)(1 - 2 nu)) at 0.49, 16.8 E.
         assert C[1, 1] + C[1, 2] < 2 * 18.7 * E
         assert C[1, 1] - C[1, 2] == pytest.approx(E / (1 + nu), rel=1e-12)
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.499])
+def test_a_motion_that_mirrors_sections_is_no_success(nu):
+    """Steps of 28 times 1/omega of the ringing thickness lead to sections that are mirrored.
+
+    Positions lie on a line, slopes have the length one across it: sections lack the contraction of
+    their axis, and ring. Newton's method ends at mirrored sections, which have the same energy.
+    """
+    rod = Beam("rod", (0, 0), (0, -L), N, Rectangle(H, H), Material(RHO, E, nu))
+    s = np.linspace(0.0, 1.0, N + 1)
+    along = np.array([ANGLE, -1.0])
+    nodes = np.empty((N + 1, 3, 2))
+    nodes[:, 0] = s[:, None] * along
+    nodes[:, 1] = along / np.linalg.norm(along)
+    angle = np.arctan(ANGLE)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    nodes[:, 2] = rod.reference().slopes[:, 1] @ turn
+    scene = Scene([rod], [Pin(rod.at_start)], gravity=(0, -G), start=[NodeState("rod", nodes)])
+    done = simulate(scene, 0.3, HHT(step=1e-3))
+    assert not done.outcome.success
+    assert done.outcome.verdict is Verdict.FOLDED
+    assert "sections of 'rod' inside out" in done.outcome.advice
+    # What is kept is not mirrored.
+    assert np.all(np.linalg.det(done.nodes("rod")[:, :, 1:]) > 0)
+    # Shorter steps follow the ringing.
+    assert simulate(scene, 0.003, HHT(step=1e-5)).outcome.success
+
+
+def mirrored_in(system, body, k, d):
+    """Five states of a system; from the fourth on the last slope at vector k is reversed."""
+    q = np.tile(system.start()[0], (5, 1))
+    # A turn is no mirror.
+    q[1] = (q[1].reshape(-1, d) @ np.diag([-1.0, -1.0, 1.0][:d])).ravel()
+    first = d * (body.first_vector + k + d)
+    q[3:, first : first + d] *= -1
+    return q
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_states_in_which_a_body_is_mirrored_are_found(d):
+    start, middle, end = ((x, *(0.0,) * (d - 1)) for x in (0.0, 1.0, 2.0))
+    made = Rectangle(H, H), Material(RHO, E, 0.3)
+    cable = Beam("cable", start, middle, 2, *made, element=CABLE_2D if d == 2 else CABLE_3D)
+    rod, bar = Beam("rod", start, middle, 2, *made), Beam("bar", middle, end, 2, *made, rigid=True)
+    system = assemble(Scene([cable, rod, bar], [Pin(rod.at_end, bar.at_start)]))
+    _, of_rod, of_bar = system.naming.layout.bodies
+    assert system.mirrored(np.tile(system.start()[0], (3, 1))) is None
+    assert system.mirrored(mirrored_in(system, of_rod, 0, d)) == (3, "rod")
+    assert system.mirrored(mirrored_in(system, of_rod, 2 * (d + 1), d)) == (3, "rod")
+    assert system.mirrored(mirrored_in(system, of_bar, 0, d)) == (3, "bar")
+    # What has diverged is not judged.
+    assert system.mirrored(np.full((2, system.n_q), np.nan)) is None

@@ -127,7 +127,8 @@ def test_the_stabilised_form_contains_the_equations_of_motion_as_they_stand():
     n, m = system.n_q, system.n_lam
     x = case.y * np.concatenate([s.q, s.v, s.lam, s.eta])
     xp = case.yp * np.concatenate([s.q, s.v, s.lam, s.eta])
-    q, v, lam, eta = x[:n], x[n : 2 * n], x[2 * n : 2 * n + m], x[2 * n + m :]
+    q, v = x[:n] + s.place, x[n : 2 * n]
+    lam, eta = x[2 * n : 2 * n + m], x[2 * n + m :]
     drift = constraint_force(system, case.t, q, eta) / system.weights
     Phi_q = system.constraint_pattern.csr(system.constraint_q(case.t, q)).toarray()
     force = system.mass_times(q, xp[n : 2 * n]) + Phi_q.T @ lam - system.force(case.t, q, v)

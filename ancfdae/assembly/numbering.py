@@ -34,13 +34,17 @@ class Numbering:
     # filled by their first one.
     vectors: Array
     n_q: int  # number of coordinates
+    # of int, (n, d + 1): vectors of every node with d slopes, and of everything rigid; each begins
+    # with the position.
+    sections: Array
+    frames: Array  # of int, (n_rigid, d + 1): vectors of everything rigid
+    positions: Array  # of int: vectors that are positions
 
     def rigid_motions(self) -> RigidMotions:
         """Return the rigid motions of all bodies."""
         owner = np.repeat(np.arange(len(self.bodies)), [body.count for body in self.bodies])
         is_position = np.zeros(len(owner), dtype=bool)
-        for body in self.bodies:
-            is_position[body.positions] = True
+        is_position[self.positions] = True
         return RigidMotions(owner, is_position, self.d)
 
     @property
@@ -48,14 +52,6 @@ class Numbering:
         """Place among the bodies of the beam of each element that deforms, shape (n,)."""
         counts = [0 if beam.rigid else beam.element_count for beam in self.beams]
         return np.repeat(np.arange(len(self.beams)), counts)
-
-    @property
-    def frames(self) -> Array:
-        """Numbers of the vectors of everything rigid, shape (n_rigid, d + 1)."""
-        rigid = [
-            body.vectors for body, is_rigid in zip(self.bodies, self.rigid, strict=True) if is_rigid
-        ]
-        return np.array(rigid, dtype=np.int64).reshape(len(rigid), self.d + 1)
 
     def coordinates(self, vectors: Array) -> Array:
         """Return coordinate numbers of node vectors; a trailing axis d is added."""
@@ -82,6 +78,7 @@ class Numbering:
 def number(scene: Scene) -> Numbering:
     """Assign numbers to the coordinates of a scene, body by body and node by node."""
     bodies, beams, vectors, elements = [], [], [], []
+    sections, frames, positions = [], [], []
     soft = [beam.element for beam in scene.beams if not beam.rigid]
     widest = max(soft, key=lambda element: element.n_s, default=default_element(scene.dimension))
     vector = first = 0
@@ -89,6 +86,11 @@ def number(scene: Scene) -> Numbering:
         body = _body_layout(member, vector, scene.kinks.get(member.name, ()))
         bodies.append(body)
         vector += body.count
+        positions.append(body.positions)
+        if body.stride == scene.dimension + 1:
+            sections.append(body.nodes)
+        if isinstance(member, RigidBody) or member.rigid:
+            frames.append(body.nodes)
         if isinstance(member, RigidBody):
             continue
         numbers = np.arange(member.element_count)
@@ -109,6 +111,9 @@ def number(scene: Scene) -> Numbering:
         widest=widest,
         vectors=np.concatenate([empty.reshape(0, widest.n_a), *vectors]),
         n_q=vector * scene.dimension,
+        sections=np.concatenate([empty.reshape(0, scene.dimension + 1), *sections]),
+        frames=np.concatenate([empty.reshape(0, scene.dimension + 1), *frames]),
+        positions=np.concatenate(positions),
     )
 
 

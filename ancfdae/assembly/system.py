@@ -61,6 +61,7 @@ class AncfSystem(PlannedSystem):
         self._turning, self._start = numbers.turning, numbers.start
         self.n_b, self.design_names = len(structure.design), structure.mapping.names
         self.n_q, self.n_lam = structure.numbering.n_q, geometry.joints.n_lam
+        self.vector_size = structure.numbering.d
         self.pattern, self.constraint_pattern = structure.pattern, geometry.joints.pattern
         self.naming = replace(geometry.naming, layout=structure.layout)
         self.constraint_names, self.reach = structure.constraint_names, structure.reach
@@ -242,8 +243,7 @@ class AncfSystem(PlannedSystem):
 
     def centred(self, q: Array) -> Array:
         """Positions relative to their mean by weight; directions and slopes as they are."""
-        d = self._numbering.d
-        positions = np.concatenate([body.positions for body in self._numbering.bodies])
+        d, positions = self._numbering.d, self._numbering.positions
         Z, w = q.reshape(-1, d).copy(), self.weights.reshape(-1, d)[positions, :1]
         Z[positions] -= np.sum(w * Z[positions], axis=0) / np.sum(w)
         return Z.ravel()
@@ -289,6 +289,23 @@ class AncfSystem(PlannedSystem):
             return None
         first = int(instants[0])
         return first, self.constraint_names[int(np.argmax(off[first]))]
+
+    def mirrored(self, q: Array) -> tuple[int, str] | None:
+        """Compare the signs of det [r_x r_y (r_z)] at nodes with those of the first state."""
+        numbers, d = self._numbering.sections[:, 1:], self._numbering.d
+        # Axes last: x[i, j] is component j of slope i at all nodes and states.
+        x = q.real.reshape(len(q), -1, d)[:, numbers].transpose(2, 3, 0, 1)
+        if d == 2:
+            volumes = x[0, 0] * x[1, 1] - x[0, 1] * x[1, 0]
+        else:
+            volumes = np.einsum("iab,iab->ab", np.cross(x[0], x[1], axis=0), x[2])
+        # What is not a number is not mirrored: other checks see it.
+        rows, nodes = np.nonzero(volumes * np.sign(volumes[0]) < 0)
+        if not len(rows):
+            return None
+        vector = numbers[nodes[0], 0]
+        before = [body.name for body in self._numbering.bodies if body.first_vector < vector]
+        return int(rows[0]), before[-1]
 
     def turn_rate(self, t: Array) -> Array:
         """Return the rate of the fastest law of an angle."""

@@ -25,7 +25,9 @@ from ancfdae.numerics.patterns import Pattern
 
 # Methods that forces, masses and constraints do not determine: where a system stands, which states
 # no body can have, which root of a constraint is meant, and which functions of time there are.
-_UNDETERMINED = frozenset({"centred", "coarse", "folded", "off_root", "over_time", "turn_rate"})
+_UNDETERMINED = frozenset(
+    {"centred", "coarse", "folded", "mirrored", "off_root", "over_time", "turn_rate"}
+)
 
 
 def members() -> dict[str, FunctionType]:

@@ -140,6 +140,9 @@ class MechanicalSystem(ComplexSteps):
     reach: float = 0.0
     #: Names of points and joints for the solution; None for a system without any.
     naming: Naming | None = None
+    #: Components of a vector: every `vector_size` coordinates in a row are those of one vector in
+    #: space, and tolerances of a step are relative to its length. One where there are no vectors.
+    vector_size: int = 1
 
     @cached_property
     def pattern(self) -> Pattern:
@@ -292,6 +295,15 @@ class MechanicalSystem(ComplexSteps):
 
         The equation of a prescribed angle holds half a turn off as well. t has the shape (k,), q
         (k, n_q). None if all roots are right; by default, of constraints with one root.
+        """
+        return None
+
+    def mirrored(self, q: Array) -> tuple[int, str] | None:
+        """Return the first of k states in which a body is mirrored, and the name of that body.
+
+        q has the shape (k, n_q). A body is mirrored if its orientation differs from that in the
+        first state: steps may end there, for the strain energy is the same, but no motion leads
+        there. None if no body is mirrored; by default, of systems without bodies.
         """
         return None
 

@@ -25,7 +25,7 @@ from ancfdae.integrators.dop853 import EXPONENT, Between, Dop853
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrand import Points, Rule
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import Problem, vector_sizes
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
@@ -114,8 +114,9 @@ class _ExplicitMarch(March):
         method, T = self._method, self._t_end
         state = method.states[0]
         rate = T * np.stack([state[1], method.accelerations[0]])
-        scale = self._floor + self._rtol * np.abs(state)
-        size, speed = _mean(state / scale), _mean(rate / scale)
+        sizes = self._sizes(state)
+        scale = self._floor + self._rtol * sizes
+        size, speed = _mean(sizes / scale), _mean(rate / scale)
         share = 1e-6 if min(size, speed) < 1e-5 else min(0.01 * size / speed, 1.0)
         moved = state + share * rate
         try:
@@ -152,7 +153,7 @@ class _ExplicitMarch(March):
         self._multipliers.clear()
         try:
             after = method.attempt(end)
-            scale = np.maximum(np.abs(method.states[0]), np.abs(after))
+            scale = np.maximum(self._sizes(method.states[0]), self._sizes(after))
             scale *= self._rtol
             scale += self._floor
             fine, coarse = map(_mean, method.errors() / scale)
@@ -166,6 +167,12 @@ class _ExplicitMarch(March):
         else:
             return error
         return np.inf
+
+    def _sizes(self, rows: Array) -> Array:
+        """Return the lengths of vectors of a state, of positions from the place of the system."""
+        rows = rows.copy()
+        rows[0, 0] -= self._problem.scales.place
+        return vector_sizes(rows, self._problem.system.vector_size)
 
     def _accept(self) -> None:
         """Go on to the end of the step, and keep its stages for the integrals."""

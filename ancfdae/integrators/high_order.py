@@ -182,7 +182,7 @@ class HighOrder(QuadratureIntegrator):
         recorder = Recorder(system, len(grid.t), grid.degree, sensitivities)
         recorder.accepted = 0
         recorder.record(*problem.initial, problem.derivative or ())
-        verdict, march, remedy = Verdict.FINISHED, None, ""
+        verdict, march, remedy, lost = Verdict.FINISHED, None, "", None
         watch = Watch(system, recorder)
         quadrature = Quadrature(integrands, problem.accelerations, self.rtol)
         try:
@@ -195,7 +195,7 @@ class HighOrder(QuadratureIntegrator):
                         verdict = point
                         break
                     _record(problem, recorder, float(t), point)
-                    if remedy := watch.missed():
+                    if lost := watch.missed():
                         break
                 else:
                     march.finish()
@@ -205,8 +205,8 @@ class HighOrder(QuadratureIntegrator):
             verdict = Verdict.SINGULAR
         except KeyboardInterrupt:
             verdict = Verdict.INTERRUPTED
-        if remedy := remedy or watch.missed(all_of_them=True):
-            verdict = Verdict.OFF_ROOT
+        if lost := lost or watch.missed(all_of_them=True):
+            verdict, remedy = lost.verdict, lost.remedy
         recorder.factorisations = problem.accelerations.factorisations
         size = 0.0
         if march is not None:

@@ -16,6 +16,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import Verdict
 from ancfdae.integrators.branch import APART, CHANGED, SMALL, Form, Guide, Place, closed, followed
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
@@ -28,15 +29,23 @@ _PLACES = np.linspace(0.0, 1.0, 5)
 # A motion that constraints determine is followed if velocities change by more than this part of the
 # sum of their sizes: a turn by 0.2 rad.
 _VELOCITIES = 0.1
+# What happened to a body, and what helps.
+_MIRRORED = (
+    "The next step turns sections of {!r} inside out (det [r_x r_y r_z] changes its sign), where "
+    "the strain energy is the same: the step is too long for the waves of the section. Take "
+    "shorter steps, give materials a damping_time, or start with sections that have the "
+    "contraction of their axis."
+)
 # Rows of Phi_q that are compared with one place at once: twice as many as were near before, but at
 # least, and at most.
 _ROWS, _MOST_ROWS = 4, 128
 
 
 class Lost(NamedTuple):
-    """The first of some instants at which a step ended elsewhere, and a remedy in words."""
+    """The first of some instants at which a step ended elsewhere, how, and a remedy in words."""
 
     first: int
+    verdict: Verdict
     remedy: str
 
 
@@ -63,15 +72,24 @@ class Branch:
 
     def lost(self, rows: Rows) -> Lost | None:
         """Check the steps between rows; `first` counts from the second. None if all are right."""
+        mirrored = self._system.mirrored(rows.q)
+        if mirrored is not None:
+            first, name = mirrored
+            rows = Rows(*(x[:first] for x in rows))
         t, q, _ = rows
         found = self._system.off_root(t[1:], q[1:])
         end = len(t) - 1 if found is None else found[0]
         # Linear constraints have one solution, or none.
         several = not self._linear and len(t) > 1 and not np.iscomplexobj(q)
         elsewhere = self._elsewhere(Rows(*(x[: end + 1] for x in rows))) if several else None
-        if elsewhere is not None or found is None:
+        if elsewhere is not None:
             return elsewhere
-        return Lost(end, _half_a_turn(self._system, found[1], *t[end : end + 2].tolist()))
+        if found is not None:
+            words = _half_a_turn(self._system, found[1], *t[end : end + 2].tolist())
+            return Lost(end, Verdict.OFF_ROOT, words)
+        if mirrored is not None:
+            return Lost(first - 1, Verdict.FOLDED, _MIRRORED.format(name))
+        return None
 
     def _elsewhere(self, rows: Rows) -> Lost | None:
         """Return the first step that ended on another branch, or passed over a lock."""
@@ -84,7 +102,7 @@ class Branch:
         for k in np.flatnonzero(suspects):
             why = _reached_otherwise(self._system, Rows(*(x[k : k + 2] for x in rows)))
             if why:
-                return Lost(int(k), why)
+                return Lost(int(k), Verdict.OFF_ROOT, why)
         return None
 
     def _changed(self, rows: Rows) -> Array:

@@ -1,7 +1,10 @@
 """What a run begins with: a system, its consistent start and the sizes of its unknowns.
 
 **Sizes.** Coordinates are compared in the weighted form sqrt(w_i) q_i, which has one unit for all
-of them. The scale of q is the root mean square of the start in that form; that of v is the speed
+of them. Positions count from the mean position of the start, the place p of the system, and
+the size of a coordinate is the length of its vector, so that no size depends on where a scene
+stands or how it is turned. The scale of q is the root mean square of q - p at the start in the
+weighted form; that of v is the speed
 that the start has or that its accelerations reach over that length; that of the multipliers follows
 from the forces at the start through the rows of Phi_q. Forces that are round-off count as zero: of
 a mechanism at rest they would give a speed of no meaning, 1e-8 of that which it is to have.
@@ -39,12 +42,13 @@ _SAME = 1e-7
 @final
 @dataclass(frozen=True)
 class Scales:
-    """Positive sizes of q, v, forces and design variables, one per unknown.
+    """Positive sizes of q, v, forces and design variables, one per unknown; `place` is p, (n_q,).
 
     `row` is the length of the rows of Phi_q in the norm of the inverse weights; position, speed and
     load are the common sizes of sqrt(w) q, sqrt(w) v and Q / sqrt(w).
     """
 
+    place: Array
     q: Array
     v: Array
     force: Array
@@ -74,9 +78,10 @@ class Scales:
         inverse = 1 / system.weights
         forces = norm(Q, inverse), norm(reactions, inverse), norm(initial.a, system.weights)
         least = _ROUND_OFF * system.traits.force_round_off
-        load = max(size if size > least else 0.0 for size in forces) / count
+        load = float(np.max(forces, initial=0.0, where=np.greater(forces, least))) / count
         v_0 = norm(initial.v, system.weights) / count
-        position = norm(q, system.weights) / count
+        centred = system.centred(q.real)
+        position = norm(centred, system.weights) / count
         position = position or v_0 * t_end or load * t_end**2 or 1.0
         speed = max(v_0, min(load * t_end, np.sqrt(position * load))) or position / t_end
         load = load or speed / t_end
@@ -84,6 +89,7 @@ class Scales:
         squared = system.constraint_q(t, q).real ** 2 * inverse[pattern.columns]
         row = np.sqrt(np.bincount(pattern.rows, squared, minlength=system.n_lam))
         return Scales(
+            place=q.real - centred,
             q=position / root,
             v=speed / root,
             force=load * root,
@@ -114,6 +120,10 @@ class Problem:
         initial = consistent_start(system, matrices, 0.0)
         scales = Scales.of(system, initial, t_end)
         return cls(system, matrices, initial, scales)
+
+    def size(self, q: Array) -> Array:
+        """Return for every coordinate the length of its vector from the place p, shape (n_q,)."""
+        return vector_sizes(q.real - self.scales.place, self.system.vector_size)
 
     @cached_property
     def accelerations(self) -> Accelerations:
@@ -155,3 +165,9 @@ class Problem:
         if run.t[-1] > t_end * (1 + 1e-9):
             rule = f"must end at {t_end:.6g} or before"
             raise InvalidInput(where, rule, f"{run.t[-1]:.6g}", "Raise t_end.")
+
+
+def vector_sizes(x: Array, d: int) -> Array:
+    """Return for every coordinate the length of its vector; the last axis holds vectors of d."""
+    lengths = np.sqrt(np.sum(x.reshape(*x.shape[:-1], -1, d) ** 2, axis=-1))
+    return np.repeat(lengths, d, axis=-1)

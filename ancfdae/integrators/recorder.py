@@ -129,6 +129,11 @@ class Recorder:
         self.instants = 1 + (count - 1) // self._degree * self._degree
         self._control = ()
 
+    def back(self) -> None:
+        """Forget the last step, which counts as rejected."""
+        self.cut(self.instants - 1)
+        self.rejected += 1
+
     def restart(self) -> None:
         """Forget all instants but the first."""
         self.instants, self._control = 1, ()

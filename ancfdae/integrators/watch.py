@@ -5,7 +5,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.integrators.prescribed_motion import Branch
+from ancfdae.integrators.prescribed_motion import Branch, Lost
 from ancfdae.integrators.recorder import Recorder
 
 # Instants that are checked together: one by one they would cost a quarter of a small step.
@@ -20,8 +20,8 @@ class Watch:
         self._branch, self._recorder = Branch(system), recorder
         self._right = max(recorder.instants, 1)
 
-    def missed(self, all_of_them: bool = False) -> str:
-        """Check many instants, or all that there are; return in words what is wrong, or nothing.
+    def missed(self, all_of_them: bool = False) -> Lost | None:
+        """Check many instants, or all that there are; return what is wrong, or None.
 
         The recorder then forgets the step in which that happened and all after it.
         """
@@ -29,13 +29,13 @@ class Watch:
         self._right = min(self._right, recorder.instants)
         late = recorder.instants - self._right
         if not late or (late < _TOGETHER and not all_of_them):
-            return ""
+            return None
         # What has diverged overflows: it is on no branch.
         with np.errstate(all="ignore"):
             lost = self._branch.lost(recorder.last(late + 1))
         if lost is None:
             self._right = recorder.instants
-            return ""
+            return None
         recorder.cut(self._right + lost.first)
         self._right = recorder.instants
-        return lost.remedy
+        return lost

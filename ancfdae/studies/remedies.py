@@ -43,7 +43,7 @@ def with_remedies(model: Scene | MechanicalSystem, run: Run, solution: Solution)
     integrator, outcome = run.integrator, solution.outcome
     if not (isinstance(integrator, SteppedIntegrator) and isinstance(integrator.steps, FixedSteps)):
         return solution
-    if outcome.verdict not in (Verdict.NO_CONVERGENCE, Verdict.OFF_ROOT):
+    if outcome.verdict not in (Verdict.NO_CONVERGENCE, Verdict.OFF_ROOT, Verdict.FOLDED):
         return solution
     budget = _Budget(run, solution, integrator)
     others = _controlled(budget) if outcome.verdict is Verdict.OFF_ROOT else _damped(budget, model)

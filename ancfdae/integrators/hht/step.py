@@ -30,7 +30,7 @@ from ancfdae.integrators.hht.newton import StepSolver
 from ancfdae.integrators.hht.small_steps import ConstraintRow
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.prescribed_motion import turn_error
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import Problem, vector_sizes
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
 from ancfdae.integrators.step_control.tolerance import Tolerance
@@ -138,22 +138,24 @@ class HHTStepper(OneStepMethod[State]):
         if self._tolerance is None:
             return 0.0
         (old, old_b), (new, new_b) = before, after
-        size = np.maximum(np.abs(old.q.real), np.abs(new.q.real))
+        size = np.maximum(self._problem.size(old.q), self._problem.size(new.q))
         turn, rise = turn_error(self.system, new.t, h, self.order), (new.a - old.a).real
         if old_b is None or new_b is None:
             return float(np.maximum(turn, self._error(h, rise, size)))
-        error = self._error(h, rise, size, new_b.a_b - old_b.a_b, np.abs(new_b.q_b))
+        size_b = vector_sizes(new_b.q_b.T, self.system.vector_size).T
+        error = self._error(h, rise, size, new_b.a_b - old_b.a_b, size_b)
         return float(np.maximum(turn, error))
 
     def start_error(self) -> float:
         """Return e of a first step of size 1, from the third derivative at the start."""
         derivative, still = self._problem.derivative, Coefficients(0.0, self._alpha)
         start = RecurrenceStart.of(self._problem, still)
-        motion = start.jerks[0].jerk.real, np.abs(self._problem.initial.q.real)
+        motion = start.jerks[0].jerk.real, self._problem.size(self._problem.initial.q)
         if derivative is None:
             return self._error(1.0, *motion)
         jerk_b = start.jerk_total(start.jerks[0], derivative, derivative.a_b)
-        return self._error(1.0, *motion, jerk_b, np.abs(derivative.q_b))
+        size_b = vector_sizes(derivative.q_b.T, self.system.vector_size).T
+        return self._error(1.0, *motion, jerk_b, size_b)
 
     def _error(
         self,

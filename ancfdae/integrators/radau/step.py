@@ -30,7 +30,7 @@ from ancfdae.equations import Linearisation
 from ancfdae.equations.saddle_points import solve
 from ancfdae.integrators.completion import completed
 from ancfdae.integrators.prescribed_motion import turn_error
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import Problem, vector_sizes
 from ancfdae.integrators.radau.linear_passes import LinearStages
 from ancfdae.integrators.radau.newton import SolvedStages, StageSolver
 from ancfdae.integrators.radau.stages import Begin, linearised, stage_matrices
@@ -202,11 +202,14 @@ class RadauStepper(OneStepMethod[State]):
         errors = [turn_error(self.system, float(after.rows[0][-1]), h, self.order)]
         for k, tolerance in enumerate(self._tolerances):
             # The tolerance divides by the share of the step in the run; here it is the whole error.
-            T, size = tolerance.t_end, np.abs(after.rows[1 + k][[0, -1]].real).max(axis=0)
+            T, ends = tolerance.t_end, after.rows[1 + k][[0, -1]].real
+            if k == 0:
+                ends = ends - self._problem.scales.place
+            size = vector_sizes(ends, self.system.vector_size).max(axis=0)
             blur = self._round_off(h, k, after.rows[1][-1].real, 1.0)
             errors.append(tolerance.of_motion(T, after.errors[k], size, blur))
             if after.derivatives:
-                size_b = np.abs(after.derivatives[k][-1])
+                size_b = vector_sizes(after.derivatives[k][-1].T, self.system.vector_size).T
                 blur_b = self._round_off(h, k, after.derivatives[0][-1], tolerance.sizes_b)
                 errors.append(tolerance.of_derivatives(T, after.errors[2 + k], size_b, blur_b))
         return float(np.max(errors))  # NaN if one is.

@@ -6,6 +6,7 @@ A method offers, a controller decides, a user sets; `march` brings them to the e
 from __future__ import annotations
 
 import abc
+from collections import deque
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -28,6 +29,8 @@ Record = tuple[float | Array, Array, Array, Array, Array, tuple[Array, ...]]
 
 
 _NONE = np.zeros(0)
+# Steps that a controller may take back, one after another.
+BACK = 4
 # Ends of runs for which joints that lock may be the reason.
 _STUCK = (Verdict.NO_CONVERGENCE, Verdict.ERROR_TEST)
 
@@ -107,7 +110,8 @@ class Controller(abc.ABC):
         """Judge a step of size h from instant n at time t by its e; None if it was not solved.
 
         Returns the instant to go on from: n + 1 if the step counts, n if another size is to be
-        tried, 0 if the run begins anew; or why no step helps.
+        tried, n - 1 if the step before is to be repeated, 0 if the run begins anew; or why no step
+        helps.
         """
 
     @abc.abstractmethod
@@ -177,25 +181,27 @@ def march(
     """
     if reached is _NOWHERE:
         recorder.record(*method.consistent())
-    watch, why = Watch(method.system, recorder), ""
+    watch, lost = Watch(method.system, recorder), None
+    path = deque([reached], maxlen=1 + BACK)
     with progress_bar(progress, total=t_end, initial=reached.t, unit="s") as bar:
         try:
             # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                while isinstance(end := _next(method, controller, recorder, reached), Reached):
+                while isinstance(end := _next(method, controller, recorder, path), Reached):
                     bar.update(end.t - reached.t)
                     reached = end
-                    if why := watch.missed():
+                    if lost := watch.missed():
                         break
-                why = why or watch.missed(all_of_them=True)
+                lost = lost or watch.missed(all_of_them=True)
         except SingularMatrix:
             end = Failure(Verdict.SINGULAR, 0.0)
         except KeyboardInterrupt:
             end = Failure(Verdict.INTERRUPTED, 0.0)
     # What ended before this check was reached is checked all the same.
-    why = why or watch.missed(all_of_them=True)
-    if why or isinstance(end, Reached):
-        end = Failure(Verdict.OFF_ROOT, 0.0, why)
+    lost = lost or watch.missed(all_of_them=True)
+    if lost is not None:
+        end = Failure(lost.verdict, 0.0, lost.remedy)
+    assert isinstance(end, Failure)
     verdict, correction, remedy = end
     if verdict in _STUCK:
         t, q, _ = recorder.last(1)
@@ -208,10 +214,13 @@ def _next(
     method: OneStepMethod[Any],
     controller: Controller,
     recorder: Recorder,
-    reached: Reached,
+    path: deque[Reached],
 ) -> Reached | Failure:
-    """Try a step; return where the run stands then, or how it ends there."""
-    n, t, last, now = reached
+    """Try a step; return where the run stands then, or how it ends there.
+
+    The path ends where the run stands, with some places before; a step that counts is added.
+    """
+    n, t, last, now = reached = path[-1]
     planned = controller.plan(n, t)
     if isinstance(planned, Verdict):
         return Failure(planned, 0.0)
@@ -221,7 +230,8 @@ def _next(
     if len(sizes):
         taken, after = method.march(before, sizes, ends)
         if taken:
-            return Reached(n + taken, float(ends[taken - 1]), float(sizes[taken - 1]), after)
+            path.append(Reached(n + taken, float(ends[taken - 1]), float(sizes[taken - 1]), after))
+            return path[-1]
     after = method.advance(h, before, end)
     if not isinstance(after, Failure) and not len(sizes):
         # A shorter step finds the right root.
@@ -234,11 +244,17 @@ def _next(
     judged = controller.judge(n, t, h, None if failed else method.error(h, before, after))
     if isinstance(judged, int) and judged > n:
         recorder.record(*method.recorded(after), control=controller.state())
-        return Reached(judged, end, h, after)
+        path.append(Reached(judged, end, h, after))
+        return path[-1]
     recorder.rejected += 1
     if isinstance(judged, Verdict):
         return after if failed else Failure(judged, 0.0)
-    if judged > 0:
+    if judged == n:
         return reached
-    recorder.restart()
-    return _NOWHERE
+    if judged > 0:
+        recorder.back()
+        path.pop()
+    else:
+        recorder.restart()
+        path.append(_NOWHERE)
+    return path[-1]

@@ -10,11 +10,17 @@ e = 1/2. With p the order of the method
     h_{n+1}/h_n = (x_n x_{n-1})^(1/8) (h_n/h_{n-1})^(-1/4),     x = (1/(2 e))^(1/p).
 
 The step of a method that bears jumps follows e at once, h_{n+1}/h_n = x_n.
+
+**Errors that no step removes.** Velocities of HHT-I3 meet their constraints up to O(h^2). What a
+long step leaves of them, delta, the next step removes by accelerations of the size delta/h, and e
+of that step, which goes with h a, is the same for every h. Where e does not fall with h the step
+before is repeated with half its size, and if its own e does not fall then, the one before that.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, final
 
@@ -24,6 +30,7 @@ from ancfdae.errors import Verdict, require_count, require_kind, require_positiv
 from ancfdae.integrators.integrator import require_rtol
 from ancfdae.integrators.pace import Pace
 from ancfdae.integrators.step_control.contracts import (
+    BACK,
     Controller,
     OneStepMethod,
     StepControl,
@@ -52,6 +59,9 @@ _RESTART = 10
 # So many last steps change linearly, and their number is fixed, to meet the end without a jump;
 # where steps may jump the last ones are equal.
 _LAST_STEPS, _LAST_EQUAL = 10, 1
+# Where a step is shorter than the attempt before by the first factor its error is smaller by the
+# second, unless it stems from the state before the step.
+_SHORTER, _SMALLER = 0.7, 0.8
 # A run ends where the step falls below this part of its length, or of the time reached.
 _SMALLEST = 1e-13
 # Numbers of `_Filter.state`.
@@ -66,8 +76,9 @@ class ControlledSteps(StepControl):
     Parameters
     ----------
     rtol : float
-        What the errors of all steps may add up to, relative to every coordinate; the step follows
-        from it. The run errs by up to 10 times as much (docs/theory/13-errors.md).
+        What the errors of all steps may add up to, relative to the length of every vector (slope,
+        or position from the mean position at the start); the step follows from it. The run errs
+        by up to 10 times as much (docs/theory/13-errors.md).
     atol : float, optional
         The same relative to the size of the coordinates at the start (`Scales`), for coordinates
         that pass through zero; by default rtol. With `sensitivities` also relative to the size of
@@ -158,6 +169,9 @@ class _Filter(Controller):
         self._t_end, self._max_steps, self._breakpoints = t_end, max_steps, method.breakpoints
         self._h = self._start = first
         self._taken = 0
+        # Sizes and errors of the last steps; instant, size and error of an attempt to be repeated.
+        self._accepted = deque[tuple[float, float]](maxlen=BACK)
+        self._tried = (-1, 0.0, 0.0)
         self._last_wish = self._last_ratio = 1.0
         self._memory = 0.0
         self._remaining, self._last_h = 0, self._h
@@ -198,7 +212,12 @@ class _Filter(Controller):
         self._taken += 1
         if error is None:
             return self._reject(n, t, h / 4, Verdict.NO_CONVERGENCE)
+        at, longer, larger = self._tried
+        stays = n == at and h < _SHORTER * longer and error > _SMALLER * larger
+        if stays and error > _AIM / 2 and self._accepted:
+            return self._back(n)
         if not error <= 1.0:
+            self._tried = (n, h, error)
             factor = _root(_AIM / error, self._order) if error < math.inf else 0.0
             return self._reject(n, t, h * min(0.9, max(0.2, factor)), Verdict.ERROR_TEST)
         # What the error estimates passes through zero; without memory the step would grow far too
@@ -215,7 +234,16 @@ class _Filter(Controller):
         self._last_wish, self._last_ratio = wish, ratio
         self._remaining = max(self._remaining - 1, 0)
         self._h, self._last_h = h * ratio, h
+        self._accepted.append((h, error))
         return Verdict.ERROR_TEST if self._pace.stalls(t + h) else n + 1
+
+    def _back(self, n: int) -> int:
+        """Repeat the step before with half its size."""
+        h, error = self._accepted.pop()
+        self._tried = (n - 1, h, error)
+        self._h = self._last_h = 0.5 * h
+        self._last_wish, self._last_ratio, self._remaining = 1.0, 1.0, 0
+        return n - 1
 
     def _reject(self, n: int, t: float, h: float, why: Verdict) -> int | Verdict:
         """Choose a smaller step; near the start, which is made for its step, begin anew with it."""
@@ -228,6 +256,7 @@ class _Filter(Controller):
         self._h = self._last_h = h
         self._last_wish, self._last_ratio, self._remaining = 1.0, 1.0, 0
         if anew:
+            self._accepted.clear()
             self._pace.restart(0.0)
         return 0 if anew else n
 

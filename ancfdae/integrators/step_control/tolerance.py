@@ -3,15 +3,16 @@
 With delta what the positions miss in a step, the rates delta / h add up to the error of the run, so
 that is what the tolerance bounds (error per unit step):
 
-    e^2 = mean over i of (T delta_i / h / (rtol |q_i| + atol Q_i))^2
+    e^2 = mean over i of (T delta_i / h / (rtol |r_i| + atol Q_i))^2
 
-with T the length of the run and Q_i the size of coordinate i (`Scales`). A step is accepted if
+with T the length of the run, |r_i| the length of the vector to which coordinate i belongs, from the
+place of the system, and Q_i the size of coordinate i (`Problem`, `Scales`). A step is accepted if
 e <= 1.
 
 Where derivatives are integrated too, each design variable j has its own e, from the derivative of
 delta in the design, with
 
-    rtol |q_b,ij| + atol S_j Q_i
+    rtol |r_b,ij| + atol S_j Q_i
 
 below the fraction and twice the value, because errors of the motion feed into those of its
 derivatives as much again; the largest e is that of the step. S_j is the largest size of
@@ -45,13 +46,13 @@ class Tolerance:
     sizes_b: Array
 
     def of_motion(self, h: float, delta: Array, size: Array, blur: Array | float = 0.0) -> float:
-        """Return e of the motion; `size` is abs(q), and delta below `blur` is round-off."""
+        """Return e of the motion; `size` is |r|, and delta below `blur` is round-off."""
         return self._of(h, delta, self.rtol * size + self.atol * self.sizes + blur)
 
     def of_derivatives(
         self, h: float, delta_b: Array, size_b: Array, blur_b: Array | float = 0.0
     ) -> float:
-        """Return the largest e of the derivatives; `size_b` is abs(q_b)."""
+        """Return the largest e of the derivatives; `size_b` is |r_b|."""
         seen = self.sizes_b > 0
         least = self.sizes[:, None] * self.sizes_b
         allowed = self.rtol * size_b + self.atol * least + blur_b

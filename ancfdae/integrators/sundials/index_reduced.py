@@ -19,7 +19,8 @@ J = F_x + c_j F_x'. With dPhi_q/dt and d^2Phi_q/dt^2 taken along the motion,
 
     (Phi_q v - nu)_q = dPhi_q/dt,   (Phi_q a - gamma)_q = d^2Phi_q/dt^2,   gamma_v = -2 dPhi_q/dt.
 
-Unknowns and equations are scaled (`Scales`), so that tolerances are pure numbers.
+Unknowns and equations are scaled, and positions count from the place of the system (`Scales`), so
+that tolerances are pure numbers that do not depend on where a scene stands.
 """
 
 import abc
@@ -70,11 +71,13 @@ class _Instant(NamedTuple):
 class IndexReduced(abc.ABC):
     """An index-reduced form of one system in n unknowns; arguments and results are scaled.
 
+    Unknown positions count from `place`, (n_q,).
+
     J has raw entries at `rows` and `columns`; those at one position add up.
     """
 
     def __init__(self, system: MechanicalSystem, scales: Scales) -> None:
-        self._system, self._scales = system, scales
+        self._system, self._scales, self.place = system, scales, scales.place
         self._size, self._unit = self._scaling()
         self.n = len(self._size)
         n_q, every = system.n_q, np.arange(system.n_q)
@@ -165,7 +168,8 @@ class IndexReduced(abc.ABC):
     @final
     def start(self, initial: InitialState) -> tuple[Array, Array]:
         """Return y and y' of a consistent start."""
-        y, yp = self._vectors(initial.q, initial.v, initial.a, initial.lam)
+        q = initial.q - self.place
+        y, yp = self._vectors(q, initial.v, initial.a, initial.lam)
         return y / self._size, yp / self._size
 
     @final
@@ -178,6 +182,12 @@ class IndexReduced(abc.ABC):
     @final
     def coordinates(self, y: Array) -> tuple[Array, Array]:
         """Return q and v, shape (..., n_q), of unknowns, shape (..., n)."""
+        q, v = self.unscaled(y)
+        return q + self.place, v
+
+    @final
+    def unscaled(self, y: Array) -> tuple[Array, Array]:
+        """Return q - p and v, or rates or derivatives of q and v, (..., n_q), of (..., n)."""
         n_q = self._system.n_q
         x = y[..., : 2 * n_q] * self._size[: 2 * n_q]
         return x[..., :n_q], x[..., n_q:]
@@ -185,7 +195,7 @@ class IndexReduced(abc.ABC):
     @final
     def coordinates_b(self, Y: Array) -> tuple[Array, Array]:
         """Return q_b and v_b, shape (n_q, n_b)."""
-        q, v = self.coordinates(Y.T)
+        q, v = self.unscaled(Y.T)
         return self.per_design(q), self.per_design(v)
 
     @final
@@ -207,6 +217,7 @@ class IndexReduced(abc.ABC):
 
     def _at(self, system: MechanicalSystem, t: float, y: Array, yp: Array) -> _Instant:
         x, xp = self._split(y * self._size), self._split(yp * self._size)
+        x = x._replace(q=x.q + self.place)
         return _Instant(system, t, x, xp, system.constraint_q(t, x.q))
 
 

@@ -65,7 +65,8 @@ class StepPoints:
     def finish(self) -> None:
         """Hand over what was collected; its end is the next start."""
         if len(self._t) > 1:
-            t, y, yp = np.array(self._t), self._coordinates(self._y), self._coordinates(self._yp)
+            t, y, yp = np.array(self._t), self._unscaled(self._y), self._unscaled(self._yp)
+            y[0][:, 0] += self._form.place
             steps = self._motion(t, *y)._replace(a=yp[1][:, 0])
             self._quadrature.add(self._choices(t, y, yp[1]), steps)
         for kept in (self._t, self._y, self._yp):
@@ -83,9 +84,9 @@ class StepPoints:
             within = _between(times.ravel(), t, step, q, data)
             yield Points(KRONROD, h, *self._motion(times.ravel(), *within))
 
-    def _coordinates(self, rows: list[Array]) -> tuple[Array, Array]:
-        """Coordinates and velocities and their sensitivities, shape (steps, m + 1, n_q)."""
-        return self._form.coordinates(np.array(rows).reshape(len(rows), self._m + 1, -1))
+    def _unscaled(self, rows: list[Array]) -> tuple[Array, Array]:
+        """Return q - p and v, or their rates, and sensitivities, shape (steps, m + 1, n_q)."""
+        return self._form.unscaled(np.array(rows).reshape(len(rows), self._m + 1, -1))
 
     def _motion(self, t: Array, q: Array, v: Array) -> Trajectory:
         derivatives = (self._form.per_design(x[:, 1:]) for x in ((q, v) if self._m else ()))
