@@ -151,3 +151,11 @@ def test_chains_in_space_are_as_stiff_as_their_rubber_or_the_loads_are_to_be_lef
     except NoModes as refused:
         message = str(refused)
     assert not message or "leave out the loads that are not in balance" in message
+
+
+@pytest.mark.parametrize("seed", [1, 7, 11, 15, 21])
+def test_weight_that_is_held_turns_chains_in_space_whatever_the_steel_is(seed):
+    """Joints that turn take the multipliers of the weight, not those of rounded coordinates."""
+    hard = modes(spatial_chain(seed, 9.81), 3).exponents ** 2
+    soft = modes(spatial_chain(seed, 9.81, softer=10.0), 3).exponents ** 2
+    np.testing.assert_allclose(hard, soft, rtol=2e-2, atol=1e-8)
