@@ -191,10 +191,9 @@ def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array)
     inertia = small.times(small.M, R)
 
     def corrected(force: Array) -> Array:
-        return _without(R, inertia, small.solve(factors, force - inertia @ (R.T @ force)))
+        return _without(R, inertia, small.solve(factors, force))
 
     push = np.random.default_rng(2).standard_normal((small.system.n_q, _GUARDS))
-    push *= np.sqrt(small.system.weights)[:, None]
     X = _without(R, inertia, X / np.sqrt(_squares(small, X)))
     X = np.hstack([distinct(X, small.times(small.M, X)), corrected(push)])
     X = X / np.sqrt(_squares(small, X))
