@@ -11,6 +11,7 @@ from ancfdae import (
     Beam,
     Bushing,
     Clamp,
+    Configuration,
     FollowerForce,
     JointFriction,
     Material,
@@ -22,9 +23,12 @@ from ancfdae import (
     Scene,
     Spherical,
     TorsionSpring,
+    assemble,
     modes,
     suggest_step,
 )
+from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.rigid import with_zeros
 
 # Units of length, mass and time in their SI units, inverted.
 UNITS = [(1.0, 1.0, 1.0), (1e3, 1e-3, 1.0), (1e3, 1.0, 1e3), (0.3, 1.0, 1e-3), (1.0, 3.0, 7.0)]
@@ -128,3 +132,19 @@ def test_a_rod_that_topples_comes_before_its_wheel(units, damped):
     # Each shape belongs to its exponent: the wheel alone turns in the second.
     moved = np.abs(found.shapes[:6] / m ** np.array([1, 1, 0, 0, 0, 0])[:, None])
     assert np.max(moved[:, 1]) < 1e-9 * np.max(moved[:, 0])
+
+
+def test_what_is_found_beside_rigid_motions_keeps_the_change_of_the_last_sweep():
+    """Values of motions that were mixed are as doubtful as the worst of them."""
+    scene = arm(2, 4, UNITS[0])
+    system = assemble(scene)
+    small = Linearised.of(system, Configuration(system.start()[0], np.zeros(system.n_lam)), None)
+    X = modes(scene, 3).shapes
+    # The wheel and the first bending, mixed, and named zero by the values that come with them.
+    mixed = np.stack([X[:, 0] + X[:, 1], X[:, 0] - X[:, 1], X[:, 2]], axis=1) / np.sqrt([2, 2, 1])
+    z = np.array([0.0, 0.0, 1e4])
+    values, shapes, change = with_zeros(small, z, mixed, np.array([0.3, 0.7, 0.1]))
+    assert values[0] == 0
+    np.testing.assert_allclose(values[1], modes(scene, 3).frequencies[1] ** 2, rtol=1e-9)
+    np.testing.assert_array_equal(change, [0.0, 0.7, 0.1])
+    np.testing.assert_allclose(np.abs(shapes.T @ small.times(small.M, X)), np.eye(3), atol=1e-9)

@@ -1,6 +1,7 @@
 """Natural frequencies against closed forms, and what a mode is called."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -493,10 +494,10 @@ def test_no_copy_of_a_multiple_eigenvalue_is_missed(monkeypatch, free, damping_t
     scene = Scene(
         beams, [] if free else [Clamp(beam.at_start, name=beam.name + "c") for beam in beams]
     )
-    dense = modes(scene, 8)
+    dense = modes(scene, 10)
     monkeypatch.setattr(undamped, "_DENSE", 0)
     monkeypatch.setattr(undamped, "_DENSE_DAMPED", 0)
-    sparse = modes(scene, 8)
+    sparse = modes(scene, 10)
     assert [len(group) for group in sparse.coincide] == ([18] if free else [6, 6])
     assert sparse.coincide == dense.coincide
     np.testing.assert_allclose(sparse.exponents, dense.exponents, rtol=1e-8)
@@ -637,3 +638,36 @@ def test_clamped_strip_twists_at_the_frequency_of_theory_on_every_mesh(elements)
     # the two slopes of the section turn against each other lowers it, by 1.6e-2 with 64 elements.
     raised = (np.pi / (2 * elements)) ** 2 / 24
     assert np.min(np.abs(found / exact - 1)) < 1.02 * raised
+
+
+def overdamped(tau):
+    rod = Beam("rod", (0, 0), (1, 0), 24, Rectangle(0.01, 0.01), Material(1000.0, 1e9, 0.3, tau))
+    return Scene([rod], [Clamp(rod.at_start)])
+
+
+@pytest.mark.parametrize("design", [None, ["rod.youngs_modulus"]])
+def test_a_crowd_of_modes_that_coincide_is_cut_at_the_number_asked_for(design):
+    """All motions of an overdamped cantilever creep next to -1/tau; 112 were returned."""
+    found = modes(overdamped(10.0), 3, design=design)
+    assert found.cut == (0, 1, 2)
+    assert found.shapes.shape[1] == len(found.exponents) == found.multipliers.shape[1] == 3
+    # s (s + tau omega^2) = -omega^2 with tau omega = 100 and more.
+    np.testing.assert_allclose(found.exponents, -0.1, rtol=1e-3)
+    assert "modes 0 to 2 coincide to round-off with others, which were not asked for" in str(found)
+    if design:
+        assert found.derivatives.exponents_b.shape == (3, 1)
+        with pytest.raises(InvalidInput, match="coincide with others that were not asked for"):
+            found.shape_b(1)
+
+
+@pytest.mark.parametrize(("count", "shown"), [(1, 1), (5, 5), (6, 14), (14, 14), (15, 15)])
+def test_a_group_is_completed_by_up_to_eight_modes(count, shown):
+    """Twelve links in the plane, pinned to each other alone: three motions, and eleven turns."""
+    ends = [(float(k), 0.3 * (k % 2)) for k in range(13)]
+    links = [
+        Beam(f"b{k}", *pair, 1, Rectangle(0.05, 0.05), Material(1000.0, 1e9, 0.3))
+        for k, pair in enumerate(pairwise(ends))
+    ]
+    found = modes(Scene(links, [Pin(a.at_end, b.at_start) for a, b in pairwise(links)]), count)
+    assert len(found.exponents) == shown
+    assert found.cut == (tuple(range(count)) if shown < 14 else ())

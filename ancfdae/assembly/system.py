@@ -241,6 +241,10 @@ class AncfSystem(PlannedSystem):
             return P, P_q
         return P - self._turning.force(q, np.zeros_like(q)), P_q - self._turning.tangents[0]
 
+    def stress_force(self, q: Array) -> Array:
+        """Elastic forces."""
+        return -self._elastic.internal(q, np.zeros_like(q))
+
     def centred(self, q: Array) -> Array:
         """Positions relative to their mean by weight; directions and slopes as they are."""
         d, positions = self._numbering.d, self._numbering.positions

@@ -253,6 +253,14 @@ class MechanicalSystem(ComplexSteps):
         """
         return np.zeros_like(q), np.zeros(self.pattern.size)
 
+    def stress_force(self, q: Array) -> Array:
+        """Return the part of Q at rest that vanishes where bodies are free of stress.
+
+        Coordinates are rounded, and stiff bodies turn that into forces. By default zero: a system
+        of equations has no bodies.
+        """
+        return np.zeros_like(q)
+
     def centred(self, q: Array) -> Array:
         """Return coordinates that do not change if the system stands elsewhere, of its size.
 

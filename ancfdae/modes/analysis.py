@@ -9,7 +9,7 @@ from ancfdae.modes.derivatives import differentiate, differentiate_back
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.pairs import coincident
 from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind
-from ancfdae.modes.solver import solve
+from ancfdae.modes.solver import GROUP, solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.statics.outcome import motions_in_words
@@ -30,23 +30,28 @@ def modes_about(
     q, lam and b back to the design; without it they go forward, along those of the configuration.
     """
     small = Linearised.of(system, at, damped, saddle)
-    pairs = solve(small, count, highest)
+    pairs = solve(small, count, highest, whole=system.n_b > 0)
     mu = small.multipliers(pairs.z, pairs.X)
     groups = coincident(pairs)
-    s = exponents(small, pairs.z)
-    derivatives = None
+    s, derivatives = exponents(small, pairs.z), None
+    shown = len(s) if len(s) <= count + GROUP else count
     if system.n_b:
         parts = small, pairs, mu, groups
         back = pull_back
         z_b, X_b = differentiate(*parts) if back is None else differentiate_back(*parts, back)
-        derivatives = ModeDerivatives(system.design_names, _exponents_b(small, s, z_b), X_b)
-    rigid = pairs.X[:, s == 0].real
+        s_b = _exponents_b(small, s, z_b)
+        derivatives = ModeDerivatives(system.design_names, s_b[:shown], X_b[:shown])
+    s, X = s[:shown], pairs.X[:, :shown]
+    rigid = X[:, s == 0].real
+    within = [tuple(j for j in group if j < shown) for group in groups]
+    cut = [part for group, part in zip(groups, within, strict=True) if 0 < len(part) < len(group)]
     return Modes(
         s,
-        pairs.X,
-        mu,
+        X,
+        mu[:, :shown],
         tuple(map(_kind, s)),
-        tuple(tuple(group) for group in groups if len(group) > 1),
+        tuple(part for part in within if len(part) > 1),
+        cut[0] if cut else (),
         small.at,
         small.unbalanced,
         motions_in_words(system.naming, at.q, rigid) if rigid.size else "",

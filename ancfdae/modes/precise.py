@@ -73,27 +73,39 @@ class Precise:
     stiff: Factorization
 
     @cached_property
-    def _beyond(self) -> Array:
-        """The correction of q that is below its last digit; zero where forces do not balance."""
+    def _beyond(self) -> tuple[Array, Array]:
+        """Corrections of q and lam below the last digit of q, by one step of Newton's method.
+
+        The forces that they balance are those left over in an equilibrium; out of balance those of
+        stresses that the rounding of a body free of stress leaves, less their reactions. Zero where
+        bodies carry other stresses out of balance: those cannot be told from round-off.
+        """
         system, at, none = self.small.system, self.small.at, np.zeros(self.small.system.n_lam)
         Q = system.force(at.t, self.q, 0 * self.q)
         R = Q - reaction(system, at.t, self.q, at.lam)
         balance = Balance(system, at.t, self.q, at.lam)
         if not balance.is_round_off(R, self.small.K, self.q, at.lam):
-            return 0 * self.q
-        return solve(self.stiff, R, none)[0]
+            R = system.stress_force(self.q)
+            blur = self.small.times(np.abs(self.small.K), np.abs(self.q))
+            if not np.all(np.abs(R) <= ROUND_OFF * EPS * blur):
+                return 0 * self.q, none
+            # The reactions that multipliers of the configuration hold for these forces.
+            at_q = system.stress_force(at.q)
+            R = R - reaction(system, at.t, self.q, solve(self.small.mass_factors, at_q, none)[1])
+        return solve(self.stiff, R, none)
 
     def times(self, X: Array) -> Array:
         """Return K X for real columns."""
         if not X.size:
             return X
         system, at = self.small.system, self.small.at
-        step = _MAGNIFIED * self._beyond
+        dq, dlam = self._beyond
+        step = _MAGNIFIED * dq
         product = self._elastic(self.q, X)
         if np.any(step):
             slope = self._elastic(self.q + step, X) - self._elastic(self.q - step, X)
             product = product + slope / (2 * _MAGNIFIED)
-        held = held_q(system, at.t, self.q, 0 * self.q, at.lam)
+        held = held_q(system, at.t, self.q, 0 * self.q, at.lam + dlam)
         return product + system.pattern.dot(held, X)
 
     def _elastic(self, q: Array, X: Array) -> Array:
@@ -179,10 +191,9 @@ def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array)
     inertia = small.times(small.M, R)
 
     def corrected(force: Array) -> Array:
-        return _without(R, inertia, small.solve(factors, force - inertia @ (R.T @ force)))
+        return _without(R, inertia, small.solve(factors, force))
 
     push = np.random.default_rng(2).standard_normal((small.system.n_q, _GUARDS))
-    push *= np.sqrt(small.system.weights)[:, None]
     X = _without(R, inertia, X / np.sqrt(_squares(small, X)))
     X = np.hstack([distinct(X, small.times(small.M, X)), corrected(push)])
     X = X / np.sqrt(_squares(small, X))
@@ -262,7 +273,8 @@ def refuse_lost(small: Linearised, z: Array, noise: Array) -> None:
     balance = (
         ""
         if small.unbalanced == 0
-        else ("linearise about an equilibrium (at=equilibrium(...)), where less is lost, or ")
+        else "leave out the loads that are not in balance here, or linearise about an equilibrium "
+        "(at=equilibrium(...)); or "
     )
     raise NoModes(
         f"{moved}: the stiffest motions are too many orders of magnitude stiffer than this one. To "

@@ -64,6 +64,9 @@ class Modes:
     kinds : tuple of MotionKind
     coincide : tuple of tuple of int
         Modes that round-off does not separate, in groups of two or more.
+    cut : tuple of int
+        Modes that coincide with others that were not asked for, of a group that would add more
+        than eight modes; else empty.
     configuration : Configuration
     unbalanced : float
         Unbalanced force relative to all forces; zero in an equilibrium.
@@ -78,6 +81,7 @@ class Modes:
     multipliers: Array
     kinds: tuple[MotionKind, ...]
     coincide: tuple[tuple[int, ...], ...]
+    cut: tuple[int, ...]
     configuration: Configuration
     unbalanced: float
     free: str
@@ -141,12 +145,13 @@ class Modes:
             return shape_b
         where = f"derivative of the shape of mode {mode}"
         others = next((group for group in self.coincide if mode in group), None)
-        if others is None:
+        if others is None and mode not in self.cut:
             raise InvalidInput(where, "goes forward", "an adjoint", "Use method=Direct().")
+        more = " with others that were not asked for" if mode in self.cut else ""
         raise InvalidInput(
             where,
             "needs a mode that is alone at its frequency",
-            f"modes {', '.join(map(str, others))} that coincide",
+            f"modes {', '.join(map(str, others or self.cut))} that coincide{more}",
             "Change the design a little, or use the derivatives of their frequencies.",
         )
 
@@ -176,6 +181,12 @@ class Modes:
             )
         lines = [f"Modes about {where}", columns(rows)]
         lines += [f"free to move: {self.free}"] if self.free else []
+        if self.cut:
+            first, last = self.cut[0], self.cut[-1]
+            which = (
+                f"mode {first} coincides" if first == last else f"modes {first} to {last} coincide"
+            )
+            lines += [f"{which} to round-off with others, which were not asked for"]
         return "\n".join(lines)
 
 

@@ -12,15 +12,18 @@ from ancfdae.modes.pairs import Eigenpairs, coincident
 from ancfdae.modes.precise import NoModes
 from ancfdae.modes.undamped import undamped
 
-# Modes beside those asked for up to which the end of a group that coincides is sought; a minute.
-_CROWD = 800
+# A group that coincides is completed by so many modes beside those asked for, as a pair of a square
+# bar is; a larger one is cut. Its end is sought up to that many where it is differentiated; a
+# minute.
+GROUP, _CROWD = 8, 800
 
 
-def solve(small: Linearised, count: int, highest: bool) -> Eigenpairs:
+def solve(small: Linearised, count: int, highest: bool, whole: bool = False) -> Eigenpairs:
     """Return the lowest modes, growing ones first, or the highest, by falling frequency.
 
-    A group of modes that coincide is not cut. InvalidInput if nothing can move, or a motion has no
-    inertia; NoModes if ARPACK finds none, or a group is larger than _CROWD.
+    A group of modes that coincide has all of them if it is asked for `whole`, or ends within GROUP
+    modes more. InvalidInput if nothing can move, or a motion has no inertia; NoModes if ARPACK
+    finds none, or the end of a whole group is more than _CROWD modes away.
     """
     asked, n = min(count, small.n_modes), small.n_modes
     if n <= 0:
@@ -37,7 +40,10 @@ def solve(small: Linearised, count: int, highest: bool) -> Eigenpairs:
         first = pairs.first(asked)
         if len(first.z) < len(pairs.z) or wanted == n:
             return first
-        wanted = min(2 * wanted, n)
+        # Rigid motions are all sought: where they have no end round-off has taken the others.
+        if not whole and wanted > asked + GROUP and first.z[-1] != 0:
+            return first
+        wanted = min(max(2 * wanted, asked + GROUP + 1), n)
         if wanted > asked + _CROWD:
             _refuse_crowd(first)
 
@@ -49,6 +55,7 @@ def _refuse_crowd(pairs: Eigenpairs) -> None:
     repairs += ["pass damped=False"] if np.iscomplexobj(pairs.z) else []
     raise NoModes(
         f"mode {alone}: more than {len(pairs.z) - alone - 1} others coincide with it to round-off, "
-        "as motions that creep do next to -1 over the retardation time. Use fewer elements"
+        "as motions that creep do next to -1 over the retardation time. Leave out the design "
+        "variables, use fewer elements"
         f"{''.join(f', or {repair}' for repair in repairs)}."
     )

@@ -53,7 +53,9 @@ def modes(
     Parameters
     ----------
     count : int
-        How many; modes that coincide are not separated, so there may be a few more.
+        How many. Modes that coincide to round-off are not separated if that adds eight at most, as
+        of a square bar; of a larger group, as of motions that creep in an overdamped body, those
+        that were asked for are returned, and `Modes.cut` names them.
     at : Equilibrium or Configuration, optional
         Where: what `equilibrium` found, or coordinates and multipliers, for example
         ``Configuration.of(solution, instant)`` of a motion that has come to rest. By default the
