@@ -25,7 +25,7 @@ from ancfdae import (
     assemble,
 )
 from ancfdae.model import laws
-from ancfdae.model.joints import DrivenJoint, Equations
+from ancfdae.model.joints.joint import DrivenJoint, Equations
 
 #: Oblique and of no special length.
 ARROW = (0.6, -0.8, 0.3)

@@ -48,8 +48,8 @@ from ancfdae import (
 from ancfdae.assembly.part_inputs import Rigidity
 from ancfdae.errors import InvalidInput
 from ancfdae.model import joints
-from ancfdae.model.joints import DrivenJoint, Joint
 from ancfdae.model.joints.frames import SectionFrame, across, unit
+from ancfdae.model.joints.joint import DrivenJoint, Joint
 from ancfdae.model.parts import Elements, Normal
 
 from by_hand import turns_by_hand, vector_by_hand

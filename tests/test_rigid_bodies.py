@@ -58,8 +58,8 @@ from ancfdae import (
 )
 from ancfdae.model import joints, loads
 from ancfdae.model.bodies import Quantity
-from ancfdae.model.joints import Joint
-from ancfdae.model.loads import Load
+from ancfdae.model.joints.joint import Joint
+from ancfdae.model.loads.load import Load
 
 from examples import all_examples, scene_of
 from members import constraint_b

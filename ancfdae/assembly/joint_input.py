@@ -11,7 +11,7 @@ import numpy as np
 
 from ancfdae.assembly.layout import Layout
 from ancfdae.model.elements import Quantity
-from ancfdae.model.joints import Equations, Joint, RightAngle
+from ancfdae.model.joints.joint import Equations, Joint, RightAngle
 from ancfdae.numerics.arrays import STEP, Array
 
 _FLAT = frozenset((Quantity.SLOPE_Y, Quantity.SLOPE_Z))

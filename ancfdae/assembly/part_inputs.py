@@ -14,9 +14,8 @@ from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.joints import Equations, Joint
-from ancfdae.model.joints.joint import empty_coefficients
-from ancfdae.model.loads import Load
+from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients
+from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import Elements, FrameDirection, Part
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.model.scene import Scene

@@ -20,8 +20,8 @@ from ancfdae.errors import (
 from ancfdae.model.bodies import BeamBody, Point, Quantity, RigidBody
 from ancfdae.model.design import Designable, DesignVariable, Target, parse_target
 from ancfdae.model.elements import ElementParameter
-from ancfdae.model.joints import Joint
-from ancfdae.model.loads import Load
+from ancfdae.model.joints.joint import Joint
+from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import TARGETS, Elements, Normal, Part, on_ground, reference_place
 from ancfdae.model.point_mass import PointMass
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion, Start
@@ -239,7 +239,9 @@ class SceneDesign(Designable):
                 changes_of.setdefault(change[1].owner, []).append(change)
         for owner, changes in changes_of.items():
             part = self._members.get(owner) or self.parts().get(owner)
-            started = isinstance(self.start_of(owner), RigidMotion)
+            start = self.start_of(owner)
+            known = start.parameters() if isinstance(start, RigidMotion) else ()
+            started = any(target.parameter in known for _, target, _ in changes)
             if part is None or started or not _fits_alike(part, _with_values(part, changes)):
                 self.with_values(values)
                 return

@@ -23,8 +23,7 @@ from ancfdae.errors import InvalidInput, require_direction, require_kind
 from ancfdae.model.bodies import Point
 from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
-from ancfdae.model.laws import Law
-from ancfdae.model.laws.law import require_law
+from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.parts import Elements, Normal, Part, Vectors
 from ancfdae.numerics.arrays import Array
 

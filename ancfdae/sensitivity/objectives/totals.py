@@ -15,8 +15,8 @@ from ancfdae.sensitivity.objectives.objective import (
     ObjectivePartials,
 )
 from ancfdae.sensitivity.objectives.reductions import OverTime
-from ancfdae.sensitivity.observables import States
 from ancfdae.sensitivity.observables.expression import leaves
+from ancfdae.sensitivity.observables.states import States
 
 # Relative size of the value below which errors of its derivatives in ln b do not count.
 _SMALL = 1e-2

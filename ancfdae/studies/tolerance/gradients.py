@@ -17,8 +17,8 @@ from ancfdae.sensitivity.method import Accuracy, Gradient, GradientMethod, Run, 
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.reductions import AtInstants, OverTime
 from ancfdae.sensitivity.objectives.totals import totals_of
-from ancfdae.sensitivity.observables import States
 from ancfdae.sensitivity.observables.expression import leaves
+from ancfdae.sensitivity.observables.states import States
 from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.runs import Runs, Sample, Wanted
 from ancfdae.studies.tolerance.search import Found, search
