@@ -16,12 +16,16 @@ import pytest
 
 from ancfdae import (
     HHT,
+    IDA,
     AncfdaeError,
+    AtTimes,
     ControlledSteps,
     DesignVariable,
     Drive,
     Evaluate,
+    Explicit,
     FiniteDifference,
+    Integral,
     Interrupted,
     InvalidInput,
     Pin,
@@ -29,8 +33,10 @@ from ancfdae import (
     Setting,
     Solution,
     Terminal,
+    UpperMaximum,
     UserLaw,
     Verdict,
+    assemble,
     equilibrium,
     gradient,
     kinetic_energy,
@@ -41,6 +47,7 @@ from ancfdae import (
 )
 from ancfdae.assembly.numbers import Numbers
 from ancfdae.model.bodies import Point
+from ancfdae.sensitivity.objectives.totals import read_at_end
 from ancfdae.statics.equilibrium import Equilibrium
 from validation.scenes import pendulum
 
@@ -549,3 +556,22 @@ def test_the_variables_of_a_sweep_do_not_control_its_steps():
     what = Evaluate(DROP, T_END, HHT(steps))
     (row,) = sweep(SCENE, [{HEIGHT: 0.04}], what).rows
     assert row.result == what(SCENE.with_values({HEIGHT: 0.04}))
+
+
+@pytest.mark.parametrize("integrator", [Explicit(1e-6), IDA(1e-5)])
+def test_runs_of_high_order_report_what_is_asked_for(monkeypatch, integrator):
+    """The end alone, to the same digits; instants between that something reads; driven motions."""
+    system = assemble(SCENE)
+    what = Evaluate(DROP + Integral(position(TIP, 0)), T_END, integrator)
+    (row,) = sweep(SCENE, [{HEIGHT: 0.05}], what).rows
+    assert integrator.at_end(system, T_END).intervals == 4
+    assert dataclasses.replace(integrator, intervals=2).at_end(system, T_END).intervals == 2
+    driven = assemble(pendulum_driven_by(UserLaw(lambda t: t)))
+    assert integrator.at_end(driven, T_END) == integrator
+    half = AtTimes(position(TIP, 1), T_END / 2)
+    assert read_at_end(system, [what.of], T_END)
+    assert not read_at_end(system, [DROP + half], T_END)
+    assert not read_at_end(system, [UpperMaximum(position(TIP, 1), 5.0)], T_END)
+    monkeypatch.setattr(type(integrator), "at_end", lambda self, *_: self)
+    (again,) = sweep(SCENE, [{HEIGHT: 0.05}], what).rows
+    assert row.result["value"] == again.result["value"]

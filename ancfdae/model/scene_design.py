@@ -48,12 +48,12 @@ class SceneDesign(Designable):
         """Dimension of space."""
         return self.members[0].dimension
 
-    @property
+    @cached_property
     def elements(self) -> Elements:
         """The elements of all beams."""
         return Elements(self.dimension, {beam.name: beam.element for beam in self.beams})
 
-    @property
+    @cached_property
     def members(self) -> tuple[BeamBody | RigidBody, ...]:
         """All that has coordinates, in their order: beams, then rigid bodies."""
         rigid = (body for body in self.bodies if isinstance(body, RigidBody))
@@ -129,7 +129,11 @@ class SceneDesign(Designable):
 
     def start_of(self, body: str) -> RigidMotion | NodeState | None:
         """Return how a body starts, None if from rest in the reference configuration."""
-        return next((start for start in self.body_starts if start.body == body), None)
+        return self._starts.get(body)
+
+    @cached_property
+    def _starts(self) -> dict[str, RigidMotion | NodeState]:
+        return {start.body: start for start in self.body_starts}
 
     def owners(self) -> tuple[str, ...]:
         """Return the names of everything that has `numbers`."""
