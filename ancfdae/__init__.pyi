@@ -4,7 +4,6 @@ from ancfdae.assembly.saved import load_solution
 from ancfdae.assembly.system import AncfSystem, assemble
 from ancfdae.equations import (
     ComplexStepSystem,
-    Conformance,
     Direction,
     EstimatedErrors,
     MechanicalSystem,
@@ -12,8 +11,8 @@ from ancfdae.equations import (
     Solution,
     Statistics,
     Traits,
-    check_system,
 )
+from ancfdae.equations.conformance import Conformance, check_system
 from ancfdae.equations.files import NotSaved
 from ancfdae.errors import (
     AncfdaeError,
@@ -60,60 +59,32 @@ from ancfdae.model.elements import (
     SaintVenantKirchhoff,
     StrainEnergy,
 )
-from ancfdae.model.joints import (
-    Clamp,
-    Cylindrical,
-    Distance,
-    Drive,
-    Guide,
-    Joint,
-    MovingBase,
-    Pin,
-    PlanarJoint,
-    PointOnLine,
-    Prismatic,
-    Revolute,
-    Spherical,
-    Universal,
-    Weld,
-)
-from ancfdae.model.laws import (
-    Change,
-    Constant,
-    Harmonic,
-    Law,
-    Ramp,
-    RunUp,
-    Spline,
-    Uniform,
-    UserLaw,
-)
-from ancfdae.model.loads import (
-    Bushing,
-    DistributedForce,
-    FollowerForce,
-    JointFriction,
-    Load,
-    Moment,
-    PointForce,
-    SlideFriction,
-    SpringDamper,
-    Torque,
-    TorsionSpring,
-)
+from ancfdae.model.joints.axis_joint import Cylindrical, PlanarJoint, Revolute
+from ancfdae.model.joints.drive import Drive
+from ancfdae.model.joints.guide import Guide
+from ancfdae.model.joints.held_sections import Clamp, MovingBase, Weld
+from ancfdae.model.joints.joint import Joint
+from ancfdae.model.joints.point_joints import Distance, Pin, PointOnLine, Spherical
+from ancfdae.model.joints.prismatic import Prismatic
+from ancfdae.model.joints.universal import Universal
+from ancfdae.model.laws.elementary import Constant, Harmonic, Uniform
+from ancfdae.model.laws.law import Law
+from ancfdae.model.laws.passages import Change, Ramp, RunUp
+from ancfdae.model.laws.spline import Spline
+from ancfdae.model.laws.user_law import UserLaw
+from ancfdae.model.loads.forces import DistributedForce, FollowerForce, PointForce
+from ancfdae.model.loads.friction import JointFriction, SlideFriction
+from ancfdae.model.loads.load import Load
+from ancfdae.model.loads.springs import Bushing, SpringDamper
+from ancfdae.model.loads.torques import Moment, Torque, TorsionSpring
 from ancfdae.model.material import Material
 from ancfdae.model.point_mass import PointMass
 from ancfdae.model.scene import Scene
-from ancfdae.model.sections import (
-    Box,
-    Circle,
-    ISection,
-    MomentSection,
-    PointSection,
-    Rectangle,
-    Section,
-    Tube,
-)
+from ancfdae.model.sections.circle import Circle, Tube
+from ancfdae.model.sections.general import MomentSection, PointSection
+from ancfdae.model.sections.rectangle import Rectangle
+from ancfdae.model.sections.section import Section
+from ancfdae.model.sections.walled import Box, ISection
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion
 from ancfdae.model.turning_frame import TurningFrame
 from ancfdae.modes.configuration import Configuration
@@ -132,38 +103,43 @@ from ancfdae.sensitivity.objectives import (
     Terminal,
     UpperMaximum,
 )
-from ancfdae.sensitivity.observables import (
-    Observable,
-    angular_momentum,
-    apply,
-    axial_force,
-    axial_strain,
-    bending_moment,
-    centre_of_mass,
-    custom,
-    deflection,
-    design_value,
+from ancfdae.sensitivity.observables.drives import (
     drive_torque,
-    elapsed_time,
     guide_force,
-    inertia,
     joint_power,
-    kinetic_energy,
-    linear_momentum,
     load_power,
+)
+from ancfdae.sensitivity.observables.mass import (
+    angular_momentum,
+    centre_of_mass,
+    inertia,
+    linear_momentum,
     mass,
-    maximum_stress,
+)
+from ancfdae.sensitivity.observables.observable import Observable, observe
+from ancfdae.sensitivity.observables.quantities import (
+    design_value,
+    elapsed_time,
+    kinetic_energy,
     multiplier,
-    observe,
-    position,
     reaction,
+    strain_energy,
+)
+from ancfdae.sensitivity.observables.section_forces import (
+    axial_force,
+    bending_moment,
     shear_force,
+    torque,
+)
+from ancfdae.sensitivity.observables.stress import maximum_stress, von_mises
+from ancfdae.sensitivity.observables.user_functions import apply, custom
+from ancfdae.sensitivity.observables.vectors import (
+    axial_strain,
+    deflection,
+    position,
     slope,
     slope_angle,
-    strain_energy,
-    torque,
     velocity,
-    von_mises,
 )
 from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference
 from ancfdae.statics.critical import CriticalLoad, NoCriticalPoint

@@ -14,6 +14,7 @@ from typing import Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+import ancfdae
 from ancfdae import (
     Harmonic,
     InvalidInput,
@@ -25,7 +26,7 @@ from ancfdae import (
     assemble,
 )
 from ancfdae.model import laws
-from ancfdae.model.joints import DrivenJoint, Equations
+from ancfdae.model.joints.joint import DrivenJoint, Equations
 
 #: Oblique and of no special length.
 ARROW = (0.6, -0.8, 0.3)
@@ -48,8 +49,11 @@ def coefficients_of(joint, p, reference, t, order=0):
 
 
 def public_classes(module, base):
-    """Concrete classes of a kind that a package exports, by name; synonyms once."""
-    kinds = (x for x in vars(module).values() if inspect.isclass(x) and issubclass(x, base))
+    """Concrete classes of a kind that modules of a package define, by name; synonyms once."""
+    inside = f"{module.__name__}."
+    names = [name for name, home in ancfdae._MODULES.items() if home.startswith(inside)]
+    found = (getattr(ancfdae, name) for name in names)
+    kinds = (x for x in found if inspect.isclass(x) and issubclass(x, base))
     return {kind.__name__: kind for kind in kinds if not inspect.isabstract(kind)}
 
 

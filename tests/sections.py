@@ -5,7 +5,7 @@ import numpy as np
 from ancfdae import (
     CABLE_2D,
 )
-from ancfdae.sensitivity.observables import (
+from ancfdae.sensitivity.observables.section_forces import (
     axial_force,
     bending_moment,
     shear_force,

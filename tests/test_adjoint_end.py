@@ -28,7 +28,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.sensitivity.continuous_adjoint import _BackwardRun, _with_smooth_multipliers
-from ancfdae.sensitivity.observables import states_of
+from ancfdae.sensitivity.observables.states import states_of
 
 from mechanisms import GuidedDoublePendulum
 from members import inertia_q

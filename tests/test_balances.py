@@ -40,7 +40,9 @@ from ancfdae import (
 )
 from ancfdae.model.elements import Batch, ElementParameter
 from ancfdae.model.elements.element import SectionPlace
-from ancfdae.sensitivity.observables import States, observe, reaction
+from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.quantities import reaction
+from ancfdae.sensitivity.observables.states import States
 
 from element_kinds import arc, kind_of, straight
 from oracle import plain_rod, plain_strains

@@ -18,7 +18,8 @@ from ancfdae import (
     equilibrium,
     modes,
 )
-from ancfdae.sensitivity.observables import observe, shear_force, torque
+from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.section_forces import shear_force, torque
 
 from oracle import plain_rod
 

@@ -33,17 +33,16 @@ from ancfdae import (
     gradients,
     simulate,
 )
-from ancfdae.sensitivity.observables import (
-    States,
+from ancfdae.sensitivity.observables.drives import (
     drive_torque,
     guide_force,
-    inertia,
     joint_power,
-    kinetic_energy,
     load_power,
-    observe,
-    strain_energy,
 )
+from ancfdae.sensitivity.observables.mass import inertia
+from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.quantities import kinetic_energy, strain_energy
+from ancfdae.sensitivity.observables.states import States
 
 RUBBER = Material(density=1100.0, youngs_modulus=5e6, poisson_ratio=0.3)
 SECTION = Rectangle(height=0.06, width=0.04)

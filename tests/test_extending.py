@@ -30,7 +30,7 @@ from ancfdae import (
 )
 from ancfdae.plotting import snapshots
 from ancfdae.plotting.symbols import Symbols
-from ancfdae.sensitivity.observables import observe
+from ancfdae.sensitivity.observables.observable import observe
 
 from extending import element, integrator, joint, law, load, section
 

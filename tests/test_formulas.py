@@ -85,7 +85,7 @@ from ancfdae import (
 )
 from ancfdae.plotting.fields import StrainEnergyDensity
 from ancfdae.plotting.mechanism import mechanism
-from ancfdae.sensitivity.observables import States
+from ancfdae.sensitivity.observables.states import States
 
 from oracle.newton_euler import (
     Action,

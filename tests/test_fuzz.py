@@ -36,7 +36,7 @@ from ancfdae import (
     Terminal,
     distribution,
 )
-from ancfdae.model.joints import Joint
+from ancfdae.model.joints.joint import Joint
 
 from junk import INF, JUNK, ROD, TIP
 

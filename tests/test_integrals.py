@@ -40,7 +40,8 @@ from ancfdae.integrators.integrand import Points
 from ancfdae.integrators.quadrature import KRONROD, SHARES
 from ancfdae.integrators.sundials.step_points import _between, _panels
 from ancfdae.sensitivity.objectives.totals import Total
-from ancfdae.sensitivity.observables import elapsed_time, states_of
+from ancfdae.sensitivity.observables.quantities import elapsed_time
+from ancfdae.sensitivity.observables.states import states_of
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.scenes import crank_slider
 

@@ -24,7 +24,7 @@ from ancfdae.model.elements import (
     invariants,
 )
 from ancfdae.model.elements.invariants import prepare
-from ancfdae.model.sections import Rectangle
+from ancfdae.model.sections.rectangle import Rectangle
 
 import element_forces
 from oracle import plain_ancf as ancf

@@ -44,7 +44,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.model import joints
-from ancfdae.model.joints import Joint
+from ancfdae.model.joints.joint import Joint
 
 from examples import all_examples
 

@@ -48,8 +48,8 @@ from ancfdae import (
 from ancfdae.assembly.part_inputs import Rigidity
 from ancfdae.errors import InvalidInput
 from ancfdae.model import joints
-from ancfdae.model.joints import DrivenJoint, Joint
 from ancfdae.model.joints.frames import SectionFrame, across, unit
+from ancfdae.model.joints.joint import DrivenJoint, Joint
 from ancfdae.model.parts import Elements, Normal
 
 from by_hand import turns_by_hand, vector_by_hand
@@ -337,6 +337,19 @@ def test_coefficients_are_symmetric_and_of_the_shape_of_the_equations(one):
         assert c.bilinear.shape == (rows, n, n)
         assert c.offset.shape == (rows,)
         assert np.array_equal(c.bilinear, c.bilinear.transpose(0, 2, 1))
+
+
+@pytest.mark.parametrize("name", [x for x, joint in VARIANTS.items() if joint.by_slopes])
+def test_a_joint_by_slopes_stands_anywhere(name):
+    """Its equations are shared by joints of one kind: positions must not enter them."""
+    system, places = setting_of(name).system, len(VARIANTS[name].points)
+    item, _ = system.inputs.joint(VARIANTS[name])
+    moved = item.reference.copy()
+    moved[:places] += np.random.default_rng(2).uniform(-3, 3, moved[:places].shape)
+    before, after = (VARIANTS[name].coefficients(item.p, x) for x in (item.reference, moved))
+    for field in ("linear", "bilinear", "offset"):
+        assert np.array_equal(getattr(before, field), getattr(after, field))
+    assert before.shapes == after.shapes
 
 
 # ---------------------------------------------------------------- partials by complex step

@@ -42,13 +42,9 @@ from ancfdae import (
     simulate,
     static_gradient,
 )
-from ancfdae.sensitivity.observables import (
-    axial_force,
-    bending_moment,
-    observe,
-    position,
-    shear_force,
-)
+from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.section_forces import axial_force, bending_moment, shear_force
+from ancfdae.sensitivity.observables.vectors import position
 
 L, H, W, E, NU = 1.0, 0.2, 0.1, 1e9, 0.3
 STEEL = Material(density=1000.0, youngs_modulus=E, poisson_ratio=NU)

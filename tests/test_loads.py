@@ -37,7 +37,7 @@ from ancfdae import (
 from ancfdae.model import loads
 from ancfdae.model.bodies import Quantity
 from ancfdae.model.elements import ElementParameter
-from ancfdae.model.loads import Load
+from ancfdae.model.loads.load import Load
 
 from by_hand import vector_by_hand
 from examples import LAW_TIME, all_examples, law_examples, public_classes

@@ -18,7 +18,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.model.bodies import Point
-from ancfdae.sensitivity.observables import states_of
+from ancfdae.sensitivity.observables.states import states_of
 from ancfdae.studies import observing, parts
 from validation.scenes import pendulum
 

@@ -56,9 +56,8 @@ from ancfdae.integrators.hht.newton import StepSolver
 from ancfdae.model import joints, loads
 from ancfdae.model.bodies import Quantity
 from ancfdae.model.design import numbers
-from ancfdae.model.joints import Joint
-from ancfdae.model.loads import Load
-from ancfdae.model.loads.load import LAW
+from ancfdae.model.joints.joint import Joint
+from ancfdae.model.loads.load import LAW, Load
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from validation.scenes import crank_slider, pendulum
 

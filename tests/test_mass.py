@@ -20,14 +20,14 @@ from ancfdae import (
     assemble,
     mass_properties,
 )
-from ancfdae.sensitivity.observables import (
-    States,
+from ancfdae.sensitivity.observables.mass import (
     angular_momentum,
     centre_of_mass,
     inertia,
     linear_momentum,
     mass,
 )
+from ancfdae.sensitivity.observables.states import States
 
 STEEL = Material(density=7800.0, youngs_modulus=2e11, poisson_ratio=0.3)
 CLOSE = 1e-13

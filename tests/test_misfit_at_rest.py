@@ -25,7 +25,7 @@ from ancfdae import (
     simulate,
     static_gradient,
 )
-from ancfdae.sensitivity.observables import position
+from ancfdae.sensitivity.observables.vectors import position
 
 RUBBER = Material(density=1100.0, youngs_modulus=2e6, poisson_ratio=0.3, damping_time=2e-3)
 DESIGN = ["rod.youngs_modulus", "rod.density", "rod.damping_time"]

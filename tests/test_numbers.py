@@ -5,6 +5,7 @@ is there: whatever was left out of what a variable reaches shows as a difference
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from ancfdae import (
     Point,
     PointOnLine,
     Rectangle,
+    Revolute,
     RigidBody,
     Scene,
     Terminal,
@@ -33,6 +35,7 @@ from ancfdae.assembly.numbers import Numbers
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.errors import InvalidInput
 from ancfdae.model.design import numbers
+from ancfdae.model.joints.axis_joint import AxisJoint
 from ancfdae.model.joints.joint import empty_coefficients
 
 from scenes import SCENES
@@ -163,3 +166,34 @@ def test_a_coefficient_that_appears_makes_another_structure():
     turned = system.with_values(np.array([0.5]))
     assert turned.constraint_pattern.size == system.constraint_pattern.size + 1
     require_equal(turned)
+
+
+def test_equal_joints_are_prepared_once_and_have_the_equations_of_each_alone(monkeypatch):
+    """Of twelve hinges three are computed: to ground, between beams, and with another axis."""
+    section, counts = Rectangle(0.02, 0.03), []
+    beams = [Beam(f"b{k}", (k, 0, 0), (k + 1, 0, 0), 1, section, STEEL) for k in range(12)]
+    turned = [Revolute(beams[0].at_start, (0, 0.6, 0.8))]
+    turned += [
+        Revolute(left.at_end, (0, 0, 1) if k == 7 else (0, 0.6, 0.8), right.at_start)
+        for k, (left, right) in enumerate(pairwise(beams))
+    ]
+    coefficients = Revolute.coefficients
+
+    def counted(self, p, reference):
+        counts.append(p.dtype.kind)
+        return coefficients(self, p, reference)
+
+    monkeypatch.setattr(Revolute, "coefficients", counted)
+    system = assemble(Scene(beams, turned, gravity=(0, 0, -9.81)))
+    assert counts.count("f") == 3
+    shared = system.inputs.joints().slots
+    monkeypatch.setattr(AxisJoint, "by_slopes", False)
+    alone = assemble(system._scene).inputs.joints().slots
+    # Every beam has a right angle at each end, and no joint repeats that of another.
+    assert sum(len(slot.item.dropped) for slot in alone) == 0
+    for mine, its in zip(shared, alone, strict=True):
+        assert mine.item.dropped == its.item.dropped
+        for x, y in zip(mine.item.parts, its.item.parts, strict=True):
+            assert np.array_equal(x.linear, y.linear)
+            assert np.array_equal(x.bilinear, y.bilinear)
+            assert np.array_equal(x.offset, y.offset)

@@ -31,20 +31,16 @@ from ancfdae.sensitivity.objectives import (
     Terminal,
     UpperMaximum,
 )
-from ancfdae.sensitivity.observables import (
-    States,
-    apply,
-    custom,
-    deflection,
+from ancfdae.sensitivity.observables.quantities import (
     design_value,
     elapsed_time,
     kinetic_energy,
-    position,
     reaction,
-    slope_angle,
     strain_energy,
-    velocity,
 )
+from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.user_functions import apply, custom
+from ancfdae.sensitivity.observables.vectors import deflection, position, slope_angle, velocity
 
 from mechanisms import CartesianPendulum
 

@@ -31,41 +31,37 @@ from ancfdae import (
     differentiate,
     simulate,
 )
-from ancfdae.sensitivity.observables import (
-    Leaf,
-    States,
+from ancfdae.sensitivity.observables.drives import drive_torque, joint_power, load_power
+from ancfdae.sensitivity.observables.functions import _FUNCTIONS
+from ancfdae.sensitivity.observables.mass import (
+    MassIntegral,
     angular_momentum,
-    apply,
-    axial_force,
-    axial_strain,
-    bending_moment,
     centre_of_mass,
-    custom,
-    deflection,
-    design_value,
-    drive_torque,
-    elapsed_time,
     inertia,
-    joint_power,
-    kinetic_energy,
     linear_momentum,
-    load_power,
     mass,
-    maximum_stress,
+)
+from ancfdae.sensitivity.observables.observable import Leaf, observe
+from ancfdae.sensitivity.observables.quantities import (
+    design_value,
+    elapsed_time,
+    kinetic_energy,
     multiplier,
-    observe,
-    position,
     reaction,
-    shear_force,
+    strain_energy,
+)
+from ancfdae.sensitivity.observables.section_forces import axial_force, bending_moment, shear_force
+from ancfdae.sensitivity.observables.states import States, states_of
+from ancfdae.sensitivity.observables.stress import maximum_stress, von_mises
+from ancfdae.sensitivity.observables.user_functions import apply, custom
+from ancfdae.sensitivity.observables.vectors import (
+    axial_strain,
+    deflection,
+    position,
     slope,
     slope_angle,
-    states_of,
-    strain_energy,
     velocity,
-    von_mises,
 )
-from ancfdae.sensitivity.observables.functions import _FUNCTIONS
-from ancfdae.sensitivity.observables.mass import MassIntegral
 from validation import scenes
 
 from mechanisms import CartesianPendulum

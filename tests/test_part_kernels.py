@@ -14,10 +14,8 @@ import pytest
 from ancfdae import CABLE_2D, Beam, Material, Point, Rectangle, RigidBody, Scene, assemble, kernels
 from ancfdae.model import joints, loads
 from ancfdae.model.bodies import Quantity
-from ancfdae.model.joints import Joint
-from ancfdae.model.joints.joint import DrivenJoint
-from ancfdae.model.loads import Load
-from ancfdae.model.loads.load import LAW
+from ancfdae.model.joints.joint import DrivenJoint, Joint
+from ancfdae.model.loads.load import LAW, Load
 from ancfdae.numerics.jets import Jet, angle
 
 from examples import all_examples, scene_of

@@ -82,7 +82,7 @@ from ancfdae.plotting.glyphs import Glyphs
 from ancfdae.plotting.mechanism import mechanism
 from ancfdae.plotting.page import page_data
 from ancfdae.plotting.shapes import BeamMesh
-from ancfdae.sensitivity.observables import states_of
+from ancfdae.sensitivity.observables.states import states_of
 
 STEEL = Material(2700, 1e8, 0.3)
 DESIGN = ["rod.height", "rod.length"]

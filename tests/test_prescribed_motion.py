@@ -38,7 +38,8 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.integrators.problem import Problem
-from ancfdae.sensitivity.observables import drive_torque, observe
+from ancfdae.sensitivity.observables.drives import drive_torque
+from ancfdae.sensitivity.observables.observable import observe
 
 STEEL = Material(density=7800.0, youngs_modulus=2e11, poisson_ratio=0.3)
 SECTION = Rectangle(height=0.02, width=0.02)

@@ -56,9 +56,9 @@ from ancfdae.integrators.radau.newton import StageSolver
 from ancfdae.integrators.radau.tableau import BUTCHER, EMBEDDED, GAMMA, PLACES, continued
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.model import loads
-from ancfdae.model.loads import Load
+from ancfdae.model.loads.load import Load
 from ancfdae.sensitivity.method import UnfinishedRun
-from ancfdae.sensitivity.observables import multiplier as link_force
+from ancfdae.sensitivity.observables.quantities import multiplier as link_force
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
 

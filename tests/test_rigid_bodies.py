@@ -33,8 +33,10 @@ from ancfdae import (
     Point,
     PointForce,
     PointMass,
+    PointOnLine,
     Ramp,
     Rectangle,
+    Revolute,
     RigidBody,
     RigidBox,
     RigidCylinder,
@@ -42,6 +44,7 @@ from ancfdae import (
     RigidSphere,
     Scene,
     Spherical,
+    SpringDamper,
     Terminal,
     UnknownName,
     assemble,
@@ -58,8 +61,8 @@ from ancfdae import (
 )
 from ancfdae.model import joints, loads
 from ancfdae.model.bodies import Quantity
-from ancfdae.model.joints import Joint
-from ancfdae.model.loads import Load
+from ancfdae.model.joints.joint import Joint
+from ancfdae.model.loads.load import Load
 
 from examples import all_examples, scene_of
 from members import constraint_b
@@ -386,7 +389,7 @@ def test_stiff_beam_approaches_the_rigid_one(d):
     def tip(rigid, E):
         material = replace(STEEL, youngs_modulus=E)
         rod = Beam("rod", (0, 0, *z), (1.0, 0.0, *z), 2, THICK, material, rigid=rigid)
-        joint = Pin(rod.at_start) if d == 2 else joints.Revolute(rod.at_start, (0, 0, 1))
+        joint = Pin(rod.at_start) if d == 2 else Revolute(rod.at_start, (0, 0, 1))
         scene = Scene([rod], [joint], gravity=(0.0, -G, *z))
         return simulate(scene, 0.3, HHT(step=2e-3)).position(rod.at_end)
 
@@ -586,13 +589,13 @@ def spatial_machine():
     body = RigidBody("body", tuple(end), 2.0, SIX, centre=(0.1, 0.02, 0.03), frame=frame)
     bodies = [body, PointMass(rod.at(0.3, 0.005, 0.002), 0.2, name="bead")]
     joints_ = [
-        joints.Revolute(rod.at_start, (0, 0, 1)),
+        Revolute(rod.at_start, (0, 0, 1)),
         Spherical(rod.at_end, bow.at_start),
-        joints.Revolute(bow.at_end, (0, 1, 1), other=body.origin, name="hinge"),
+        Revolute(bow.at_end, (0, 1, 1), other=body.origin, name="hinge"),
     ]
     loads_ = [
         DistributedForce("bow", (1.0, 2.0, 3.0)),
-        loads.SpringDamper(body.at(0.1, 0.1, 0.1), 20.0, 0.3, 0.2, rod.at(0.3)),
+        SpringDamper(body.at(0.1, 0.1, 0.1), 20.0, 0.3, 0.2, rod.at(0.3)),
     ]
     start = [RigidMotion("body", (0.0, 0.7, 0.7), tuple(end))]  # about the hinge
     design = [
@@ -621,7 +624,7 @@ def bodies_alone():
     box = RigidBody("box", tuple(at), shape=RigidBox(0.3, 0.1, 0.05), density=2000.0)
     bodies = [arm, box, PointMass(box.at(0.3, 0.02), 0.7, name="load")]
     hooks = [Pin(arm.origin), Pin(arm.at(0.9), box.origin, name="elbow")]
-    loads_ = [loads.SpringDamper(box.at(0.3), 20.0, 0.3, 0.2, ground=(1.0, 0.5))]
+    loads_ = [SpringDamper(box.at(0.3), 20.0, 0.3, 0.2, ground=(1.0, 0.5))]
     design = [
         *("arm.mass", "arm.inertia", "arm.centre_x", "arm.turn", "box.length", "box.density"),
         *("box.centre_y", "load.mass", "load.point_y", "elbow.point_x"),
@@ -717,7 +720,7 @@ def test_bodies_that_nothing_holds_are_named():
     body = RigidBody("box", (0.3, 0.2), shape=RigidBox(0.4, 0.3, 0.2), density=700.0)
     for scene, words in (
         (Scene(bodies=[body]), "box turns about its origin"),
-        (Scene(joints=[joints.PointOnLine(body.origin, (1, 0))], bodies=[body]), "along x"),
+        (Scene(joints=[PointOnLine(body.origin, (1, 0))], bodies=[body]), "along x"),
     ):
         with pytest.raises(FreeMechanism, match=words):
             equilibrium(scene)

@@ -45,17 +45,16 @@ from ancfdae import (
     gradients,
     static_gradient,
 )
-from ancfdae.sensitivity.observables import (
-    States,
+from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.quantities import reaction
+from ancfdae.sensitivity.observables.section_forces import (
     axial_force,
     bending_moment,
-    maximum_stress,
-    observe,
-    reaction,
     shear_force,
     torque,
-    von_mises,
 )
+from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.stress import maximum_stress, von_mises
 
 from sections import forces, section_axes
 

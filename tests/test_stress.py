@@ -25,7 +25,9 @@ from ancfdae import (
 )
 from ancfdae.assembly import section_results as stress_points
 from ancfdae.model.sections.spread import rectangle_torsional_shear
-from ancfdae.sensitivity.observables import States, maximum_stress, observe, von_mises
+from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.stress import maximum_stress, von_mises
 
 STEEL = Material(density=7800.0, youngs_modulus=2e11, poisson_ratio=0.3)
 G = 2e11 / 2.6

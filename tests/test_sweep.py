@@ -16,11 +16,16 @@ import pytest
 
 from ancfdae import (
     HHT,
+    IDA,
     AncfdaeError,
+    AtTimes,
+    ControlledSteps,
     DesignVariable,
     Drive,
     Evaluate,
+    Explicit,
     FiniteDifference,
+    Integral,
     Interrupted,
     InvalidInput,
     Pin,
@@ -28,8 +33,10 @@ from ancfdae import (
     Setting,
     Solution,
     Terminal,
+    UpperMaximum,
     UserLaw,
     Verdict,
+    assemble,
     equilibrium,
     gradient,
     kinetic_energy,
@@ -38,7 +45,9 @@ from ancfdae import (
     simulate,
     sweep,
 )
+from ancfdae.assembly.numbers import Numbers
 from ancfdae.model.bodies import Point
+from ancfdae.sensitivity.objectives.totals import read_at_end
 from ancfdae.statics.equilibrium import Equilibrium
 from validation.scenes import pendulum
 
@@ -495,3 +504,74 @@ def assemble_only(scene):
 def test_what_a_file_cannot_hold_is_told_at_the_first_row(tmp_path):
     with pytest.raises(InvalidInput, match="what, file: must return numbers"):
         sweep(SCENE, DESIGNS, counted_set, file=tmp_path / "rows.jsonl")
+
+
+def of_scene(scene):
+    """`VALUE`, and its gradient, by a function that is given each scene."""
+    return VALUE(scene), dataclasses.replace(VALUE, gradient=True, design=[VARIABLE])(scene)
+
+
+def test_a_scene_is_assembled_once_and_its_rows_are_those_of_each_scene(monkeypatch):
+    """Numbers at a design follow from the first scene's: to round-off of a height's powers."""
+    made = []
+    first = Numbers.first
+    monkeypatch.setattr(Numbers, "first", lambda *args: made.append(1) or first(*args))
+    designs = [{VARIABLE: height} for height in (0.04, 0.05, 0.06)]
+    values = sweep(SCENE, designs, VALUE)
+    gradients = sweep(SCENE, designs, dataclasses.replace(VALUE, gradient=True, design=[VARIABLE]))
+    assert len(made) == 2
+    for row, slope, each in zip(
+        values.rows, gradients.rows, sweep(SCENE, designs, of_scene).rows, strict=True
+    ):
+        value, with_gradient = each.result
+        assert row.result["value"] == pytest.approx(value["value"], rel=1e-11)
+        assert slope.result["gradient"] == pytest.approx(with_gradient["gradient"], rel=1e-9)
+    assert len({row.result["value"] for row in values.rows}) == 3
+
+
+def test_designs_do_not_depend_on_those_before_them():
+    designs = [{HEIGHT: 0.05}, {HEIGHT: 0.06}, {HEIGHT: 0.05}]
+    first, _, again = sweep(SCENE, designs, VALUE).rows
+    assert first.result == again.result
+    assert sweep(SCENE, designs[:1], VALUE).rows[0].result == first.result
+
+
+def test_a_sweep_closes_joints_that_are_declared_open():
+    """As `Scene.with_values` does: here the rod stands 1 mm from its pin."""
+    rod = SCENE.beams[0]
+    scene = Scene([rod], [Pin(rod.at_start, ground=(0.0, 1e-3))], gravity=(0, -9.81))
+    (row,) = sweep(scene, [{HEIGHT: 0.04}], VALUE).rows
+    assert row.result == VALUE(scene.with_values({HEIGHT: 0.04}))
+
+
+def test_a_gradient_in_other_variables_is_that_of_the_scene():
+    what = dataclasses.replace(VALUE, gradient=True, design=["pendulum.density"])
+    (row,) = sweep(SCENE, [{HEIGHT: 0.04}], what).rows
+    result = what(SCENE.with_values({HEIGHT: 0.04}))
+    assert row.result["gradient"].tolist() == result["gradient"].tolist()
+
+
+def test_the_variables_of_a_sweep_do_not_control_its_steps():
+    steps = ControlledSteps(1e-3, sensitivities=True)
+    what = Evaluate(DROP, T_END, HHT(steps))
+    (row,) = sweep(SCENE, [{HEIGHT: 0.04}], what).rows
+    assert row.result == what(SCENE.with_values({HEIGHT: 0.04}))
+
+
+@pytest.mark.parametrize("integrator", [Explicit(1e-6), IDA(1e-5)])
+def test_runs_of_high_order_report_what_is_asked_for(monkeypatch, integrator):
+    """The end alone, to the same digits; instants between that something reads; driven motions."""
+    system = assemble(SCENE)
+    what = Evaluate(DROP + Integral(position(TIP, 0)), T_END, integrator)
+    (row,) = sweep(SCENE, [{HEIGHT: 0.05}], what).rows
+    assert integrator.at_end(system, T_END).intervals == 4
+    assert dataclasses.replace(integrator, intervals=2).at_end(system, T_END).intervals == 2
+    driven = assemble(pendulum_driven_by(UserLaw(lambda t: t)))
+    assert integrator.at_end(driven, T_END) == integrator
+    half = AtTimes(position(TIP, 1), T_END / 2)
+    assert read_at_end(system, [what.of], T_END)
+    assert not read_at_end(system, [DROP + half], T_END)
+    assert not read_at_end(system, [UpperMaximum(position(TIP, 1), 5.0)], T_END)
+    monkeypatch.setattr(type(integrator), "at_end", lambda self, *_: self)
+    (again,) = sweep(SCENE, [{HEIGHT: 0.05}], what).rows
+    assert row.result["value"] == again.result["value"]

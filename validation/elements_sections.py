@@ -21,7 +21,8 @@ from ancfdae import (
     assemble,
     equilibrium,
 )
-from ancfdae.sensitivity.observables import axial_force, observe, shear_force
+from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.section_forces import axial_force, shear_force
 from validation.report import Agreement, Report
 
 __all__ = ["sections"]

@@ -22,7 +22,8 @@ from ancfdae import (
     assemble,
     equilibrium,
 )
-from ancfdae.sensitivity.observables import States, strain_energy
+from ancfdae.sensitivity.observables.quantities import strain_energy
+from ancfdae.sensitivity.observables.states import States
 from validation.report import Report
 
 __all__ = ["fill"]

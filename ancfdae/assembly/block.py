@@ -1,5 +1,7 @@
 """Elements as one block: their invariants, prepared once per distinct element."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -48,77 +50,101 @@ WEIGHTLESS = (
 _LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
 
 
-def element_block(
-    element: BeamElement, beams: Sequence[BeamBody], mapping: ParameterMap, parameters: Array
-) -> ElementBlock:
-    """Prepare the invariants of the elements of beams at their parameters, shape (n, 10).
+@final
+@dataclass(frozen=True, eq=False)
+class ElementForms:
+    """What values of the design leave as it is in the elements of some beams.
 
     `element` has all node vectors that those of the beams have: theirs are widened to its size.
+    `kind`, (n,), is the place of each element's type among `kinds`; `Y_unit`, (n, n_y, d), are the
+    reference relative node vectors. Pairs are those of the `mapping`: which enter the stiffness,
+    and which the masses.
     """
-    if not beams:
-        return _no_elements(element, parameters)
-    damped = ElementParameter.DAMPING_TIME
-    wanted = tuple(which for which in mapping.driven() if which is not damped)
-    distinct, index = _distinct(element, beams, wanted, parameters)
-    chosen = np.zeros(1, dtype=np.int64) if len(distinct.A) == 1 else index
-    stiffness = np.flatnonzero(~np.isin(mapping.parameters, _LIMP))
-    mass = np.flatnonzero(~np.isin(mapping.parameters, WEIGHTLESS))
-    A_b = np.zeros((len(stiffness), *distinct.A.shape[1:]), dtype=distinct.A.dtype)
-    c_b = np.zeros((len(stiffness), distinct.A.shape[1]), dtype=distinct.A.dtype)
-    rest_b = np.zeros((len(c_b), c_b.shape[1] + 2), dtype=c_b.dtype)
-    m_b = np.zeros((len(mass), *distinct.m.shape[1:]), dtype=distinct.m.dtype)
-    for which, partial in distinct.partials.items():
-        at = mapping.parameters[stiffness] == which
-        source = index[mapping.elements[stiffness][at]]
-        weight = mapping.weights[stiffness][at]
-        A_b[at] = partial.A[source] * weight[:, None, None]
-        c_b[at] = partial.c[source] * weight[:, None]
-        rest_b[at, :-2] = partial.g_o[source] * weight[:, None]
-        rest_b[at, -2:] = partial.bending[source] * weight[:, None]
-        at = mapping.parameters[mass] == which
-        source = index[mapping.elements[mass][at]]
-        m_b[at] = partial.m[source] * mapping.weights[mass][at][:, None, None]
-    tau = parameters[:, damped]
-    is_damped = bool(np.any(tau != 0)) or damped in mapping.driven()
-    return ElementBlock(
-        A=distinct.A[chosen],
-        g_o=distinct.g_o[chosen],
-        bending=None if distinct.bending is None else distinct.bending[chosen],
-        m=distinct.m[index],
-        tau=tau if is_damped else None,
-        stiffness_pairs=stiffness,
-        damping_pairs=mapping.pairs(damped),
-        mass_pairs=mass,
-        A_b=A_b,
-        rest_b=rest_b,
-        c_b=c_b,
-        m_b=m_b,
-    )
 
+    element: BeamElement
+    mapping: ParameterMap
+    kinds: list[tuple[BeamElement, ElementType]]
+    kind: Array
+    Y_unit: Array
+    owners: Array
+    stiffness: Array
+    masses: Array
 
-def _distinct(
-    element: BeamElement,
-    beams: Sequence[BeamBody],
-    wanted: tuple[ElementParameter, ...],
-    parameters: Array,
-) -> tuple[Invariants, Array]:
-    """Return the invariants of elements that differ, and which of them each element has."""
-    kinds, kind = _kinds(beams)
-    Y_unit = np.zeros((len(parameters), element.n_y, element.d))
-    first = np.cumsum([0, *(beam.element_count for beam in beams)])
-    for beam, start, stop in zip(beams, first[:-1], first[1:], strict=True):
-        Y_unit[start:stop, relative_places(beam.element, element)] = unit_vectors(beam)
-    owners = np.concatenate([np.repeat(f"beam {x.name!r}", x.element_count) for x in beams])
-    numbers = [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), kind[:, None]]
-    key = np.concatenate(numbers, axis=1)
-    _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    order, parts = [], []
-    for number, (its, each) in enumerate(kinds):
-        members = kept[kind[kept] == number]
-        order.append(np.flatnonzero(kind[kept] == number))
-        batch = Batch(each, parameters[members], Y_unit[members][:, relative_places(its, element)])
-        parts.append(widened(prepare(its, batch, wanted, owners[members]), its, element))
-    return joined(parts, np.argsort(np.concatenate(order))), index.ravel()
+    @staticmethod
+    def of(element: BeamElement, beams: Sequence[BeamBody], mapping: ParameterMap) -> ElementForms:
+        """Return the forms of the elements of beams, in the order of the mapping's."""
+        kinds, kind = _kinds(beams)
+        Y_unit = np.zeros((len(mapping.base), element.n_y, element.d))
+        first = np.cumsum([0, *(beam.element_count for beam in beams)])
+        for beam, start, stop in zip(beams, first[:-1], first[1:], strict=True):
+            Y_unit[start:stop, relative_places(beam.element, element)] = unit_vectors(beam)
+        names = [np.repeat(f"beam {x.name!r}", x.element_count) for x in beams]
+        owners = np.concatenate([np.zeros(0, dtype=str), *names])
+        stiffness = np.flatnonzero(~np.isin(mapping.parameters, _LIMP))
+        masses = np.flatnonzero(~np.isin(mapping.parameters, WEIGHTLESS))
+        return ElementForms(element, mapping, kinds, kind, Y_unit, owners, stiffness, masses)
+
+    def at(self, b: Array) -> ElementBlock:
+        """Prepare the invariants of the elements at design values b."""
+        mapping, parameters = self.mapping, self.mapping.values(b)
+        if not self.kinds:
+            return _no_elements(self.element, parameters)
+        damped = ElementParameter.DAMPING_TIME
+        wanted = tuple(which for which in mapping.driven() if which is not damped)
+        distinct, index = self._distinct(wanted, parameters)
+        chosen = np.zeros(1, dtype=np.int64) if len(distinct.A) == 1 else index
+        stiffness, mass = self.stiffness, self.masses
+        A_b = np.zeros((len(stiffness), *distinct.A.shape[1:]), dtype=distinct.A.dtype)
+        c_b = np.zeros((len(stiffness), distinct.A.shape[1]), dtype=distinct.A.dtype)
+        rest_b = np.zeros((len(c_b), c_b.shape[1] + 2), dtype=c_b.dtype)
+        m_b = np.zeros((len(mass), *distinct.m.shape[1:]), dtype=distinct.m.dtype)
+        for which, partial in distinct.partials.items():
+            at = mapping.parameters[stiffness] == which
+            source = index[mapping.elements[stiffness][at]]
+            weight = mapping.weights[stiffness][at]
+            A_b[at] = partial.A[source] * weight[:, None, None]
+            c_b[at] = partial.c[source] * weight[:, None]
+            rest_b[at, :-2] = partial.g_o[source] * weight[:, None]
+            rest_b[at, -2:] = partial.bending[source] * weight[:, None]
+            at = mapping.parameters[mass] == which
+            source = index[mapping.elements[mass][at]]
+            m_b[at] = partial.m[source] * mapping.weights[mass][at][:, None, None]
+        tau = parameters[:, damped]
+        is_damped = bool(np.any(tau != 0)) or damped in mapping.driven()
+        return ElementBlock(
+            A=distinct.A[chosen],
+            g_o=distinct.g_o[chosen],
+            bending=None if distinct.bending is None else distinct.bending[chosen],
+            m=distinct.m[index],
+            tau=tau if is_damped else None,
+            stiffness_pairs=stiffness,
+            damping_pairs=mapping.pairs(damped),
+            mass_pairs=mass,
+            A_b=A_b,
+            rest_b=rest_b,
+            c_b=c_b,
+            m_b=m_b,
+        )
+
+    def _distinct(
+        self, wanted: tuple[ElementParameter, ...], parameters: Array
+    ) -> tuple[Invariants, Array]:
+        """Return the invariants of elements that differ, and which of them each element has."""
+        element, kind, Y_unit = self.element, self.kind, self.Y_unit
+        numbers = [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), kind[:, None]]
+        key = np.concatenate(numbers, axis=1)
+        kept, index = np.zeros(1, dtype=np.int64), np.zeros(len(key), dtype=np.int64)
+        if np.any(key != key[0]):
+            _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
+        order, parts = [], []
+        for number, (its, each) in enumerate(self.kinds):
+            members = kept[kind[kept] == number]
+            order.append(np.flatnonzero(kind[kept] == number))
+            places = relative_places(its, element)
+            batch = Batch(each, parameters[members], Y_unit[members][:, places])
+            parts.append(widened(prepare(its, batch, wanted, self.owners[members]), its, element))
+        back = np.argsort(np.concatenate(order)) if len(parts) > 1 else None
+        return joined(parts, back), index.ravel()
 
 
 def _no_elements(element: BeamElement, parameters: Array) -> ElementBlock:
@@ -139,7 +165,7 @@ def _kinds(beams: Sequence[BeamBody]) -> tuple[list[tuple[BeamElement, ElementTy
         key = (beam.element, kind.section.form(), kind.energy, kind.straight)
         kinds.setdefault(key, (beam.element, kind))
         places.append(np.full(beam.element_count, list(kinds).index(key)))
-    return list(kinds.values()), np.concatenate(places)
+    return list(kinds.values()), np.concatenate([np.zeros(0, dtype=np.int64), *places])
 
 
 def unit_vectors(beam: BeamBody) -> Array:

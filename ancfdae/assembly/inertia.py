@@ -17,7 +17,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.block import ElementBlock, element_block
+from ancfdae.assembly.block import ElementBlock, ElementForms
 from ancfdae.assembly.layout import BeamLayout
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import Numbering
@@ -127,7 +127,7 @@ def _of_rigid_beam(
     rows = np.arange(place.elements.start, place.elements.stop)
     driven, element, nodes = mapping.only(rows), beam.element, place.rigid
     assert nodes is not None
-    block = element_block(element, [beam], driven, driven.values(b))
+    block = ElementForms.of(element, [beam], driven).at(b)
     lengths = driven.values(b)[:, ElementParameter.LENGTH]
     W = nodes.weights(lengths, element.n_s)
     W_e = np.concatenate([W[:-1], W[1:]], axis=1)  # of the nodes of each element

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import final
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ancfdae.assembly.layout import Layout
 from ancfdae.model.elements import Quantity
-from ancfdae.model.joints import Equations, Joint, RightAngle
+from ancfdae.model.joints.joint import Equations, Joint, RightAngle
 from ancfdae.numerics.arrays import STEP, Array
 
 _FLAT = frozenset((Quantity.SLOPE_Y, Quantity.SLOPE_Z))
@@ -60,7 +60,7 @@ class JointInput:
     """One joint with its parameters, (n_p,), reference vectors, (n_vectors, d), and partials.
 
     `reference_b` has those of the design variables that move the reference. Equations `dropped`
-    say nothing here.
+    say nothing here. `alike` has the equations of joints of one kind with the same numbers.
     """
 
     joint: Joint
@@ -69,12 +69,24 @@ class JointInput:
     reference: Array
     reference_b: dict[int, Array]
     dropped: tuple[int, ...] = ()
+    alike: dict[object, tuple[Joint, list[Equations]]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def parts(self) -> list[Equations]:
         """The constant coefficients, and what goes with each factor."""
-        joint, given = self.joint, (self.p, self.reference)
-        parts = [joint.checked_coefficients(*given), *joint.moving(*given)]
+        joint, p, reference = self.joint, self.p, self.reference
+        which: tuple[object, ...] = (joint.name,)
+        numbers = reference
+        if joint.by_slopes:
+            places = {(x.beam, x.fraction, x.before) for x in joint.points}
+            which, numbers = (type(joint), len(places)), reference[len(joint.points) :]
+        kind = (*which, p.dtype, p.tobytes(), numbers.dtype, numbers.tobytes())
+        if kind not in self.alike:
+            parts = [joint.checked_coefficients(p, reference), *joint.moving(p, reference)]
+            self.alike[kind] = joint, parts
+        other, parts = self.alike[kind]
+        if other is not joint:
+            parts = [c.at_points(other.points, joint.points) for c in parts]
         return [c.without(self.dropped) for c in parts]
 
     def factors(self, t: Array, order: int) -> Array:
@@ -106,7 +118,7 @@ class JointInput:
         p, reference = self.p + 1j * STEP * self.p_b[:, i], self.reference
         if i in self.reference_b:
             reference = reference + 1j * STEP * self.reference_b[i]
-        return replace(self, p=p, reference=reference)
+        return replace(self, p=p, reference=reference, alike={})
 
     def structure(self) -> Equations:
         """Return coefficients that vanish only where they do at all times and parameters."""

@@ -10,7 +10,7 @@ import numpy as np
 from ancfdae.assembly.vectors import Vectors
 from ancfdae.errors import InvalidInput
 from ancfdae.kernels import LoadPlan
-from ancfdae.model.loads import Load
+from ancfdae.model.loads.load import Load
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.operations import Listed, Operations
 from ancfdae.numerics.patterns import Pattern

@@ -14,7 +14,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.assembled_start import AssembledStart
-from ancfdae.assembly.block import ElementBlock, element_block
+from ancfdae.assembly.block import ElementBlock
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.inertia import Inertia, element_masses, other_masses
@@ -109,7 +109,7 @@ class Numbers:
         geometry = Geometry.of(scene, layout, numbering, mapping, b)
         parts = geometry.joints, geometry.loads
         structure = Structure.of(scene, design, mapping, numbering, layout, parts)
-        block = _block(structure, b)
+        block = structure.forms.at(b)
         elastic = ElasticForces(block, structure.places, structure.soft, len(b))
         fixed = _placed(structure, geometry, b)
         return Numbers(
@@ -134,19 +134,12 @@ class Numbers:
             geometry, fixed = changed, _placed(structure, changed, b)
         block, elastic = self.block, self.elastic
         if changes(structure.reaches_elements()):
-            block = _block(structure, b)
+            block = structure.forms.at(b)
             elastic = ElasticForces(block, structure.places, structure.soft, len(b))
         masses = self.inertia, self.turning
         if displaced or changes(structure.reaches_masses()):
             masses = _masses(structure, geometry, block, b)
         return Numbers(structure, b, geometry, *fixed, block, elastic, *masses)
-
-
-def _block(structure: Structure, b: Array) -> ElementBlock:
-    """Return the laws and masses of elements that deform."""
-    beams = [beam for beam in structure.scene.beams if not beam.rigid]
-    soft = structure.soft
-    return element_block(structure.numbering.widest, beams, soft, soft.values(b))
 
 
 def _placed(

@@ -1,5 +1,6 @@
 """Joints and loads of a scene as numbers: their vectors, design fields and reference."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -14,9 +15,8 @@ from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.joints import Equations, Joint
-from ancfdae.model.joints.joint import empty_coefficients
-from ancfdae.model.loads import Load
+from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients
+from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import Elements, FrameDirection, Part
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.model.scene import Scene
@@ -34,6 +34,11 @@ class Rigidity(Joint):
     beam: str
 
     kind = "rigid"
+
+    @property
+    def by_slopes(self) -> bool:
+        """Return true: directions are slopes, and the numbers of all equations are the same."""
+        return True
 
     def vectors(self, elements: Elements) -> Names:
         """Return the directions."""
@@ -63,24 +68,18 @@ class PartInputs:
 
     def joints(self) -> JointStructure:
         """Return all joints, and what keeps bodies that are rigid."""
-        inputs, points = [], []
         bodies = zip(self.numbering.bodies, self.numbering.rigid, strict=True)
         rigidities = [Rigidity(body.name) for body, rigid in bodies if rigid]
         held = HeldAngles(self.naming.layout, {item.beam for item in rigidities})
-        for joint in (*self.scene.joints, *rigidities):
-            item, named = self._joint(joint)
-            inputs.append(item.shaped(held))
-            points += named
-        return JointStructure.of(inputs, self._vectors(points))
+        inputs, vectors = self._together((*self.scene.joints, *rigidities))
+        return JointStructure.of([item.shaped(held) for item in inputs], vectors)
 
     def joints_like(self, known: JointStructure) -> JointStructure | None:
         """Return the joints at these values in the forms that are known, None if they differ."""
-        inputs, points = [], []
-        for slot in known.slots:
-            item, named = self._joint(slot.item.joint)
-            inputs.append(replace(item, dropped=slot.item.dropped))
-            points += named
-        return known.with_numbers(inputs, self._vectors(points))
+        inputs, vectors = self._together([slot.item.joint for slot in known.slots])
+        pairs = zip(inputs, known.slots, strict=True)
+        inputs = [replace(item, dropped=slot.item.dropped) for item, slot in pairs]
+        return known.with_numbers(inputs, vectors)
 
     def loads(self) -> list[LoadInput]:
         """Return all loads."""
@@ -88,8 +87,8 @@ class PartInputs:
 
     def joint(self, joint: Joint) -> tuple[JointInput, Vectors]:
         """Return one joint as it stands alone, with its vectors."""
-        item, points = self._joint(joint)
-        return item, self._vectors(points)
+        (item,), vectors = self._together([joint])
+        return item, vectors
 
     def load(self, load: Load) -> LoadInput:
         """Return one load."""
@@ -108,9 +107,23 @@ class PartInputs:
             U_ob[:, i] = change[0].real
         return U_o, U_ob
 
-    def _joint(self, joint: Joint) -> tuple[JointInput, list[PointVector]]:
-        points, p, p_b = self._part(joint)
-        return JointInput(joint, p, p_b, *self._in_reference(self._vectors(points))), points
+    def _together(self, joints: Sequence[Joint]) -> tuple[list[JointInput], Vectors]:
+        """Return joints as they stand alone, and the vectors of all."""
+        parts = [self._part(joint) for joint in joints]
+        vectors = self._vectors([vector for points, *_ in parts for vector in points])
+        # Partials of all vectors of a large scene in all variables would not fit into memory.
+        still = not (self.reference.active or np.any(vectors.moves))
+        whole = self._in_reference(vectors)[0] if still else None
+        inputs, first = list[JointInput](), 0
+        alike: dict[object, tuple[Joint, list[Equations]]] = {}
+        for joint, (points, p, p_b) in zip(joints, parts, strict=True):
+            first, begin = first + len(points), first
+            if whole is None:
+                reference, reference_b = self._in_reference(self._vectors(points))
+            else:
+                reference, reference_b = whole[begin:first], {}
+            inputs.append(JointInput(joint, p, p_b, reference, reference_b, alike=alike))
+        return inputs, vectors
 
     def _vectors(self, points: list[PointVector]) -> Vectors:
         return Vectors.of_points(points, self.numbering.d, self.numbering.n_q, len(self.b))

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.block import WEIGHTLESS
+from ancfdae.assembly.block import WEIGHTLESS, ElementForms
 from ancfdae.assembly.elastic_forces import ElementPlaces
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
@@ -27,7 +27,8 @@ from ancfdae.numerics.patterns import Pattern
 class Structure:
     """What values of the design do not change; made with the first numbers.
 
-    `soft` maps the design to the elements that deform, which stand at `places` of the pattern.
+    `soft` maps the design to the elements that deform, which have `forms` and stand at `places` of
+    the pattern.
     `constraint_names` are the joints of the equations, `reach` is the largest coordinate in m of a
     place on the ground that a load refers to.
     """
@@ -38,6 +39,7 @@ class Structure:
     numbering: Numbering
     layout: Layout
     soft: ParameterMap
+    forms: ElementForms
     pattern: Pattern
     places: ElementPlaces
     constraint_names: tuple[str, ...]
@@ -62,6 +64,8 @@ class Structure:
         places = ElementPlaces.of(numbering, pattern)
         layout = replace(layout, joints=joints.joints)
         soft = mapping.only(numbering.elements)
+        beams = [beam for beam in scene.beams if not beam.rigid]
+        forms = ElementForms.of(numbering.widest, beams, soft)
         names = tuple(joint.name for joint in layout.joints for _ in range(joint.rows))
         of_ground = (
             abs(value)
@@ -71,7 +75,7 @@ class Structure:
         )
         reach = max(of_ground, default=0.0)
         return Structure(
-            scene, design, mapping, numbering, layout, soft, pattern, places, names, reach
+            scene, design, mapping, numbering, layout, soft, forms, pattern, places, names, reach
         )
 
     def reaches(self, owners: Iterable[str]) -> Array:

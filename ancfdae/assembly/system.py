@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
@@ -24,7 +24,9 @@ from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only
-from ancfdae.statics.equilibrium import RestingStart
+
+if TYPE_CHECKING:
+    from ancfdae.statics.equilibrium import RestingStart
 
 
 def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
@@ -170,6 +172,8 @@ class AncfSystem(PlannedSystem):
         scene = self._scene.at_rest()
         if scene is None:
             return None
+        from ancfdae.statics.equilibrium import RestingStart
+
         mapping, rest = self._mapping, self._scene.rest
         if rest is not None and rest.gravity is not None:
             mapping = mapping.holding("scene", rest.gravity, len(self._scene.gravity or ()))

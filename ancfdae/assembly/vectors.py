@@ -41,22 +41,25 @@ class Vectors:
     @staticmethod
     def of_points(vectors: Sequence[PointVector], d: int, n_q: int, n_b: int) -> Vectors:
         """Return the map of vectors."""
-        sizes, columns = [0], [np.zeros(0, dtype=np.int64)]
-        values, values_b = [np.zeros(0)], [np.zeros((0, n_b))]
-        for vector in vectors:
-            used = (vector.weights != 0) | np.any(vector.weights_b != 0, axis=1)
-            for axis in range(d):
-                # U turned by a right angle is (-U_y, U_x).
-                component, sign = (1 - axis, 2 * axis - 1) if vector.turned else (axis, 1)
-                columns.append(vector.vectors[used] * d + component)
-                values.append(sign * vector.weights[used])
-                values_b.append(sign * vector.weights_b[used])
-                sizes.append(len(values[-1]))
-        value_b = np.concatenate(values_b)
+        place = np.concatenate([np.zeros(0, dtype=np.int64), *(x.vectors for x in vectors)])
+        weight = np.concatenate([np.zeros(0), *(x.weights for x in vectors)])
+        weight_b = np.concatenate([np.zeros((0, n_b)), *(x.weights_b for x in vectors)])
+        owner = np.repeat(np.arange(len(vectors)), [len(x.weights) for x in vectors])
+        used = np.flatnonzero((weight != 0) | np.any(weight_b != 0, axis=1))
+        turned = np.array([x.turned for x in vectors], dtype=bool)[owner[used]]
+        axes = np.arange(d)[:, None]
+        # U turned by a right angle is (-U_y, U_x).
+        component = np.where(turned, 1 - axes, axes)
+        sign = np.where(turned, 2 * axes - 1, np.ones_like(axes))
+        # Vector by vector, and of each axis by axis.
+        order = np.argsort((owner[used] * d + axes).ravel(), kind="stable")
+        column = (place[used] * d + component).ravel()[order]
+        value = (sign * weight[used]).ravel()[order]
+        value_b = (sign[..., None] * weight_b[used]).reshape(len(order), n_b)[order]
         at, variable = np.nonzero(value_b)
-        change = value_b[at, variable]
-        first, column = np.cumsum(sizes), np.concatenate(columns)
-        return Vectors(d, n_q, n_b, first, column, np.concatenate(values), at, variable, change)
+        sizes = np.repeat(np.bincount(owner[used], minlength=len(vectors)), d)
+        first = np.concatenate([[0], np.cumsum(sizes)])
+        return Vectors(d, n_q, n_b, first, column, value, at, variable, value_b[at, variable])
 
     def is_like(self, other: Vectors) -> bool:
         """Whether L has its entries where that of the other has them."""

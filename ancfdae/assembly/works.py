@@ -18,9 +18,8 @@ from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.part_inputs import PartInputs
 from ancfdae.assembly.vectors import Vectors
 from ancfdae.errors import InvalidInput, named
-from ancfdae.model.joints import DrivenJoint
-from ancfdae.model.laws import Law
-from ancfdae.model.laws.law import require_law
+from ancfdae.model.joints.joint import DrivenJoint
+from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import Pattern

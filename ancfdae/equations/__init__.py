@@ -6,7 +6,6 @@ every override of a system with what it overrides. It knows no beam and no joint
 """
 
 from ancfdae.equations.complex_step_system import ComplexStepSystem
-from ancfdae.equations.conformance import Conformance, Finding, check_system
 from ancfdae.equations.motion import Direction
 from ancfdae.equations.naming import Naming
 from ancfdae.equations.solution import Solution

@@ -1,5 +1,7 @@
 """Random states near the start of a system, as the arguments of its members."""
 
+from __future__ import annotations
+
 from inspect import Parameter, signature
 from types import FunctionType
 from typing import Any, TypeAlias, final

@@ -12,7 +12,6 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from ancfdae.equations import solution_file
 from ancfdae.equations.naming import Naming
 from ancfdae.equations.solution_parts import (
     EstimatedErrors,
@@ -262,6 +261,8 @@ class Solution:
         (``pip install "ancfdae[hdf5]"``); any other an archive of NumPy, as ``.npz`` is.
         docs/results.md has the format; `load_solution` reads it.
         """
+        from ancfdae.equations import solution_file
+
         return solution_file.write(require_path("path of a solution", path), vars(self))
 
     def to_dataframe(

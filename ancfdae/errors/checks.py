@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae.errors.kinds import _LONGEST, InvalidInput, MissingPackage, UnknownName
 
@@ -207,7 +206,7 @@ def require_axial(where: str, value: object, dimension: int | None = None) -> No
 
 def require_array(
     where: str, value: object, shape: tuple[int, ...] | None = None
-) -> npt.NDArray[np.float64]:
+) -> np.ndarray[tuple[Any, ...], np.dtype[np.float64]]:
     """Return a copy as an array of floats; raise InvalidInput for what is none.
 
     So it does if entries are not finite, rows differ in length, or the shape is another.

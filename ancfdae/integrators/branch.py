@@ -51,6 +51,9 @@ _MOVES = 40
 # Up to this number of constraints matrices are dense; above it norms are estimated by this number
 # of products.
 _DENSE, _PRODUCTS = 100, 4
+# Powers of matrices are taken together that have this many entries: more would wait in vain for the
+# first that is far.
+_NUMBERS = 1000
 # Phi_q has not full rank if its triangular factor has diagonals of this ratio.
 _SINGULAR = 1e-13
 
@@ -122,10 +125,13 @@ class Place:
             self._balance = (scale[None] / scale[:, None]) ** 2
         squares = X * X if self._balance is None else X * X * self._balance
         sizes = np.asarray(np.sqrt(np.einsum("kij->k", squares)))
-        for k in np.flatnonzero(sizes > CHANGED):
-            power = np.linalg.matrix_power(X[k] / sizes[k], 8)
-            sizes[k] *= np.linalg.norm(power) ** 0.125
-            if sizes[k] > CHANGED:  # Rows after the first that is far do not matter.
+        large = np.flatnonzero(sizes > CHANGED)
+        together = max(1, _NUMBERS // n_lam**2)
+        for first in range(0, len(large), together):
+            rows = large[first : first + together]
+            power = np.linalg.matrix_power(X[rows] / sizes[rows, None, None], 8)
+            sizes[rows] *= np.linalg.norm(power, axis=(1, 2)) ** 0.125
+            if np.any(sizes[rows] > CHANGED):  # Rows after the first that is far do not matter.
                 break
         return sizes
 

@@ -26,7 +26,7 @@ from ancfdae.errors import (
 from ancfdae.integrators.integrand import Integrand
 from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
 from ancfdae.integrators.pace import Pace
-from ancfdae.integrators.prescribed_motion import lock
+from ancfdae.integrators.prescribed_motion import is_driven, lock
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.recorder import Recorder
@@ -39,6 +39,8 @@ from ancfdae.numerics.time_grid import TimeGrid, next_end
 
 # Steps of which a run warns: Explicit takes 20 s for them in a small system (5,000 a second).
 _MANY = 100_000
+# Intervals of a run of which the end alone is asked for.
+_FEW = 4
 # Each interval has eight instants more.
 _MOST_INTERVALS = 10**8
 
@@ -154,6 +156,17 @@ class HighOrder(QuadratureIntegrator):
     def refined(self, solution: Solution) -> Self:
         """Return the integrator with a tenth of the tolerance."""
         return replace(self, rtol=self.rtol / 10)
+
+    @final
+    def at_end(self, system: MechanicalSystem, t_end: float) -> Self:
+        """Return the integrator that reports few instants, where the end alone is asked for.
+
+        Prescribed motions keep theirs: they are checked from instant to instant.
+        """
+        times = np.linspace(0.0, t_end, self.intervals + 1)
+        if system.n_lam == system.n_q or is_driven(system, times, system.start()[0].real):
+            return self
+        return replace(self, intervals=min(self.intervals, _FEW))
 
     @abc.abstractmethod
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:

@@ -93,7 +93,8 @@ class Branch:
 
     def _elsewhere(self, rows: Rows) -> Lost | None:
         """Return the first step that ended on another branch, or passed over a lock."""
-        self._driven = self._driven or _moving(self._system, rows)
+        some = rows.t[[0, len(rows.t) // 2, -1]]
+        self._driven = self._driven or is_driven(self._system, some, rows.q[0])
         if not self._driven:
             return None
         suspects = self._changed(rows)
@@ -136,11 +137,11 @@ def half_a_turn_off(system: MechanicalSystem, begin: float, t: Array, q: Array) 
     )
 
 
-def _moving(system: MechanicalSystem, rows: Rows) -> bool:
-    """Whether the constraints change with time alone: at the middle or at the end of the rows."""
-    begin, middle, end = (float(rows.t[k]) for k in (0, len(rows.t) // 2, -1))
-    at_rest = system.constraint(begin, rows.q[0])
-    return any(np.any(system.constraint(t, rows.q[0]) != at_rest) for t in (middle, end))
+def is_driven(system: MechanicalSystem, t: Array, q: Array) -> bool:
+    """Tell whether the constraints at one place change with time alone, from the first instant."""
+    first, *others = t.tolist()
+    at_rest = system.constraint(first, q)
+    return any(np.any(system.constraint(later, q) != at_rest) for later in others)
 
 
 def _reached_otherwise(system: MechanicalSystem, step: Rows) -> str:

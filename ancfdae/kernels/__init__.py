@@ -12,7 +12,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeAlias, final
 
-import numpy.typing as npt
+import numpy as np
 
 try:
     from ancfdae.kernels import _kernels
@@ -21,7 +21,7 @@ except ImportError as error:  # a checkout that was updated since it was install
         "the kernels of ancfdae are not compiled; run `python -m pip install -e .` in the checkout"
     ) from error
 
-Array = npt.NDArray[Any]
+Array = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 
 
 class Block(NamedTuple):

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
@@ -73,13 +74,17 @@ class Designable:
 
         For every field a number, an array, or None where it holds None.
         """
-        parts: list[Any] = []
+        return [None if at is None else p[at] for at in self._design_places]
+
+    @cached_property
+    def _design_places(self) -> list[int | slice | None]:
+        """Where the values of the design fields stand among all `parameters`."""
+        places, stop = list[int | slice | None](), 0
         for name, value in self._design_values():
-            count = len(self.numbers_of(name))
+            first, stop = stop, stop + len(self.numbers_of(name))
             single = not isinstance(value, Designable) and np.ndim(value) == 0
-            parts.append(None if value is None else p[0] if single else p[:count])
-            p = p[count:]
-        return parts
+            places.append(None if value is None else first if single else slice(first, stop))
+        return places
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
         """Return the instants between which it is an analytic function of time; s.

@@ -4,6 +4,7 @@ import abc
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, ClassVar, Self, TypeAlias, TypeVar, final
 
 import numpy as np
@@ -154,7 +155,7 @@ class Part(Designable, abc.ABC):
         """Return the fields that hold a point."""
         return {name: x for name, x in self._given().items() if isinstance(x, Point)}
 
-    @property
+    @cached_property
     def points(self) -> tuple[Point, ...]:
         """The points that the part touches, the one that it acts on first."""
         return tuple(self.point_fields().values())

@@ -19,8 +19,8 @@ from ancfdae.errors import (
 )
 from ancfdae.errors.text import listed
 from ancfdae.model.bodies import BeamBody, Point, RigidBody, require_in_section, require_point
-from ancfdae.model.joints import Joint
-from ancfdae.model.loads import Load
+from ancfdae.model.joints.joint import Joint
+from ancfdae.model.loads.load import Load
 from ancfdae.model.point_mass import PointMass
 from ancfdae.model.scene_design import SCENE, SceneDesign
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion, Start, checked_start

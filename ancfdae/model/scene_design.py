@@ -20,8 +20,8 @@ from ancfdae.errors import (
 from ancfdae.model.bodies import BeamBody, Point, Quantity, RigidBody
 from ancfdae.model.design import Designable, DesignVariable, Target, parse_target
 from ancfdae.model.elements import ElementParameter
-from ancfdae.model.joints import Joint
-from ancfdae.model.loads import Load
+from ancfdae.model.joints.joint import Joint
+from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import TARGETS, Elements, Normal, Part, on_ground, reference_place
 from ancfdae.model.point_mass import PointMass
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion, Start
@@ -48,12 +48,12 @@ class SceneDesign(Designable):
         """Dimension of space."""
         return self.members[0].dimension
 
-    @property
+    @cached_property
     def elements(self) -> Elements:
         """The elements of all beams."""
         return Elements(self.dimension, {beam.name: beam.element for beam in self.beams})
 
-    @property
+    @cached_property
     def members(self) -> tuple[BeamBody | RigidBody, ...]:
         """All that has coordinates, in their order: beams, then rigid bodies."""
         rigid = (body for body in self.bodies if isinstance(body, RigidBody))
@@ -129,7 +129,11 @@ class SceneDesign(Designable):
 
     def start_of(self, body: str) -> RigidMotion | NodeState | None:
         """Return how a body starts, None if from rest in the reference configuration."""
-        return next((start for start in self.body_starts if start.body == body), None)
+        return self._starts.get(body)
+
+    @cached_property
+    def _starts(self) -> dict[str, RigidMotion | NodeState]:
+        return {start.body: start for start in self.body_starts}
 
     def owners(self) -> tuple[str, ...]:
         """Return the names of everything that has `numbers`."""
@@ -239,7 +243,9 @@ class SceneDesign(Designable):
                 changes_of.setdefault(change[1].owner, []).append(change)
         for owner, changes in changes_of.items():
             part = self._members.get(owner) or self.parts().get(owner)
-            started = isinstance(self.start_of(owner), RigidMotion)
+            start = self.start_of(owner)
+            known = start.parameters() if isinstance(start, RigidMotion) else ()
+            started = any(target.parameter in known for _, target, _ in changes)
             if part is None or started or not _fits_alike(part, _with_values(part, changes)):
                 self.with_values(values)
                 return

@@ -18,7 +18,7 @@ from ancfdae.errors import (
 )
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.model.design import Designable
-from ancfdae.model.loads import Load
+from ancfdae.model.loads.load import Load
 from ancfdae.numerics.arrays import Array
 
 

@@ -8,9 +8,10 @@ convergence tests, must look at the real part only.
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
-import numpy.typing as npt
+import numpy as np
 
-Array: TypeAlias = npt.NDArray[Any]
+# As numpy.typing.NDArray[Any], which takes as long to import as a tenth of this package.
+Array: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 # Numbers as a user gives them.
 Numbers: TypeAlias = Sequence[float] | Array
 # Imaginary step of derivatives, about 1e-40, relative to what it is added to. Its square vanishes

@@ -1,7 +1,6 @@
 """How long calls take: the one place that reads a clock."""
 
 import math
-import statistics
 import time
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -39,4 +38,6 @@ def timed(
 def medians(calls: Sequence[Callable[[], object]], repeats: int, wall: bool = False) -> list[float]:
     """Return median times of calls that take turns; the first turn is not counted; s."""
     turns = [[timed(call, wall=wall)[0] for call in calls] for _ in range(repeats + 1)]
+    import statistics
+
     return [statistics.median(column) for column in zip(*turns[1:], strict=True)]

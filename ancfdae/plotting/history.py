@@ -11,7 +11,7 @@ from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_posi
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.charts import require_unit, settings
 from ancfdae.plotting.looks import COLOURS
-from ancfdae.sensitivity.observables import Observable
+from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import states_of
 
 _SIZE = (7.5, 2.7)  # inches, of each observable

@@ -10,8 +10,8 @@ from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.equations import Solution
 from ancfdae.model.bodies import Point, Quantity, RigidBody
 from ancfdae.model.drawing import Sign
-from ancfdae.model.joints import Joint
-from ancfdae.model.loads import Load
+from ancfdae.model.joints.joint import Joint
+from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import CentreLine
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.model.scene import Scene

@@ -15,7 +15,7 @@ from ancfdae.sensitivity import checkpointed
 from ancfdae.sensitivity.checkpointed import size_of
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, keeping
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables import states_of
+from ancfdae.sensitivity.observables.states import states_of
 
 
 @final

@@ -25,8 +25,9 @@ from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, 
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import require_finite_number
 from ancfdae.sensitivity.objectives.reductions import Reduction
-from ancfdae.sensitivity.observables import States, remembered, states_of
 from ancfdae.sensitivity.observables.expression import evaluated, leaf_weights, leaves
+from ancfdae.sensitivity.observables.observable import remembered
+from ancfdae.sensitivity.observables.states import States, states_of
 
 _UNITS = {"B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9}
 # A part is held with its partials and, while these are made, what they are made of.

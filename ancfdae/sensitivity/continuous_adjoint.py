@@ -45,8 +45,8 @@ from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 from ancfdae.sensitivity.objectives import Objective, ObjectivePartials
 from ancfdae.sensitivity.objectives.reductions import OverTime
-from ancfdae.sensitivity.observables import states_of
 from ancfdae.sensitivity.observables.expression import leaves
+from ancfdae.sensitivity.observables.states import states_of
 
 # Steps needed for the one-sided differences at the end.
 _LEAST_STEPS = 4

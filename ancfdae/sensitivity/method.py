@@ -30,7 +30,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
 from ancfdae.sensitivity.objectives.totals import totals_of
-from ancfdae.sensitivity.observables import states_of
+from ancfdae.sensitivity.observables.states import states_of
 
 
 @final

@@ -1,8 +1,10 @@
 """The calls that a user needs: simulate, differentiate, gradient."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Sequence
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
@@ -24,10 +26,13 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.adjoint import Adjoint, Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables import Observable, states_of
+from ancfdae.sensitivity.observables.observable import Observable
+from ancfdae.sensitivity.observables.states import states_of
 from ancfdae.studies.parts import Keep, RunOfParts
 from ancfdae.studies.remedies import with_remedies
-from ancfdae.studies.tolerance.observables import Observed, observed_within
+
+if TYPE_CHECKING:
+    from ancfdae.studies.tolerance.observables import Observed
 
 
 @overload
@@ -96,6 +101,8 @@ def simulate(
     system = as_system(model)
     if tolerance is not None:
         _require_alone(integrator=integrator, after=after, keep=keep)
+        from ancfdae.studies.tolerance.observables import observed_within
+
         return observed_within(system, observables, at, t_end, tolerance, progress)
     if observables is not None or at is not None:
         rule, repair = "are for a tolerance", "Call observe(observable, solution), or observations."

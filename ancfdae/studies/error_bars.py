@@ -44,7 +44,7 @@ from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables import states_of
+from ancfdae.sensitivity.observables.states import states_of
 from ancfdae.studies.calls import as_system, differentiable, gradient, require_objectives
 from ancfdae.studies.meshes import with_mesh
 from ancfdae.studies.tolerance.bars import unresolved

@@ -27,7 +27,8 @@ from ancfdae.modes.result import Modes, MotionKind
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.sensitivity.method import Run, finished
 from ancfdae.sensitivity.objectives import NonFiniteObjective
-from ancfdae.sensitivity.observables import Observable, States, states_of
+from ancfdae.sensitivity.observables.observable import Observable
+from ancfdae.sensitivity.observables.states import States, states_of
 from ancfdae.statics.equilibrium import NoEquilibrium, find_equilibrium
 from ancfdae.studies.calls import design_bounds, differentiable
 from ancfdae.studies.fit import MeasuredFit

@@ -3,15 +3,18 @@
 import os
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import closing
-from dataclasses import dataclass
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 
+from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.complex_steps import at_values
 from ancfdae.errors import (
+    AncfdaeError,
     Interrupted,
     InvalidInput,
     UnknownName,
@@ -22,13 +25,17 @@ from ancfdae.errors import (
     require_path,
     require_sequence,
 )
+from ancfdae.integrators.high_order import HighOrder
 from ancfdae.integrators.integrator import Integrator
+from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.method import GradientMethod, Run, finished
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables import Observable, observe, states_of
+from ancfdae.sensitivity.objectives.totals import read_at_end
+from ancfdae.sensitivity.observables.observable import Observable, observe
+from ancfdae.sensitivity.observables.states import states_of
 from ancfdae.studies.calls import as_system, gradient
 from ancfdae.studies.jobs import answers
 from ancfdae.studies.sweep_file import Sweep, SweepFile, SweepRow
@@ -83,6 +90,9 @@ class Evaluate:
             solution = finished(run.solution())
             return {"value": observe(self.of, solution, system), "t": solution.t}
         self.of.check(system, self.t_end)
+        if isinstance(self.integrator, HighOrder) and read_at_end(system, [self.of], self.t_end):
+            # Nobody sees the instants between.
+            run = replace(run, integrator=self.integrator.at_end(system, self.t_end))
         solution, totals = run.integrals([self.of], differentiated=False)
         return {"value": self.of.value(system, states_of(solution), totals)}
 
@@ -127,7 +137,8 @@ def sweep(
     path = None if file is None else require_folder("file", require_path("file", file))
     kept = None if path is None else SweepFile(path, model, what, values)
     rows = {} if kept is None else kept.rows()
-    tasks = {k: _Task(model, x, values[k], what) for k, x in enumerate(given) if k not in rows}
+    study = _Study(model, what)
+    tasks = {k: _Task(study, x, values[k]) for k, x in enumerate(given) if k not in rows}
     parts = {"model": model, "what": what}
     arriving = answers(_row, tasks, executor, parts, progress=progress, done=len(rows), chunk=chunk)
     interrupted = _collect(arriving, rows, values, kept)
@@ -170,27 +181,76 @@ def _collect(
 
 @final
 @dataclass(frozen=True)
-class _Task:
-    """One design, its values by name, and what is computed there."""
+class _Study:
+    """A model and what is computed of it, the same for all designs of a sweep.
+
+    A scene that `Evaluate` runs is assembled once in every process; its designs are numbers of
+    this one structure.
+    """
 
     model: Scene | MechanicalSystem
+    what: Callable[[Any], Any]
+
+    def result(self, design: Design) -> Any:
+        """Compute at the values of a design."""
+        if isinstance(self.model, MechanicalSystem):
+            return self.what(_moved(self.model, design))
+        keys = tuple(design)
+        if keys not in self._systems:
+            self._systems[keys] = self._assembled(keys)
+        system = self._systems[keys]
+        if system is not None and isinstance(self.what, Evaluate):
+            # An error is raised again by the scene at the values, in the words that a user wrote.
+            with suppress(Exception):
+                return replace(self.what, design=None)(_moved(system, design))
+        return self.what(self.model.with_values(design))
+
+    @cached_property
+    def _systems(self) -> dict[tuple[str | DesignVariable, ...], MechanicalSystem | None]:
+        return {}
+
+    def _assembled(self, keys: tuple[str | DesignVariable, ...]) -> MechanicalSystem | None:
+        """Return the scene with the variables of a design; None if runs would see their number."""
+        what, scene = self.what, self.model
+        if not (isinstance(what, Evaluate) and isinstance(scene, Scene)):
+            return None
+        integrator = what.integrator
+        along = isinstance(integrator, SteppedIntegrator) and not integrator.differentiates_runs
+        try:
+            variables = as_design(keys)
+            if what.gradient:
+                wanted = as_design(what.design or ())
+                if set(wanted) != set(variables):
+                    return None
+                variables = wanted
+            elif along:
+                return None
+            # `Scene.with_values` closes joints at every design.
+            return assemble(replace(scene, assemble=True), variables)
+        except AncfdaeError:
+            return None
+
+
+@final
+@dataclass(frozen=True)
+class _Task:
+    """One design, and its values by name."""
+
+    study: _Study
     design: Design
     values: Mapping[str, float]
-    what: Callable[[Any], Any]
 
 
 def _row(task: _Task) -> SweepRow:
     """Compute a row; whatever goes wrong is its error."""
     try:
-        return SweepRow(task.values, task.what(_at(task.model, task.design)))
+        return SweepRow(task.values, task.study.result(task.design))
     except Exception as error:  # noqa: BLE001  # `what` is the user's and may raise anything.
         return SweepRow(task.values, None, f"{type(error).__name__}: {error}")
 
 
-def _at(model: Scene | MechanicalSystem, design: Design) -> Scene | MechanicalSystem:
-    """Return the model at the values of a design."""
-    if isinstance(model, Scene):
-        return model.with_values(design)
+def _moved(model: MechanicalSystem, design: Design) -> MechanicalSystem:
+    """Return the system at the values of a design."""
     b = dict(zip(model.design_names, model.b.tolist(), strict=True))
     named = {_name(key): value for key, value in design.items()}
     for name in named:

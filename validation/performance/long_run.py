@@ -15,7 +15,7 @@ import numpy as np
 
 from ancfdae import HHT, Interrupted, PointMass, Scene, observations, position
 from ancfdae.numerics.timing import stopwatch
-from ancfdae.sensitivity.observables import Observable
+from ancfdae.sensitivity.observables.observable import Observable
 from validation.performance.mechanisms import rigid_slider_crank
 from validation.performance.row import Row, in_a_process, largest_memory
 from validation.scenes import pendulum

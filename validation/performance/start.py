@@ -12,7 +12,14 @@ from validation.scenes import crank_slider
 
 __all__ = ["measure"]
 
-_IMPORT = "import time; t = time.perf_counter(); import ancfdae; print(time.perf_counter() - t)"
+# The names of README's program, and `simulate`: what a user waits for, other packages included.
+_IMPORT = """
+import time
+t = time.perf_counter()
+from ancfdae import HHT, Beam, Integral, Material, Pin, Rectangle, Scene, deflection, gradient
+from ancfdae import simulate
+print(time.perf_counter() - t)
+"""
 _FIRST = """
 import time
 from ancfdae import *
@@ -24,10 +31,10 @@ print(time.perf_counter() - t)
 
 
 def measure(repeats: int = 5) -> list[Row]:
-    """Return the time of the import, of a first run in a new process, and of an assembly."""
+    """Return the time of an import, of a first run in a new process, and of an assembly."""
     assembly = seconds(lambda: assemble(crank_slider()), repeats)
     return [
-        Row("import ancfdae", _fresh(_IMPORT, repeats), "s", "at most 0.3"),
+        Row("import of ten names", _fresh(_IMPORT, repeats), "s", "at most 0.25"),
         Row("first assembly and step, pendulum", _fresh(_FIRST, repeats), "s", "at most 0.05"),
         Row("crank-slider assembled", 1e3 * assembly, "ms", "at most 10"),
     ]

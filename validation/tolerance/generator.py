@@ -54,7 +54,7 @@ from ancfdae import (
     velocity,
 )
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables import Observable
+from ancfdae.sensitivity.observables.observable import Observable
 from validation.external.scleronomic import Array
 from validation.tolerance.scenes import Case
 

@@ -19,7 +19,7 @@ from ancfdae.model.bodies.body import BeamBody, ReferenceShape
 from ancfdae.model.bodies.point import Point
 from ancfdae.model.elements import BeamElement, StrainEnergy
 from ancfdae.model.material import Material
-from ancfdae.model.sections import Section
+from ancfdae.model.sections.section import Section
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import cross
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from ancfdae.model.elements import (
     default_element,
 )
 from ancfdae.model.material import Material
-from ancfdae.model.sections import Section
+from ancfdae.model.sections.section import Section
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.rotations import orthonormal
 
@@ -192,6 +192,7 @@ class BeamBody(Placed):
         beam = self.with_placement(moved) if moved else self
         sections, materials = self._per_element()
         sizes: list[dict[str, float]] = [{} for _ in sections]
+        numbers: list[dict[str, float]] = [{} for _ in materials]
         for parameter, element, value in changes:
             self.check_target(parameter, element)
             if parameter in placement:
@@ -203,12 +204,12 @@ class BeamBody(Placed):
                 beam = replace(beam, initial_strain=value)  # type: ignore[type-var]
                 continue
             for k in range(self.element_count) if element is None else [element]:
-                if names[parameter].is_size:
-                    sizes[k][parameter] = value
-                else:
-                    materials[k] = replace(materials[k], **{parameter: value})
-        changed = [s.with_sizes(numbers) for s, numbers in zip(sections, sizes, strict=True)]
-        return replace(beam, section=tuple(changed), material=tuple(materials))  # type: ignore[type-var]
+                (sizes if names[parameter].is_size else numbers)[k][parameter] = value
+        return replace(  # type: ignore[type-var]
+            beam,
+            section=_changed(sections, sizes),
+            material=_changed(materials, numbers),
+        )
 
     def check_target(self, parameter: str, element: int | None) -> None:
         """Refuse a design target that this beam does not have."""
@@ -330,3 +331,18 @@ class BeamBody(Placed):
         if self.dimension not in given.dimensions:
             rule = f"must be an energy for {self.dimension} dimensions"
             raise InvalidInput(where, rule, repr(given), "Use EnhancedContinuum().")
+
+
+_Numbered = TypeVar("_Numbered", Section, Material)
+
+
+def _changed(parts: list[_Numbered], numbers: list[dict[str, float]]) -> tuple[_Numbered, ...]:
+    """Return sections or materials with numbers changed; those of equal elements are one object."""
+    made: dict[tuple[object, ...], _Numbered] = {}
+    changed = []
+    for part, its in zip(parts, numbers, strict=True):
+        key = id(part), tuple(its.items())
+        if key not in made:
+            made[key] = replace(part, **its) if its else part  # type: ignore[arg-type]
+        changed.append(made[key])
+    return tuple(changed)

@@ -17,7 +17,7 @@ from ancfdae.model.bodies.body import BeamBody, ReferenceShape
 from ancfdae.model.elements import BeamElement, StrainEnergy
 from ancfdae.model.elements.hermite import end_weight_xi, slope_weights_xi
 from ancfdae.model.material import Material
-from ancfdae.model.sections import Section
+from ancfdae.model.sections.section import Section
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.quadrature import box_rule
 

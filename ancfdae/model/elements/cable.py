@@ -14,6 +14,7 @@ E I for the length and the curvature of the cable free of stress.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from typing import final
 
 import numpy as np
@@ -33,8 +34,7 @@ from ancfdae.model.elements.element import (
 from ancfdae.model.elements.hermite import end_weight, slope_weights, tangent_weights
 from ancfdae.model.elements.strain_fields import upper_triangle
 from ancfdae.model.elements.volume import change
-from ancfdae.model.sections import Section
-from ancfdae.model.sections.section import central_moments
+from ancfdae.model.sections.section import Section, central_moments
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.quadrature import box_rule
 
@@ -133,6 +133,7 @@ def _shape(xi: Array) -> Array:
     return np.stack([1 - s5, p2, s5, p6], axis=-1)
 
 
+@cache
 def _integrals() -> tuple[Array, Array, Array]:
     """Return A and m of unit parameters; of degree 8 and 6, five Gauss points are exact."""
     points, rule = box_rule((5,))

@@ -40,7 +40,7 @@ from ancfdae.model.elements.volume import (
     gauss_rule,
     section_stiffness,
 )
-from ancfdae.model.sections import Section
+from ancfdae.model.sections.section import Section
 from ancfdae.numerics.arrays import Array
 
 # Straight reference: the integrand of A has degree 8 in xi, that of m degree 6; 5 Gauss points are

@@ -21,7 +21,7 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput, require_text
 from ancfdae.model.elements.energy import StrainEnergy
-from ancfdae.model.sections import Section
+from ancfdae.model.sections.section import Section
 from ancfdae.numerics.arrays import STEP, Array
 
 

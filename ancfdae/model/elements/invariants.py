@@ -90,6 +90,8 @@ def _free(batch: Batch) -> Array:
 
 def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invariants:
     """Put the invariants of several blocks of one element into one, optionally reordered."""
+    if len(pieces) == 1 and order is None:
+        return pieces[0]
 
     def together(arrays: list[Array]) -> Array:
         whole = np.concatenate(arrays)

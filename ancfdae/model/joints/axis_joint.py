@@ -71,6 +71,11 @@ class AxisJoint(Joint):
     spatial = True
     way_field = "axis"
 
+    @property
+    def by_slopes(self) -> bool:
+        """To ground the place of the point matters as well."""
+        return self.other is not None
+
     def around(self, p: Array, reference: Array) -> Around:
         """Return the axis and what carries it."""
         axis, ground = self.split(p)

@@ -20,8 +20,7 @@ from ancfdae.model.joints.frames import (
     unit,
 )
 from ancfdae.model.joints.joint import SECTION, DrivenJoint, Equations, empty_coefficients
-from ancfdae.model.laws import Law
-from ancfdae.model.laws.law import require_law
+from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, final
 
 import numpy as np
@@ -23,8 +23,7 @@ from ancfdae.errors import InvalidInput, require_direction, require_kind
 from ancfdae.model.bodies import Point
 from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
-from ancfdae.model.laws import Law
-from ancfdae.model.laws.law import require_law
+from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.parts import Elements, Normal, Part, Vectors
 from ancfdae.numerics.arrays import Array
 
@@ -70,6 +69,13 @@ class Equations:
         kept = np.delete(np.arange(len(self.offset)), dropped)
         return Equations(self.linear[kept], self.bilinear[kept], self.offset[kept])
 
+    def at_points(self, before: Sequence[Point], after: Sequence[Point]) -> Equations:
+        """Return the same equations of a joint that has points `after` instead of `before`."""
+        pairs = zip(before, after, strict=True)
+        places = {(x.beam, x.fraction, x.before): (y.beam, y.fraction, y.before) for x, y in pairs}
+        shapes = (RightAngle(*places[x.beam, x.fraction, x.before], x.slopes) for x in self.shapes)
+        return replace(self, shapes=tuple(shapes))
+
 
 class Joint(Part):
     """A joint between points of beams or to ground; fields and names as in `Part`."""
@@ -105,6 +111,14 @@ class Joint(Part):
             if q is not Quantity.POSITION
         ]
         return (*positions, *slopes)
+
+    @property
+    def by_slopes(self) -> bool:
+        """Whether equations follow from the class, `p` and the slopes of the reference alone.
+
+        Joints of such a kind with the same numbers have the same equations, wherever they stand.
+        """
+        return False
 
     @abc.abstractmethod
     def coefficients(self, p: Array, reference: Array) -> Equations:

@@ -15,8 +15,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from ancfdae.errors import InvalidInput
-from ancfdae.model.laws import Law
-from ancfdae.model.laws.law import require_law
+from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.loads.sections import section_of
 from ancfdae.model.parts import Elements, Part, Vectors
 from ancfdae.numerics.arrays import Array

@@ -13,7 +13,6 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import AncfdaeError
 from ancfdae.integrators.integrand import Density
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.observables import States
 from ancfdae.sensitivity.observables.expression import (
     Expression,
     Operation,
@@ -22,6 +21,7 @@ from ancfdae.sensitivity.observables.expression import (
     leaves,
 )
 from ancfdae.sensitivity.observables.functions import Function
+from ancfdae.sensitivity.observables.states import States
 
 
 @final

@@ -24,7 +24,8 @@ from ancfdae.sensitivity.objectives.objective import (
     ObjectivePartials,
     Totals,
 )
-from ancfdae.sensitivity.observables import Observable, ObservablePartials, States
+from ancfdae.sensitivity.observables.observable import Observable, ObservablePartials
+from ancfdae.sensitivity.observables.states import States
 
 
 class Reduction(Objective):

@@ -14,9 +14,9 @@ from ancfdae.sensitivity.objectives.objective import (
     Objective,
     ObjectivePartials,
 )
-from ancfdae.sensitivity.objectives.reductions import OverTime
-from ancfdae.sensitivity.observables import States
+from ancfdae.sensitivity.objectives.reductions import AtInstants, OverTime
 from ancfdae.sensitivity.observables.expression import leaves
+from ancfdae.sensitivity.observables.states import States
 
 # Relative size of the value below which errors of its derivatives in ln b do not count.
 _SMALL = 1e-2
@@ -130,6 +130,18 @@ def totals_of(
         x for x in all_leaves if isinstance(x, OverTime) and not x.observable.remembers_any
     )
     return {x: Total(system, x, differentiated) for x in integrals}
+
+
+def read_at_end(system: MechanicalSystem, objectives: Sequence[Objective], t_end: float) -> bool:
+    """Tell whether objectives are functions of integrals and of the last instant alone."""
+    integrated = totals_of(system, objectives, False)
+    read = (x for each in objectives for x in leaves(each) if x not in integrated)
+    return all(
+        isinstance(x, AtInstants)
+        and {*x.instants(t_end)} <= {t_end}
+        and not x.observable.remembers_any
+        for x in read
+    )
 
 
 def _states(system: MechanicalSystem, points: Points) -> States:

@@ -18,7 +18,8 @@ from ancfdae.equations import MechanicalSystem, PlannedSystem
 from ancfdae.errors import AncfdaeError
 from ancfdae.integrators.problem import Problem
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.observables import Observable, States
+from ancfdae.sensitivity.observables.observable import Observable
+from ancfdae.sensitivity.observables.states import States
 
 # Intervals of the samples: laws of scenes are arrays at once, others are called once an instant.
 _LAWS, _CALLS = 2**14, 2**10

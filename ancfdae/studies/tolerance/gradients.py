@@ -15,10 +15,10 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.adjoint import Adjoint, Direct
 from ancfdae.sensitivity.method import Accuracy, Gradient, GradientMethod, Run, UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.objectives.reductions import AtInstants, OverTime
-from ancfdae.sensitivity.objectives.totals import totals_of
-from ancfdae.sensitivity.observables import States
+from ancfdae.sensitivity.objectives.reductions import OverTime
+from ancfdae.sensitivity.objectives.totals import read_at_end
 from ancfdae.sensitivity.observables.expression import leaves
+from ancfdae.sensitivity.observables.states import States
 from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.runs import Runs, Sample, Wanted
 from ancfdae.studies.tolerance.search import Found, search
@@ -93,15 +93,7 @@ def _method(integrator: Integrator, variables: int) -> GradientMethod:
 
 def _intervals(system: MechanicalSystem, objectives: Sequence[Objective], t_end: float) -> int:
     """Return the fewest intervals of instants: those that objectives read between the ends."""
-    integrated = totals_of(system, objectives, False)
-    read = (x for each in objectives for x in leaves(each) if x not in integrated)
-    ends = all(
-        isinstance(x, AtInstants)
-        and {*x.instants(t_end)} <= {t_end}
-        and not x.observable.remembers_any
-        for x in read
-    )
-    return _FEW if ends else _MANY
+    return _FEW if read_at_end(system, objectives, t_end) else _MANY
 
 
 def _sizes(vectors: Sequence[Array]) -> list[float]:

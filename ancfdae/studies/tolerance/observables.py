@@ -25,7 +25,8 @@ from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import LOBATTO_DEGREE, TimeGrid
 from ancfdae.sensitivity.method import Searched, UnfinishedRun
-from ancfdae.sensitivity.observables import Observable, States, states_of
+from ancfdae.sensitivity.observables.observable import Observable
+from ancfdae.sensitivity.observables.states import States, states_of
 from ancfdae.studies.parts import instants
 from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.gradients import require_tolerance

@@ -29,7 +29,7 @@ from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import AncfdaeError
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.observables import States, states_of
+from ancfdae.sensitivity.observables.states import States, states_of
 
 # Second differences in a row of which the least counts.
 _ROW = 4
