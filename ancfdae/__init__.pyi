@@ -3,10 +3,10 @@
 from ancfdae.assembly.saved import load_solution
 from ancfdae.assembly.system import AncfSystem, assemble
 from ancfdae.equations import (
-    ComplexStepSystem,
     Conformance,
     Direction,
     EstimatedErrors,
+    FormulaSystem,
     MechanicalSystem,
     Sensitivities,
     Solution,
@@ -24,6 +24,7 @@ from ancfdae.errors import (
     InvalidInput,
     ManySteps,
     MissingPackage,
+    NotTraced,
     Outcome,
     RedundantConstraints,
     StabilityWarning,
@@ -216,7 +217,6 @@ __all__ = [
     "Clamp",
     "CoarseMesh",
     "ComplexStep",
-    "ComplexStepSystem",
     "Configuration",
     "Conformance",
     "Constant",
@@ -243,6 +243,7 @@ __all__ = [
     "Fit",
     "FixedSteps",
     "FollowerForce",
+    "FormulaSystem",
     "FreeMechanism",
     "FrequencyMisfit",
     "GivenSteps",
@@ -279,6 +280,7 @@ __all__ = [
     "NodeState",
     "NonFiniteObjective",
     "NotSaved",
+    "NotTraced",
     "Objective",
     "Observable",
     "Observations",

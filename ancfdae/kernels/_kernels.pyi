@@ -148,6 +148,26 @@ class LoadPlan:
         /,
     ) -> None: ...
 
+class OperationList:
+    """A list of operations on inputs and constants; `load_plan.h` has the codes of operations.
+
+    Operation k is op[k] of numbers a[k] and b[k]. Numbers are inputs, constants, and results.
+    """
+
+    def __init__(
+        self,
+        n_inputs: int,
+        constants: Array,
+        op: Array,
+        a: Array,
+        b: Array,
+        outputs: Array,
+        /,
+    ) -> None: ...
+
+def list_values(operations: OperationList, inputs: Array, /) -> Array:
+    """Return the outputs of a list, (..., n_outputs), at inputs, (..., n_inputs)."""
+
 def load_forces(plan: LoadPlan, factors: Array, q: Array, v: Array, /) -> Array:
     """Return Q of a load times a factor for each instant, (k, n_q)."""
 

@@ -108,6 +108,7 @@ static double seconds_now(void)
 #undef OF_SIZE
 #include "constraints.h"
 #include "loads.h"
+#include "lists.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
@@ -132,6 +133,7 @@ static double seconds_now(void)
 #undef OF_SIZE
 #include "constraints.h"
 #include "loads.h"
+#include "lists.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
@@ -643,6 +645,7 @@ static PyObject *py_stressed(PyObject *const *args)
 
 #include "constraint_calls.h"
 #include "load_calls.h"
+#include "list_calls.h"
 
 /* ---- linear algebra ------------------------------------------------------------------------ */
 
@@ -1291,6 +1294,7 @@ FUNCTION(force_partials, 11)
 FUNCTION(tangents, 6)
 FUNCTION(constraint_curvature, 3)
 FUNCTION(constraint_totals, 8)
+FUNCTION(list_values, 2)
 FUNCTION(load_forces, 4)
 FUNCTION(load_forces_along, 6)
 FUNCTION(load_tangents, 5)
@@ -1336,6 +1340,7 @@ static PyMethodDef methods[] = {
     METHOD_OF_MANY(constraint_gradient),
     METHOD(constraint_curvature),
     METHOD(constraint_totals),
+    METHOD(list_values),
     METHOD(load_forces),
     METHOD(load_forces_along),
     METHOD(load_tangents),
@@ -1380,7 +1385,8 @@ PyMODINIT_FUNC PyInit__kernels(void)
     import_array();
     PyObject *module = PyModule_Create(&definition);
     if (module && (PyModule_AddType(module, &ConstraintPlanType) < 0 ||
-                   PyModule_AddType(module, &LoadPlanType) < 0))
+                   PyModule_AddType(module, &LoadPlanType) < 0 ||
+                   PyModule_AddType(module, &OperationListType) < 0))
         Py_CLEAR(module);
     return module;
 }
