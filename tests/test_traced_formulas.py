@@ -20,7 +20,16 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.kernels import OperationList, list_values
+from ancfdae.equations.saddle_points import saddle_point
+from ancfdae.errors import SingularMatrix
+from ancfdae.integrators.index_1 import Accelerations, ListedAccelerations, accelerations
+from ancfdae.kernels import (
+    OperationList,
+    index_1_projected,
+    index_1_rows,
+    index_1_stages,
+    list_values,
+)
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
 
 # ---- single rules, by means over circles -------------------------------------------------------
@@ -428,3 +437,103 @@ class Corner(Swing):
 def test_a_division_by_zero_at_the_start_is_told():
     with pytest.raises(InvalidInput, match="must be finite"):
         simulate(Corner(), 0.1, HHT(0.01))
+
+
+# ---- accelerations in the kernel ---------------------------------------------------------------
+
+
+class Elbow(FormulaSystem):
+    """Two links in the plane, ten variables: M depends on q, Q on v and t, Phi on t."""
+
+    n_q, n_lam = 4, 2
+    design_names = tuple(f"b{i}" for i in range(10))
+
+    def __init__(self, b=tuple(1 + 0.1 * i for i in range(10))):
+        super().__init__(b)
+
+    def with_values(self, b):
+        return type(self)(b)
+
+    def start(self):
+        b = self.b
+        return np.stack([0.3 * b[0], b[1], 0.5 * b[2], -0.2 * b[3]]), 0.1 * b[4:8]
+
+    def mass_matrix(self, q):
+        b = self.b
+        M = np.diag(b[:4] + np.cos(q) ** 2)
+        M[0, 3] = M[3, 0] = 0.3 * np.sin(q[1]) * b[4]
+        return M
+
+    def force(self, t, q, v):
+        b = self.b
+        return -b[5] * q * (q @ q) - b[6] * v * np.sqrt(1 + v @ v) + np.sin(b[7] * t)
+
+    def position_constraint(self, t, q):
+        b = self.b
+        return np.array(
+            [q[0] ** 2 + b[8] * q[1] * q[2] - np.cos(t) * b[0], np.sin(q[3]) * q[1] - b[9] * t**2]
+        )
+
+
+@pytest.mark.parametrize("with_derivatives", [False, True])
+def test_accelerations_of_lists_are_those_of_the_protocol(with_derivatives):
+    system, rng = Elbow(), np.random.default_rng(3)
+    matrices = saddle_point(system, 0.0)
+    ours = accelerations(system, matrices)
+    assert isinstance(ours, ListedAccelerations)
+    states = rng.uniform(0.5, 1.5, (5, 2, 1 + 10 * with_derivatives, 4))
+    t = rng.uniform(0, 1, 5)
+    exact = Accelerations(system, matrices)
+    for of in ("rows_of", "projected_of"):
+        found, expected = (getattr(x, of)(t, states) for x in (ours, exact))
+        assert found.shape == expected.shape
+        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11)
+        assert np.max(np.abs(found - states.mean())) > 0.1
+
+
+def test_what_has_no_accelerations_is_told():
+    system = Elbow()
+    ours = accelerations(system, saddle_point(system, 0.0))
+    q, v = (np.ones((1, 4)) for _ in range(2))
+    with pytest.raises(SingularMatrix):
+        ours.rows(0.0, 0 * q, v)
+    assert np.all(np.isnan(ours.rows(0.0, q * np.nan, v)))
+    assert np.all(np.isfinite(ours.rows(0.0, q, v)))
+
+
+@pytest.mark.parametrize("wrong", ["lists", "b", "scale", "t", "states", "stages"])
+def test_arguments_that_do_not_fit_are_refused(wrong):
+    system = Elbow()
+    arguments = {
+        "lists": system.index_1,
+        "b": system.b,
+        "scale": np.ones(6),
+        "t": np.zeros(2),
+        "states": np.ones((2, 2, 11, 4)),
+    }
+    if wrong == "stages":
+        step = np.zeros(3), np.zeros((3, 2, 5)), np.zeros((5, 44)), np.zeros((3, 2, 11, 4))
+        out = np.zeros((3, 11, 6))
+        fixed = [arguments[x] for x in ("lists", "b", "scale")]
+        assert index_1_stages(*fixed, *step, out, 0, 0) == 0
+        for i in range(4):
+            short = [x[:-1] if k == i else x for k, x in enumerate(step)]
+            with pytest.raises(ValueError, match=r"fit|shape|time|large"):
+                index_1_stages(*fixed, *short, out, 0, 3)
+        with pytest.raises(ValueError, match="shape"):
+            index_1_stages(*fixed, *step, out[:, :, ::2], 0, 3)
+        with pytest.raises(ValueError, match="large"):
+            index_1_stages(*fixed, *step, out, 0, 4)
+        return
+    for function in (index_1_rows, index_1_projected):
+        function(*arguments.values())
+        bad = {
+            "lists": [system.index_1[:5], system.index_1[::-1], (1,) * 6],
+            "b": [system.b[:5], np.ones(11)],
+            "scale": [np.ones(3), np.ones(7)],
+            "t": [np.zeros(3)],
+            "states": [np.ones((2, 2, 3, 4)), np.ones((2, 1, 11, 4)), np.ones((2, 2, 11, 5))],
+        }[wrong]
+        for value in bad:
+            with pytest.raises(ValueError, match=r"fit|lists|tuples|time"):
+                function(*{**arguments, wrong: value}.values())

@@ -14,6 +14,7 @@ from ancfdae.equations.solution_parts import EstimatedErrors, Sensitivities, Sta
 from ancfdae.equations.system import (
     DesignPartials,
     Linearisation,
+    ListedSystem,
     MechanicalSystem,
     PlannedSystem,
     Traits,

@@ -44,7 +44,7 @@ import numpy as np
 from ancfdae.equations.analytic import Reach
 from ancfdae.equations.motion import Direction, Motion, require_perturbation
 from ancfdae.equations.rows import RowCalls
-from ancfdae.equations.system import MechanicalSystem
+from ancfdae.equations.system import ListedSystem, MechanicalSystem
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.contour import derivative
@@ -173,7 +173,7 @@ class Differentiator:
         return np.abs(value) + np.nansum(weighted, axis=0)
 
 
-class CalledBack(MechanicalSystem):
+class CalledBack(ListedSystem):
     """A system whose M, Q, Phi and start are called with complex numbers.
 
     All of it must be analytic in q, v, t and ``self.b`` and accept complex numbers: no ``abs``, no

@@ -24,6 +24,7 @@ from ancfdae.equations.formulas import Formulas, Value
 from ancfdae.equations.motion import Direction
 from ancfdae.equations.system import DesignPartials, Linearisation, Traits
 from ancfdae.errors import InvalidInput, NotTraced
+from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.operations import NotTraceable
 
@@ -183,6 +184,11 @@ class FormulaSystem(CalledBack):
     def _motion(motion: tuple[Array, ...], sign: str = "") -> dict[str, Any]:
         """Return the parts of a motion by their names."""
         return {f"{sign}{name}": x for name, x in zip(_RATES, motion, strict=False)}
+
+    @property
+    def index_1(self) -> tuple[OperationList, ...] | None:
+        """What accelerations follow from; None where functions are called."""
+        return None if self._formulas is None else self._formulas.index_1
 
     def mass(self, q: Array) -> Array:
         """Return the entries of M row by row."""

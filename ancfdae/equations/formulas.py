@@ -16,6 +16,7 @@ that what the protocol derives from values by complex steps is exact to round-of
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeAlias, final
 
@@ -61,6 +62,7 @@ class Formulas:
         ends = np.cumsum([0, *sizes.values()]).tolist()
         self._at = {name: np.arange(*ends[i : i + 2]) for i, name in enumerate(sizes)}
         self._operations = operations = Operations(ends[-1])
+        self._one = np.array([operations.constant(1.0)])
         self._made: dict[tuple[str, int], Array] = {}
         self._lists: dict[tuple[Any, ...], _List] = {}
         (t,), q, v, b = (Traced.array(operations, self._at[x]) for x in ("t", "q", "v", "b"))
@@ -158,6 +160,33 @@ class Formulas:
         """f_b and Phi_b; f without Q unless `forces`."""
         return self._by(self._residual(forces), "b"), self._by(self._Phi, "b")
 
+    @cached_property
+    def index_1(self) -> tuple[OperationList, ...]:
+        """Return what accelerations and their derivatives follow from (`kernels/index_1.h`)."""
+        moved = {"q": "dq", "v": "dv", "b": "db"}
+        Phi, rate, second = (self.constraint(order)[0] for order in range(3))
+        at, held = self._at, {"t": self._one, "q": self._at["v"]}
+        right = [self._moved(rate, held)[0], self._along(self._residual(True), **moved)]
+        right.append(self._along(second, **moved))
+        gamma, *sides = (Traced.numbers(self._operations, -self._traced(x)) for x in right)
+        state, changes = ("t", "q", "v"), ("b", "dq", "dv", "db")
+        lists = (
+            ([self._M, *self.constraint_q(0), self._Q, gamma], (*state, "b")),
+            (sides, (*state, "a", "lam", *changes)),
+            ([Phi], (*state, "b")),
+            ([rate], (*state, "b")),
+            ([self._along(Phi, **moved)], (*state, *changes)),
+            ([self._along(rate, **moved)], (*state, *changes)),
+        )
+        compiled = self._operations.compiled
+        return tuple(
+            compiled(
+                np.concatenate([x.ravel() for x in outputs]),
+                [x for name in inputs for x in at[name].tolist()],
+            )
+            for outputs, inputs in lists
+        )
+
     def _residual(self, forces: bool) -> Array:
         """M a + Phi_q^T lam - Q."""
         M, Q, a, lam = (self._traced(x) for x in (self._M, self._Q, self._at["a"], self._at["lam"]))
@@ -183,15 +212,14 @@ class Formulas:
                 self._made[key] = value()
             else:
                 motion = {x: self._at[rate] for x, rate in pairwise(_MOTION)}
-                motion["t"] = np.array([self._operations.constant(1.0)])
+                motion["t"] = self._one
                 before = self._rate(order - 1, name, value)
                 self._made[key] = self._moved(before, motion)[0]
         return self._made[key]
 
     def _by(self, values: Array, name: str) -> Array:
         """Return partials with respect to each entry of an input, shape (*values.shape, n)."""
-        one = np.array([self._operations.constant(1.0)])
-        units = [{int(x): int(one[0])} for x in self._at[name]]
+        units = [{x: int(self._one[0])} for x in self._at[name].tolist()]
         columns = self._operations.along(values, *units)
         return np.stack(columns, axis=-1) if columns else np.zeros((*values.shape, 0), np.int64)
 

@@ -145,6 +145,7 @@ static double seconds_now(void)
 #undef ANY_SIZE
 
 #include "constraint_totals.h"
+#include "index_1.h"
 #include "orders.h"
 
 /* ---- arguments ---------------------------------------------------------------------------- */
@@ -1295,6 +1296,9 @@ FUNCTION(tangents, 6)
 FUNCTION(constraint_curvature, 3)
 FUNCTION(constraint_totals, 8)
 FUNCTION(list_values, 2)
+FUNCTION(index_1_rows, 5)
+FUNCTION(index_1_projected, 5)
+FUNCTION(index_1_stages, 10)
 FUNCTION(load_forces, 4)
 FUNCTION(load_forces_along, 6)
 FUNCTION(load_tangents, 5)
@@ -1341,6 +1345,9 @@ static PyMethodDef methods[] = {
     METHOD(constraint_curvature),
     METHOD(constraint_totals),
     METHOD(list_values),
+    METHOD(index_1_rows),
+    METHOD(index_1_projected),
+    METHOD(index_1_stages),
     METHOD(load_forces),
     METHOD(load_forces_along),
     METHOD(load_tangents),

@@ -113,3 +113,145 @@ static PyObject *py_list_values(PyObject *const *args)
     Py_XDECREF(x);
     return (PyObject *)out;
 }
+
+/* ---- accelerations from lists (index_1.h) --------------------------------------------------- */
+
+/* A system with the arrays that it points to. */
+typedef struct {
+    index_1 system;
+    PyArrayObject *b, *scale, *t;
+    void *memory;
+} Index1;
+
+static void index_1_dropped(Index1 *x)
+{
+    Py_XDECREF(x->b);
+    Py_XDECREF(x->scale);
+    Py_XDECREF(x->t);
+    PyMem_Free(x->memory);
+}
+
+/* (lists, b, scale, t), and `shape`, the last axes of states: 2, 1 or 1 + n_b, n. */
+static int index_1_taken(Index1 *x, PyObject *const *args, const npy_intp *shape)
+{
+    static const int values[] = {MATRIX, PLACE, SPEED}, changes[] = {SIDES, PLACES, SPEEDS};
+    index_1 *s = &x->system;
+    for (int i = 0; i < INDEX_1_LISTS; i++) {
+        PyObject *list = item(args[0], INDEX_1_LISTS, i);
+        if (!list)
+            return 0;
+        if (!PyObject_TypeCheck(list, &OperationListType))
+            return wrong("the first argument must be lists of operations");
+        s->lists[i] = &((OperationList *)list)->list;
+        s->constants[i] = data_of(((OperationList *)list)->constants[0]);
+    }
+    if (!taken(args[1], NPY_DOUBLE, 1, &x->b) || !taken(args[2], NPY_DOUBLE, 1, &x->scale) ||
+        !taken(args[3], NPY_DOUBLE, 1, &x->t))
+        return 0;
+    s->b = data_of(x->b), s->scale = data_of(x->scale);
+    s->n_b = PyArray_SIZE(x->b), s->rows = shape[1], s->n = shape[2];
+    s->m = PyArray_SIZE(x->scale) - s->n;
+    npy_intp n = s->n, m = s->m, plain = 1 + 2 * n + s->n_b, size = n + m;
+    int good = m >= 0 && shape[0] == 2 && (s->rows == 1 || s->rows == 1 + s->n_b);
+    for (int i = 0; good && i < 3; i++) {
+        const operation_list *of = s->lists[values[i]], *by = s->lists[changes[i]];
+        npy_intp more = 2 * n + s->n_b + (i == 0 ? size : 0);
+        good = of->n_inputs == plain && by->n_inputs == plain + more &&
+               of->n_outputs == (i == 0 ? n * size + size : m) &&
+               by->n_outputs == (i == 0 ? size : m);
+    }
+    if (!good)
+        return wrong("lists, design, scale and states do not fit together");
+    npy_intp room = index_1_room(s) + size;
+    x->memory = PyMem_Malloc((size_t)room * sizeof(double) + (size_t)(size + 1) * sizeof(int));
+    if (!x->memory)
+        return PyErr_NoMemory(), 0;
+    s->x = x->memory, s->K = s->x + size, s->numbers = s->K + size * (size + 1 + 2 * LIST_LANES);
+    s->exchanged = (int *)((double *)x->memory + room);
+    return 1;
+}
+
+/* Calls one of the two functions of states: rows or, in place, projected. */
+static PyObject *of_states(PyObject *const *args, int projected)
+{
+    Index1 x = {.memory = NULL};
+    PyArrayObject *states = NULL, *out = NULL;
+    int trouble = SOLVED;
+    if (taken(args[4], NPY_DOUBLE, 4, &states) &&
+        index_1_taken(&x, args, PyArray_DIMS(states) + PyArray_NDIM(states) - 3) &&
+        (PyArray_NDIM(states) == 4 || wrong("states must have four axes")) &&
+        (PyArray_SIZE(x.t) == PyArray_DIM(states, 0) || wrong("each state must have a time"))) {
+        const index_1 *s = &x.system;
+        npy_intp shape[] = {s->rows, s->n + s->m}, count = 2 * s->rows * s->n;
+        const double *t = data_of(x.t);
+        out = projected ? (PyArrayObject *)PyArray_NewCopy(states, NPY_CORDER)
+                        : zeros_like(states, 3, 2, shape, NPY_DOUBLE);
+        for (npy_intp k = 0; out && !trouble && k < PyArray_DIM(states, 0); k++) {
+            double *to = (double *)PyArray_DATA(out);
+            trouble = projected ? index_1_projected(s, t[k], to + k * count)
+                                : index_1_rows(s, t[k], (const double *)data_of(states) + k * count,
+                                               to + k * shape[0] * shape[1]);
+        }
+    }
+    index_1_dropped(&x);
+    Py_XDECREF(states);
+    if (trouble) {
+        Py_XDECREF(out);
+        return PyLong_FromLong(trouble);
+    }
+    return (PyObject *)out;
+}
+
+/* index_1_rows(lists, b, scale, t, states) */
+static PyObject *py_index_1_rows(PyObject *const *args)
+{
+    return of_states(args, 0);
+}
+
+/* index_1_projected(lists, b, scale, t, states) */
+static PyObject *py_index_1_projected(PyObject *const *args)
+{
+    return of_states(args, 1);
+}
+
+/* An array of doubles in one piece that may be written to, of a shape. */
+static double *written_to(PyObject *object, int axes, const npy_intp *shape)
+{
+    PyArrayObject *x = (PyArrayObject *)object;
+    if (!PyArray_Check(object) || PyArray_TYPE(x) != NPY_DOUBLE || !PyArray_ISCARRAY(x) ||
+        PyArray_NDIM(x) != axes || !ends_with(x, axes, shape)) {
+        wrong("an array to write to has another shape or type, or is not in one piece");
+        return NULL;
+    }
+    return PyArray_DATA(x);
+}
+
+/* index_1_stages(lists, b, scale, times, factors, rows, states, out, first, last) */
+static PyObject *py_index_1_stages(PyObject *const *args)
+{
+    Index1 x = {.memory = NULL};
+    PyArrayObject *factors = NULL;
+    PyObject *result = NULL;
+    npy_intp first, last;
+    PyArrayObject *model = (PyArrayObject *)args[6];
+    if (!PyArray_Check(args[6]) || PyArray_NDIM(model) != 4)
+        return wrong("states must be an array of four axes"), NULL;
+    npy_intp stages = PyArray_DIM(model, 0), width = stages + 2;
+    if (taken(args[4], NPY_DOUBLE, 3, &factors) &&
+        index_1_taken(&x, args, PyArray_DIMS(model) + 1) &&
+        taken_number(args[9], stages, &last) && taken_number(args[8], last, &first)) {
+        const index_1 *s = &x.system;
+        npy_intp n = s->n, of_factors[] = {stages, 2, width}, of_rows[] = {width, s->rows * n};
+        npy_intp of_out[] = {stages, s->rows, n + s->m};
+        double *rows = written_to(args[5], 2, of_rows);
+        double *states = rows ? written_to(args[6], 4, PyArray_DIMS(model)) : NULL;
+        double *out = states ? written_to(args[7], 3, of_out) : NULL;
+        if (out && ((ends_with(factors, 3, of_factors) && PyArray_SIZE(x.t) >= last) ||
+                    wrong("factors or times do not fit")))
+            result = PyLong_FromLong(index_1_stages(s, first, last, width, data_of(x.t),
+                                                    data_of(factors), rows, states, out));
+    }
+    index_1_dropped(&x);
+    Py_XDECREF(factors);
+    return result;
+}
