@@ -3,9 +3,9 @@
 from ancfdae.assembly.saved import load_solution
 from ancfdae.assembly.system import AncfSystem, assemble
 from ancfdae.equations import (
-    ComplexStepSystem,
     Direction,
     EstimatedErrors,
+    FormulaSystem,
     MechanicalSystem,
     Sensitivities,
     Solution,
@@ -23,6 +23,7 @@ from ancfdae.errors import (
     InvalidInput,
     ManySteps,
     MissingPackage,
+    NotTraced,
     Outcome,
     RedundantConstraints,
     StabilityWarning,
@@ -192,7 +193,6 @@ __all__ = [
     "Clamp",
     "CoarseMesh",
     "ComplexStep",
-    "ComplexStepSystem",
     "Configuration",
     "Conformance",
     "Constant",
@@ -219,6 +219,7 @@ __all__ = [
     "Fit",
     "FixedSteps",
     "FollowerForce",
+    "FormulaSystem",
     "FreeMechanism",
     "FrequencyMisfit",
     "GivenSteps",
@@ -255,6 +256,7 @@ __all__ = [
     "NodeState",
     "NonFiniteObjective",
     "NotSaved",
+    "NotTraced",
     "Objective",
     "Observable",
     "Observations",

@@ -1,15 +1,18 @@
 """Mechanical systems that several tests share."""
 
+import warnings
+
 import numpy as np
 
 from ancfdae import (
     Beam,
-    ComplexStepSystem,
     Distance,
     Drive,
+    FormulaSystem,
     Harmonic,
     Material,
     MechanicalSystem,
+    NotTraced,
     Pin,
     Rectangle,
     RigidMotion,
@@ -96,7 +99,7 @@ class NeverRight(CartesianPendulum):
         return super().force(t, q, v) * (np.nan if t > 0 else 1.0)
 
 
-class WrittenPendulum(ComplexStepSystem):
+class WrittenPendulum(FormulaSystem):
     """`CartesianPendulum` by its physics alone."""
 
     n_q, n_lam = 2, 1
@@ -108,7 +111,7 @@ class WrittenPendulum(ComplexStepSystem):
         super().__init__(b)
 
     def with_values(self, b):
-        return WrittenPendulum(self.angle, self.spin, b)
+        return type(self)(self.angle, self.spin, b)
 
     def start(self):
         direction = np.array([np.sin(self.angle), -np.cos(self.angle)])
@@ -125,7 +128,19 @@ class WrittenPendulum(ComplexStepSystem):
         return np.array([(q @ q - self.b[0] ** 2) / 2])
 
 
-class GuidedDoublePendulum(ComplexStepSystem):
+class CalledPendulum(WrittenPendulum):
+    """The same by a force that cannot be traced: it is called with complex numbers."""
+
+    def __init__(self, *values):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotTraced)
+            super().__init__(*values)
+
+    def force(self, t, q, v):
+        return np.linalg.solve(np.eye(2), super().force(t, q, v))
+
+
+class GuidedDoublePendulum(FormulaSystem):
     """Double pendulum in absolute angles whose tip is held on a moving vertical line.
 
     Massless rods of lengths L1 and 0.8 carry point masses 1 and m2 under gravity; both joints are
@@ -181,7 +196,7 @@ class HeldDoublePendulum(GuidedDoublePendulum):
     w = 0.0
 
 
-class CarAxis(ComplexStepSystem):
+class CarAxis(FormulaSystem):
     """Half of a car on a bumpy road (Mazzia & Magherini, Test Set for IVP Solvers, index 3).
 
     A light rod of length L = 1 with two masses rests on springs of the length L0; the left one ends

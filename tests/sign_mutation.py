@@ -10,10 +10,10 @@ import numpy as np
 
 from ancfdae import (
     Beam,
-    ComplexStepSystem,
     Distance,
     Drive,
     FollowerForce,
+    FormulaSystem,
     Harmonic,
     Material,
     Pin,
@@ -87,7 +87,7 @@ def main():
     missed = []
     for system, kind in (
         (everything, type(everything())),
-        (GuidedDoublePendulum, ComplexStepSystem),
+        (GuidedDoublePendulum, FormulaSystem),
     ):
         for name, part in ((each, part) for each in overrides(kind) for part in parts(each)):
             findings = [finding.name for finding in seen(system, kind, name, part)]

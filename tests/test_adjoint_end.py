@@ -12,8 +12,8 @@ from ancfdae import (
     HHT,
     Adjoint,
     Beam,
-    ComplexStepSystem,
     ContinuousAdjoint,
+    FormulaSystem,
     Integral,
     Material,
     Pin,
@@ -34,7 +34,7 @@ from mechanisms import GuidedDoublePendulum
 from members import inertia_q
 
 
-class FourBar(ComplexStepSystem):
+class FourBar(FormulaSystem):
     """Closed loop of three rods between two ground points; masses 1 and 2 at its joints.
 
     Phi_q M^-1 Phi_q^T changes along the motion, and with it (Phi_q)' mu does not vanish, as it does
@@ -76,7 +76,7 @@ class FourBar(ComplexStepSystem):
         return np.array([r @ r - L**2 for r, L in zip(rods, self.b[:3], strict=True)]) / 2
 
 
-class TurningGuide(ComplexStepSystem):
+class TurningGuide(FormulaSystem):
     """Mass 1 on a line that is turned about the origin by w t + t^2; mass 2 hangs on it by a rod.
 
     Phi_q depends on t itself, in direction and size; at t = -1 it would be singular.

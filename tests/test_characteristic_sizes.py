@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ancfdae import ComplexStepSystem, Traits
+from ancfdae import FormulaSystem, Traits
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.start import consistent_start
@@ -13,7 +13,7 @@ from ancfdae.integrators.start import consistent_start
 from mechanisms import CartesianPendulum, chain
 
 
-class Bead(ComplexStepSystem):
+class Bead(FormulaSystem):
     """A bead of mass 4 at (x, 0), on the line y = 0, with the speed v and a force along it."""
 
     n_q, n_lam = 2, 1

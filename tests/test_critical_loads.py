@@ -11,12 +11,12 @@ from ancfdae import (
     Beam,
     Clamp,
     ComplexStep,
-    ComplexStepSystem,
     CriticalValue,
     CurvedBeam,
     DesignVariable,
     Direct,
     Distance,
+    FormulaSystem,
     InvalidInput,
     Material,
     Moment,
@@ -425,7 +425,7 @@ def test_a_link_on_a_torsion_spring_buckles_alike_wherever_it_stands(o):
     np.testing.assert_allclose(sizes[0], sizes[1], rtol=1e-6 + near)
 
 
-class Shallow(ComplexStepSystem):
+class Shallow(FormulaSystem):
     """A mass at (o, o) on two springs from feet at (-a, -h) and (a, -h) from it: a von Mises truss.
 
     Design variables are the force P upward on the mass, k, h and a.
@@ -483,7 +483,7 @@ def test_a_von_mises_truss_snaps_at_its_limit_load(o):
     np.testing.assert_allclose(found.gradient, slopes, rtol=1e-8 + near)
 
 
-class Window(ComplexStepSystem):
+class Window(FormulaSystem):
     """One coordinate of the stiffness (p - p_1)(p - 0.1): unstable between p_1 and 0.1 only."""
 
     n_q, n_lam = 1, 0
@@ -515,7 +515,7 @@ def test_a_window_of_instability_is_not_stepped_over(to):
     np.testing.assert_allclose(found.gradient, [1.0], rtol=1e-6)
 
 
-class Ziegler(ComplexStepSystem):
+class Ziegler(FormulaSystem):
     """Two links of length one on torsion springs k, a force P at the end; a part of it follows.
 
     In angles: k [2, -1; -1, 1] - P [1, -f; 0, 1 - f]. Below f = 1/2 they diverge.

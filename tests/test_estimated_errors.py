@@ -8,10 +8,10 @@ import pytest
 from ancfdae import (
     HHT,
     ComplexStep,
-    ComplexStepSystem,
     ControlledSteps,
     EstimatedErrors,
     Explicit,
+    FormulaSystem,
     Point,
     Terminal,
     Traits,
@@ -101,7 +101,7 @@ def test_motion_alone_has_no_error_of_derivatives():
     assert other.estimated_errors.motion == pytest.approx(run.estimated_errors.motion, rel=1e-9)
 
 
-class Runaway(ComplexStepSystem):
+class Runaway(FormulaSystem):
     """A coordinate that grows exponentially, by 1e6 b1 b2 times itself."""
 
     n_q, n_lam = 1, 0

@@ -8,10 +8,10 @@ from ancfdae import (
     HHT,
     Adjoint,
     ComplexStep,
-    ComplexStepSystem,
     ControlledSteps,
     Direct,
     Explicit,
+    FormulaSystem,
     GivenSteps,
     Integral,
     Interrupted,
@@ -137,7 +137,7 @@ def test_an_interrupt_among_small_steps_keeps_the_derivatives_before(monkeypatch
     assert len(run.t) == len(run.sensitivities.q_b) == 6
 
 
-class Carriage(ComplexStepSystem):
+class Carriage(FormulaSystem):
     """Two free coordinates, the second of which is driven: A sin(w t)."""
 
     n_q, n_lam = 2, 1

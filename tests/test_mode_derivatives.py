@@ -7,13 +7,13 @@ from ancfdae import (
     Adjoint,
     Beam,
     Clamp,
-    ComplexStepSystem,
     Configuration,
     Direct,
     Distance,
     DistributedForce,
     Drive,
     FollowerForce,
+    FormulaSystem,
     Harmonic,
     InvalidInput,
     Material,
@@ -241,7 +241,7 @@ def test_systems_of_ones_own_have_derivatives(kind):
     np.testing.assert_allclose(back.frequencies_b, found.frequencies_b, rtol=1e-12)
 
 
-class Shaken(ComplexStepSystem):
+class Shaken(FormulaSystem):
     """m x'' + c x' + k (x - sin 3 t) = 0: what shakes it counts neither in D nor in K."""
 
     n_q, n_lam = 1, 0
@@ -274,7 +274,7 @@ def test_forces_that_change_at_rest_leave_derivatives_alone():
         np.testing.assert_allclose(found.derivatives.exponents_b[0], expected, atol=1e-11)
 
 
-class Bead(ComplexStepSystem):
+class Bead(FormulaSystem):
     """A bead on the wire y = k x^2 that is held at x_0, which is a design variable."""
 
     n_q, n_lam = 2, 1

@@ -10,9 +10,9 @@ from ancfdae import (
     HHT,
     Beam,
     Clamp,
-    ComplexStepSystem,
     Configuration,
     FollowerForce,
+    FormulaSystem,
     InvalidInput,
     Material,
     MotionKind,
@@ -166,7 +166,7 @@ def test_a_step_for_a_pendulum_out_of_balance_is_that_of_its_swing(tilt):
         assert suggest_step(scene, follow=1).slowest == pytest.approx(swing, rel=0.03)
 
 
-class Stuck(ComplexStepSystem):
+class Stuck(FormulaSystem):
     """A point that is held in its only direction."""
 
     n_q, n_lam, design_names = 1, 1, ()
@@ -330,7 +330,7 @@ def test_the_start_without_balance_is_named_as_such():
     assert "about an equilibrium" in repr(modes(simply_supported(2), 1))
 
 
-class Oscillator(ComplexStepSystem):
+class Oscillator(FormulaSystem):
     """m x'' + c x' + k x = 0."""
 
     n_q, n_lam = 1, 0
@@ -406,7 +406,7 @@ def test_forces_without_potential_flutter():
         )
 
 
-class Ziegler(ComplexStepSystem):
+class Ziegler(FormulaSystem):
     """Two links, masses 2 and 1, springs 1 and a follower load P; the only design variable."""
 
     n_q, n_lam = 2, 0

@@ -9,8 +9,8 @@ from ancfdae import (
     Beam,
     Clamp,
     ComplexStep,
-    ComplexStepSystem,
     Direct,
+    FormulaSystem,
     Material,
     Point,
     PointForce,
@@ -171,7 +171,7 @@ def test_derivatives_of_a_run_that_needed_shorter_steps_are_those_of_the_call():
     assert exact.gradient[0] == pytest.approx(found, rel=1e-6)
 
 
-class Wall(ComplexStepSystem):
+class Wall(FormulaSystem):
     """A mass that is pushed all at once at t = 0.1 s, 5000 times as hard, against a steep wall."""
 
     n_q, n_lam, design_names = 1, 0, ("K",)

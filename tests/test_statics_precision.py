@@ -8,10 +8,10 @@ from ancfdae import (
     Adjoint,
     Beam,
     Clamp,
-    ComplexStepSystem,
     Configuration,
     Direct,
     Drive,
+    FormulaSystem,
     InvalidInput,
     Material,
     Point,
@@ -89,7 +89,7 @@ def test_halves_welded_of_very_short_elements_bend_as_timoshenko_says(elements):
     assert moved == pytest.approx(exact, rel=1e-10)
 
 
-class Jump(ComplexStepSystem):
+class Jump(FormulaSystem):
     """A spring whose force jumps where it would vanish: there is no equilibrium."""
 
     n_q, n_lam, design_names = 1, 0, ()

@@ -1,11 +1,11 @@
 """What a mechanical system is to everything that integrates it, and what a run of it returns.
 
-`system` states the contract: eleven values, and all that follows from them. `complex_step_system`
+`system` states the contract: eleven values, and all that follows from them. `formula_system`
 takes derivatives of a system that a user writes by M, Q and Phi; `conformance` and `proof` compare
 every override of a system with what it overrides. It knows no beam and no joint.
 """
 
-from ancfdae.equations.complex_step_system import ComplexStepSystem
+from ancfdae.equations.formula_system import FormulaSystem
 from ancfdae.equations.motion import Direction
 from ancfdae.equations.naming import Naming
 from ancfdae.equations.solution import Solution
@@ -13,6 +13,7 @@ from ancfdae.equations.solution_parts import EstimatedErrors, Sensitivities, Sta
 from ancfdae.equations.system import (
     DesignPartials,
     Linearisation,
+    ListedSystem,
     MechanicalSystem,
     PlannedSystem,
     Traits,

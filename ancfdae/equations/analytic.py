@@ -2,13 +2,12 @@
 
 import warnings
 from collections.abc import Callable
-from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Self, final
 
 import numpy as np
 
-from ancfdae.equations.complex_steps import FORGOTTEN, at_values
+from ancfdae.equations.complex_steps import at_values
 from ancfdae.equations.motion import Motion
 from ancfdae.equations.system import MechanicalSystem
 from ancfdae.errors import InvalidInput
@@ -101,29 +100,22 @@ class Reach:
         return float(_FACTOR ** np.floor(np.log(least) / np.log(_FACTOR)))
 
 
-# Kinds of systems that are being tried.
-_tried: ContextVar[frozenset[type]] = ContextVar("_tried", default=frozenset())
-
-
 def require_analytic(system: MechanicalSystem) -> None:
-    """Evaluate M, Q, Phi and the start with complex numbers, near the start and on both sides.
+    """Evaluate M, Q and Phi with complex numbers, near the start and on both sides.
 
-    InvalidInput if one fails on complex numbers, drops an imaginary part or has another shape, or
-    if `with_values` forgets the values: it then makes real systems, which would be tried in turn.
+    InvalidInput if one fails on complex numbers, drops an imaginary part or has another shape.
     """
-    kind = type(system)
-    if kind in _tried.get():
-        raise InvalidInput(f"{kind.__name__}.with_values", *FORGOTTEN)
-    token = _tried.set(_tried.get() | {kind})
-    try:
-        _require_analytic(system)
-    finally:
-        _tried.reset(token)
+    _require(system, slice(1, None))
 
 
-def _require_analytic(system: MechanicalSystem) -> None:
+def require_start(system: MechanicalSystem) -> None:
+    """Evaluate the start with complex numbers, near it and on both sides, likewise."""
+    _require(system, slice(1))
+
+
+def _require(system: MechanicalSystem, which: slice) -> None:
     for away in (_BESIDE, *_BEYOND):
-        for name, along, shape in _probes(system, away):
+        for name, along, shape in _probes(system, away)[which]:
             where = f"{type(system).__name__}.{name}"
             try:
                 with warnings.catch_warnings(), np.errstate(all="ignore"):

@@ -67,7 +67,7 @@ def require_perturbation(name: str, x: Array) -> None:
     size, imaginary = (np.max(np.abs(part), initial=0.0) for part in (x.real, x.imag))
     if imaginary > max(_RELATIVE * size, _ABSOLUTE):
         raise InvalidInput(
-            f"ComplexStepSystem, {name}",
+            f"FormulaSystem, {name}",
             "complex values must be those of a complex step",
             f"an imaginary part of {imaginary:.3g} beside {size:.3g}",
             "Use steps of 1e-40, as ComplexStep does.",

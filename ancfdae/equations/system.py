@@ -44,7 +44,7 @@ from ancfdae.equations.complex_steps import ComplexSteps
 from ancfdae.equations.motion import Direction, States
 from ancfdae.equations.naming import Naming
 from ancfdae.errors import InvalidInput, require_array, require_finite, require_flag
-from ancfdae.kernels import Plan
+from ancfdae.kernels import OperationList, Plan
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
@@ -422,6 +422,15 @@ class PlannedSystem(MechanicalSystem):
     @abc.abstractmethod
     def plan(self) -> Plan | None:
         """The same system as arrays; None at complex values of the design."""
+
+
+class ListedSystem(MechanicalSystem):
+    """A system whose accelerations a kernel finds by itself, from lists of operations."""
+
+    @property
+    @abc.abstractmethod
+    def index_1(self) -> tuple[OperationList, ...] | None:
+        """The lists of `kernels/index_1.h`; None where functions are called."""
 
 
 def residual(

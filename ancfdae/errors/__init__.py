@@ -33,6 +33,7 @@ from ancfdae.errors.kinds import (
     InvalidInput,
     ManySteps,
     MissingPackage,
+    NotTraced,
     RedundantConstraints,
     SingularMatrix,
     StabilityWarning,

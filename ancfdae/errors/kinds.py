@@ -108,3 +108,8 @@ class FailedDesign(UserWarning):
 @final
 class ToleranceMissed(UserWarning):
     """A tolerance is out of reach; the message says what was got and what more would cost."""
+
+
+@final
+class NotTraced(UserWarning):
+    """Formulas of a user that need numbers run in Python; the message names the line."""

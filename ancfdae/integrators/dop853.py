@@ -11,7 +11,7 @@ so that a stage is one product of a matrix, 2 x (2 + i), with the rows y, u, K_1
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple, final
+from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 import scipy
@@ -25,6 +25,10 @@ STAGES, _AFTER, _ALL = 12, 12, 16
 EXPONENT = -1 / 8
 # Which factors of the terms x, x (1 - x), x^2 (1 - x), ... of the dense output are 1 - x.
 _TURNED = np.arange(7) % 2 == 1
+
+
+#: Computes stages together; see `Dop853`.
+Stages: TypeAlias = Callable[[Array, tuple[Array, ...], int, int], None]
 
 
 class _Tableau(NamedTuple):
@@ -80,6 +84,9 @@ class Dop853:
         leaves the state before the step as it was.
     t : float
     state : array, shape (2, ...)
+    stages : callable, optional
+        Compute stages from a first to a last one together: the accelerations and the states, from
+        their times, and from factors, rows and states as above; state shape (2, rows, n).
 
     Attributes
     ----------
@@ -90,9 +97,13 @@ class Dop853:
     """
 
     def __init__(
-        self, accelerations: Callable[[float, Array], Array], t: float, state: Array
+        self,
+        accelerations: Callable[[float, Array], Array],
+        t: float,
+        state: Array,
+        stages: Stages | None = None,
     ) -> None:
-        self._evaluated = accelerations
+        self._evaluated, self._together = accelerations, stages
         n = state[0].size
         self._rows = np.empty((2 + _ALL, n))
         self.states = np.empty((_ALL, *state.shape))
@@ -132,6 +143,9 @@ class Dop853:
         return self.after
 
     def _evaluate(self, first: int, last: int) -> None:
+        if self._together is not None:
+            self._together(self.times(), (self._factors, self._rows, self.states), first, last)
+            return
         times = self.times().tolist()
         for i in range(first, last):
             factors, rows, flat, state, acceleration = self._stages[i]

@@ -23,7 +23,7 @@ import scipy
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.dop853 import EXPONENT, Between, Dop853
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
-from ancfdae.integrators.index_1 import stacked
+from ancfdae.integrators.index_1 import ListedAccelerations, stacked
 from ancfdae.integrators.integrand import Points, Rule
 from ancfdae.integrators.problem import Problem, vector_sizes
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
@@ -105,9 +105,13 @@ class _ExplicitMarch(March):
         rows = stacked(first.q, first.v, *(b or ())[:2])
         variables = np.concatenate([[1.0], s.b])[: rows.shape[1], None]
         self._floor = _SMALL * self._rtol * np.stack([s.q, s.v])[:, None] / variables
-        self._method = Dop853(self._accelerations, 0.0, rows)
+        self._method = self._dop853(0.0, rows)
         self._before = self._multipliers[:1]
         self._h, self._error = self._first_step(), _NO_ERROR_BEFORE
+
+    def _dop853(self, t: float, rows: Array) -> Dop853:
+        together = isinstance(self._problem.accelerations, ListedAccelerations)
+        return Dop853(self._accelerations, t, rows, self._stages if together else None)
 
     def _first_step(self) -> float:
         """Guess the first step (Hairer, Norsett & Wanner, II.4); the unit of time is t_end."""
@@ -195,11 +199,17 @@ class _ExplicitMarch(March):
             self._between = [self._method.between()]
         return self._between[0]
 
-    def _state(self, t: float) -> Array:
+    def _states(self, times: Array) -> Array:
         method = self._method
-        if t == method.end:
-            return method.after
-        return self._projected(t, self._dense_output()(t))
+        within = times[times < method.end]
+        if not len(within):
+            return np.array([method.after for _ in times])
+        states = self._dense_output()(within)
+        if not finite(states):
+            raise NotFinite
+        if self._problem.system.n_lam:
+            states = self._problem.accelerations.projected_of(within, states)
+        return np.concatenate([states, *([method.after[None]] * (len(times) - len(within)))])
 
     def finish(self) -> None:
         self._dense = False
@@ -229,7 +239,7 @@ class _ExplicitMarch(March):
 
     def _repeated(self, step: _Step) -> Between:
         """Return the dense output of a step that was accepted before."""
-        method = Dop853(self._accelerations, step.left, step.states[0])
+        method = self._dop853(step.left, step.states[0])
         method.accept(self._projected(step.right, method.attempt(step.right)))
         return method.between()
 
@@ -249,6 +259,17 @@ class _ExplicitMarch(March):
         if self._wanted:
             self._multipliers.append(x[:, n:])
         return x[:, :n]
+
+    def _stages(self, times: Array, step: tuple[Array, ...], first: int, last: int) -> None:
+        """Compute stages together, and keep the multipliers."""
+        accelerations, n = self._problem.accelerations, step[2].shape[3]
+        assert isinstance(accelerations, ListedAccelerations)
+        self.residuals += last - first
+        x = accelerations.stages(times, step, first, last)[first:last]
+        if not finite(x):
+            raise NotFinite
+        if self._wanted:
+            self._multipliers.extend(x[:, :, n:])
 
 
 def _mean(x: Array) -> float:

@@ -87,13 +87,15 @@ class March(abc.ABC):
         return next_end(self.stops, self._t, self._t_end)
 
     @final
-    def to(self, t: float) -> Array | Verdict:
-        """Step until t lies behind; return the state there (`stacked`), or why it is not reached.
+    def to(self, times: Array) -> Array | Verdict:
+        """Step until the first of ascending times lies behind, or say why it is not reached.
+
+        Return the states (`stacked`) there and at further ones that lie behind, (k, 2, rows, n).
 
         NotFinite if the equations yield NaN or infinity, or SingularMatrix, may be raised.
         """
         with self._context():
-            while self._t < t:
+            while self._t < times[0]:
                 if self.steps == self._max_steps:
                     return Verdict.STEP_LIMIT
                 trouble = self._step()
@@ -101,15 +103,15 @@ class March(abc.ABC):
                     return trouble
                 if self._pace.stalls(self._t):
                     return Verdict.ERROR_TEST
-            return self._state(t)
+            return self._states(times[: max(1, np.searchsorted(times, self._t, side="right"))])
 
     @abc.abstractmethod
     def _step(self) -> Verdict | None:
         """Take a step, or return why there is none."""
 
     @abc.abstractmethod
-    def _state(self, t: float) -> Array:
-        """Interpolate in the last step; `stacked`."""
+    def _states(self, times: Array) -> Array:
+        """Interpolate in the last step."""
 
     @abc.abstractmethod
     def finish(self) -> None:
@@ -202,12 +204,14 @@ class HighOrder(QuadratureIntegrator):
             with np.errstate(all="ignore"):  # A blow-up is told by the outcome.
                 march = self.start(problem, t_end, quadrature)
                 march.stops = (*march.stops, *self.stops)
-                for t in progress_bar(progress, grid.t[1:], unit="instant"):
-                    point = march.to(float(t))
-                    if isinstance(point, Verdict):
-                        verdict = point
+                for k in progress_bar(progress, range(1, len(grid.t)), unit="instant"):
+                    if k < recorder.instants:
+                        continue  # It came with the one before.
+                    states = march.to(grid.t[k:])
+                    if isinstance(states, Verdict):
+                        verdict = states
                         break
-                    _record(problem, recorder, float(t), point)
+                    _record(problem, recorder, grid.t[k : k + len(states)], states)
                     if lost := watch.missed():
                         break
                 else:
@@ -234,12 +238,13 @@ class HighOrder(QuadratureIntegrator):
         return recorder.solution(outcome)
 
 
-def _record(problem: Problem, recorder: Recorder, t: float, state: Array) -> None:
-    """Complete a state by accelerations and multipliers, and store it."""
-    (q, v), n = state, problem.system.n_q
-    x = problem.accelerations.rows(t, q, v)
+def _record(problem: Problem, recorder: Recorder, t: Array, states: Array) -> None:
+    """Complete states by accelerations and multipliers, and store them."""
+    n = problem.system.n_q
+    x = problem.accelerations.rows_of(t, states)
     if not finite(x):
         raise NotFinite
-    a, lam = x[:, :n], x[:, n:]
-    derivatives = () if len(q) == 1 else (q[1:].T, v[1:].T, a[1:].T, lam[1:].T)
-    recorder.record(t, q[0], v[0], a[0], lam[0], derivatives)
+    parts = states[:, 0], states[:, 1], x[..., :n], x[..., n:]
+    q, v, a, lam = (part[:, 0] for part in parts)
+    derivatives = tuple(part[:, 1:].swapaxes(1, 2) for part in parts if states.shape[2] > 1)
+    recorder.record(t, q, v, a, lam, derivatives)

@@ -20,14 +20,18 @@ from typing import TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations import ListedSystem, MechanicalSystem, reaction
 from ancfdae.equations.held import acceleration_side, held_totals
-from ancfdae.numerics.arrays import Array
+from ancfdae.errors import SingularMatrix
+from ancfdae.kernels import OperationList, index_1_projected, index_1_rows, index_1_stages
+from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
 # Up to this size a product with the inverse takes a third of the time of a band solve (measured:
 # 106 unknowns, six columns, 6 against 27 us).
 _INVERTED_SIZE = 200
+# What a kernel returns for a singular matrix.
+_SINGULAR = 2
 
 # Solves for rows of right sides, (..., n_q) and (..., n_lam); None for zeros, not for both.
 Solve: TypeAlias = Callable[[Array | None, Array | None], Array]
@@ -41,7 +45,6 @@ def stacked(q: Array, v: Array, q_b: Array | None = None, v_b: Array | None = No
     return np.concatenate([states, np.stack([q_b.T, v_b.T])], axis=1)
 
 
-@final
 class Accelerations:
     """Solves for (a, lam) and keeps the factorised matrix while it does not change.
 
@@ -125,6 +128,15 @@ class Accelerations:
             v[1:] -= nearest(system.constraint_total(t, (q[0], v[0]), (q_b, v_b)))
         return rows
 
+    def rows_of(self, t: Array, states: Array) -> Array:
+        """Return `rows` of k states, (k, 2, rows, n_q)."""
+        return np.array([self.rows(s, *state) for s, state in zip(t.tolist(), states, strict=True)])
+
+    def projected_of(self, t: Array, states: Array) -> Array:
+        """Return `projected` of k states."""
+        pairs = zip(t.tolist(), states, strict=True)
+        return np.array([self.projected(s, state) for s, state in pairs])
+
     @property
     def weights(self) -> Array:
         """Least masses of the coordinates, shape (n_q,)."""
@@ -134,6 +146,61 @@ class Accelerations:
         """Weighted norm of Phi_q^T lam, as that of an acceleration a is of weights**0.5 * a."""
         force = reaction(self._system, t, q, lam) / np.sqrt(self._system.weights)
         return float(np.linalg.norm(force))
+
+
+@final
+class ListedAccelerations(Accelerations):
+    """Accelerations of a system whose lists of operations a kernel evaluates."""
+
+    def __init__(
+        self, system: ListedSystem, matrices: SaddlePoint, lists: tuple[OperationList, ...]
+    ) -> None:
+        super().__init__(system, matrices)
+        self._of = lists, system.b, matrices.scale
+
+    def rows(self, t: float, q: Array, v: Array) -> Array:
+        """Return (a, lam), and below it design derivatives if q and v have those as rows."""
+        return only(self.rows_of(np.array([t]), np.stack([q, v])[None]))
+
+    def rows_of(self, t: Array, states: Array) -> Array:
+        """Return `rows` of k states, (k, 2, rows, n_q)."""
+        return self._found(index_1_rows(*self._of, t, states), t, states, self._matrices.size)
+
+    def projected(self, t: float, rows: Array) -> Array:
+        """Return the rows of a state moved onto the constraints."""
+        return only(self.projected_of(np.array([t]), rows[None]))
+
+    def projected_of(self, t: Array, states: Array) -> Array:
+        """Return `projected` of k states."""
+        return self._found(index_1_projected(*self._of, t, states), t, states, states.shape[3])
+
+    def _found(self, found: Array | int, t: Array, states: Array, size: int) -> Array:
+        """Return what a kernel found: no numbers where a value is not finite."""
+        self.factorisations += len(t)
+        if not isinstance(found, int):
+            return found
+        if found == _SINGULAR:
+            raise SingularMatrix
+        return np.full((*states.shape[:-1], size), np.nan)
+
+    def stages(self, times: Array, step: tuple[Array, ...], first: int, last: int) -> Array:
+        """Fill in stages of a step (`Dop853`); return (a, lam) of all stages."""
+        factors, rows, states = step
+        out = np.empty((len(states), states.shape[2], self._matrices.size))
+        self.factorisations += last - first
+        found = index_1_stages(*self._of, times, factors, rows, states, out, first, last)
+        if found == _SINGULAR:
+            raise SingularMatrix
+        if found:
+            out[first:last] = np.nan
+        return out
+
+
+def accelerations(system: MechanicalSystem, matrices: SaddlePoint) -> Accelerations:
+    """Return what solves for the accelerations of a system."""
+    if isinstance(system, ListedSystem) and system.index_1 is not None:
+        return ListedAccelerations(system, matrices, system.index_1)
+    return Accelerations(system, matrices)
 
 
 def _by_inverse(inverse: Array, n: int) -> Solve:

@@ -22,7 +22,7 @@ from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput, require_positive
-from ancfdae.integrators.index_1 import Accelerations
+from ancfdae.integrators.index_1 import Accelerations, accelerations
 from ancfdae.integrators.start import (
     InitialSensitivity,
     InitialState,
@@ -128,7 +128,7 @@ class Problem:
     @cached_property
     def accelerations(self) -> Accelerations:
         """Accelerations and multipliers of states."""
-        return Accelerations(self.system, self.matrices)
+        return accelerations(self.system, self.matrices)
 
     def differentiated(self) -> Self:
         """Add the design derivatives of the start."""

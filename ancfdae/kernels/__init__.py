@@ -56,6 +56,7 @@ Csr: TypeAlias = tuple[Array, Array, Array]
 
 ConstraintPlan = _kernels.ConstraintPlan
 LoadPlan = _kernels.LoadPlan
+OperationList = _kernels.OperationList
 
 
 class Plan(NamedTuple):
@@ -151,6 +152,10 @@ fronts_factor = _kernels.fronts_factor
 fronts_solve = _kernels.fronts_solve
 gram = _kernels.gram
 ldl_factor = _kernels.ldl_factor
+list_values = _kernels.list_values
+index_1_rows = _kernels.index_1_rows
+index_1_projected = _kernels.index_1_projected
+index_1_stages = _kernels.index_1_stages
 load_forces = _kernels.load_forces
 load_forces_along = _kernels.load_forces_along
 load_tangents = _kernels.load_tangents

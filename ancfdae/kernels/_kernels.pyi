@@ -148,6 +148,60 @@ class LoadPlan:
         /,
     ) -> None: ...
 
+class OperationList:
+    """A list of operations on inputs and constants; `load_plan.h` has the codes of operations.
+
+    Operation k is op[k] of numbers a[k] and b[k]. Numbers are inputs, constants, and results.
+    """
+
+    def __init__(
+        self,
+        n_inputs: int,
+        constants: Array,
+        op: Array,
+        a: Array,
+        b: Array,
+        outputs: Array,
+        /,
+    ) -> None: ...
+
+def list_values(operations: OperationList, inputs: Array, /) -> Array:
+    """Return the outputs of a list, (..., n_outputs), at inputs, (..., n_inputs)."""
+
+def index_1_rows(
+    lists: tuple[OperationList, ...], b: Array, scale: Array, t: Array, states: Array, /
+) -> Array | int:
+    """Return (a, lam) above its design derivatives, (k, rows, n + m), or what prevents it.
+
+    `index_1.h` says what the lists are. States are (k, 2, rows, n), rows 1 or 1 + n_b; `scale`,
+    (n + m,), makes the matrix free of units. A number is 1 where a value is not finite, and 2 where
+    the matrix is singular.
+    """
+
+def index_1_projected(
+    lists: tuple[OperationList, ...], b: Array, scale: Array, t: Array, states: Array, /
+) -> Array | int:
+    """Return states moved onto the constraints, or what prevents it."""
+
+def index_1_stages(
+    lists: tuple[OperationList, ...],
+    b: Array,
+    scale: Array,
+    times: Array,
+    factors: Array,
+    rows: Array,
+    states: Array,
+    out: Array,
+    first: int,
+    last: int,
+    /,
+) -> int:
+    """Fill in stages of a step; return 0, or what prevents it.
+
+    Stage k is `factors[k]`, (2, 2 + stages), times the rows before it, (2 + stages, rows n): y, u
+    and accelerations. It goes to `states[k]`, (2, rows, n), and (a, lam) there to `out[k]`.
+    """
+
 def load_forces(plan: LoadPlan, factors: Array, q: Array, v: Array, /) -> Array:
     """Return Q of a load times a factor for each instant, (k, n_q)."""
 

@@ -111,6 +111,7 @@ static double seconds_now(void)
 #undef OF_SIZE
 #include "constraints.h"
 #include "loads.h"
+#include "lists.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
@@ -135,6 +136,7 @@ static double seconds_now(void)
 #undef OF_SIZE
 #include "constraints.h"
 #include "loads.h"
+#include "lists.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
@@ -146,6 +148,7 @@ static double seconds_now(void)
 #undef ANY_SIZE
 
 #include "constraint_totals.h"
+#include "index_1.h"
 #include "orders.h"
 
 /* ---- arguments ---------------------------------------------------------------------------- */
@@ -646,6 +649,7 @@ static PyObject *py_stressed(PyObject *const *args)
 
 #include "constraint_calls.h"
 #include "load_calls.h"
+#include "list_calls.h"
 
 /* ---- linear algebra ------------------------------------------------------------------------ */
 
@@ -1294,6 +1298,10 @@ FUNCTION(force_partials, 11)
 FUNCTION(tangents, 6)
 FUNCTION(constraint_curvature, 3)
 FUNCTION(constraint_totals, 8)
+FUNCTION(list_values, 2)
+FUNCTION(index_1_rows, 5)
+FUNCTION(index_1_projected, 5)
+FUNCTION(index_1_stages, 10)
 FUNCTION(load_forces, 4)
 FUNCTION(load_forces_along, 6)
 FUNCTION(load_tangents, 5)
@@ -1339,6 +1347,10 @@ static PyMethodDef methods[] = {
     METHOD_OF_MANY(constraint_gradient),
     METHOD(constraint_curvature),
     METHOD(constraint_totals),
+    METHOD(list_values),
+    METHOD(index_1_rows),
+    METHOD(index_1_projected),
+    METHOD(index_1_stages),
     METHOD(load_forces),
     METHOD(load_forces_along),
     METHOD(load_tangents),
@@ -1384,9 +1396,11 @@ PyMODINIT_FUNC PyInit__kernels(void)
     PyObject *module = PyModule_Create(&definition);
     ConstraintPlanType = (PyTypeObject *)PyType_FromSpec(&plan_type);
     LoadPlanType = (PyTypeObject *)PyType_FromSpec(&load_type);
-    if (module && (!ConstraintPlanType || !LoadPlanType ||
+    OperationListType = (PyTypeObject *)PyType_FromSpec(&list_type);
+    if (module && (!ConstraintPlanType || !LoadPlanType || !OperationListType ||
                    PyModule_AddType(module, ConstraintPlanType) < 0 ||
-                   PyModule_AddType(module, LoadPlanType) < 0))
+                   PyModule_AddType(module, LoadPlanType) < 0 ||
+                   PyModule_AddType(module, OperationListType) < 0))
         Py_CLEAR(module);
     return module;
 }

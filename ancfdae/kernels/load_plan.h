@@ -1,6 +1,6 @@
 /* What a load is: vectors U = L q, and a list of operations that makes forces on them of U and V. */
 
-/* Operations of one or two numbers; `jets.py` has the same in NumPy. */
+/* Operations of one or two numbers; `numerics/jets.py` has the same in NumPy. */
 enum {
     ADD, SUBTRACT, MULTIPLY, DIVIDE, ANGLE, POWER, NEGATE, SQRT, EXP, LOG, SIN, COS, TAN, SINH, COSH,
     TANH, ARCTAN, SQUARE, RECIPROCAL, OPERATIONS
@@ -13,3 +13,11 @@ typedef struct {
     npy_intp n_q, n_U, n_constants, n_operations, n_numbers, n_values;
     const npy_int32 *first, *columns, *op, *a, *b, *output, *places;
 } load_plan;
+
+/* A list of operations by itself: numbers are inputs, constants and results, as above. Instants are
+ * evaluated so many at once. */
+enum { LIST_LANES = 8 };
+typedef struct {
+    npy_intp n_inputs, n_constants, n_operations, n_outputs, n_numbers;
+    const npy_int32 *op, *a, *b, *outputs;
+} operation_list;

@@ -20,23 +20,31 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
 
-#: First three derivatives of functions, from the argument x and the value y.
-_DERIVATIVES: dict[np.ufunc, Callable[[Array, Array], tuple[Array, ...]]] = {
-    np.exp: lambda x, y: (y, y, y),
-    np.log: lambda x, y: (1 / x, -1 / x**2, 2 / x**3),
-    np.sqrt: lambda x, y: (0.5 / y, -0.25 / y**3, 0.375 / y**5),
-    np.sin: lambda x, y: (np.cos(x), -y, -np.cos(x)),
-    np.cos: lambda x, y: (-np.sin(x), -y, np.sin(x)),
-    np.tan: lambda x, y: (1 + y**2, 2 * y * (1 + y**2), (2 + 6 * y**2) * (1 + y**2)),
-    np.sinh: lambda x, y: (np.cosh(x), y, np.cosh(x)),
-    np.cosh: lambda x, y: (np.sinh(x), y, np.sinh(x)),
-    np.tanh: lambda x, y: (1 - y**2, -2 * y * (1 - y**2), (6 * y**2 - 2) * (1 - y**2)),
-    np.square: lambda x, y: (2 * x, 2 + 0 * x, 0 * x),
-    np.reciprocal: lambda x, y: (-(y**2), 2 * y**3, -6 * y**4),
-    np.arctan: lambda x, y: (
-        1 / (1 + x**2),
-        -2 * x / (1 + x**2) ** 2,
-        (6 * x**2 - 2) / (1 + x**2) ** 3,
+#: First three derivatives of functions of one number, each from the argument x and the value y.
+DERIVATIVES: dict[np.ufunc, tuple[Callable[[Any, Any], Any], ...]] = {
+    np.exp: (lambda x, y: y, lambda x, y: y, lambda x, y: y),
+    np.log: (lambda x, y: 1 / x, lambda x, y: -1 / x**2, lambda x, y: 2 / x**3),
+    np.sqrt: (lambda x, y: 0.5 / y, lambda x, y: -0.25 / y**3, lambda x, y: 0.375 / y**5),
+    np.sin: (lambda x, y: np.cos(x), lambda x, y: -y, lambda x, y: -np.cos(x)),
+    np.cos: (lambda x, y: -np.sin(x), lambda x, y: -y, lambda x, y: np.sin(x)),
+    np.tan: (
+        lambda x, y: 1 + y**2,
+        lambda x, y: 2 * y * (1 + y**2),
+        lambda x, y: (2 + 6 * y**2) * (1 + y**2),
+    ),
+    np.sinh: (lambda x, y: np.cosh(x), lambda x, y: y, lambda x, y: np.cosh(x)),
+    np.cosh: (lambda x, y: np.sinh(x), lambda x, y: y, lambda x, y: np.sinh(x)),
+    np.tanh: (
+        lambda x, y: 1 - y**2,
+        lambda x, y: -2 * y * (1 - y**2),
+        lambda x, y: (6 * y**2 - 2) * (1 - y**2),
+    ),
+    np.square: (lambda x, y: 2 * x, lambda x, y: 2 + 0 * x, lambda x, y: 0 * x),
+    np.reciprocal: (lambda x, y: -(y**2), lambda x, y: 2 * y**3, lambda x, y: -6 * y**4),
+    np.arctan: (
+        lambda x, y: 1 / (1 + x**2),
+        lambda x, y: -2 * x / (1 + x**2) ** 2,
+        lambda x, y: (6 * x**2 - 2) / (1 + x**2) ** 3,
     ),
 }
 _LINEAR = (np.add, np.subtract, np.negative, np.positive)
@@ -56,7 +64,7 @@ class Carried(NDArrayOperatorsMixin, abc.ABC):
 
 def without_derivatives(ufunc: np.ufunc) -> InvalidInput:
     """Return the error for a function that nothing here is carried through."""
-    known = ", ".join(f.__name__ for f in _DERIVATIVES)
+    known = ", ".join(f.__name__ for f in DERIVATIVES)
     return InvalidInput(
         f"numpy.{ufunc.__name__}",
         "must have derivatives in time",
@@ -118,10 +126,10 @@ class Jet(Carried):
             return _product(np.multiply, x, np.reciprocal(y) if isinstance(y, Jet) else 1.0 / y)
         if plain and ufunc is np.power:
             return self._power(*inputs)
-        if plain and ufunc in _DERIVATIVES:
+        if plain and ufunc in DERIVATIVES:
             x = inputs[0].derivatives[0]
-            y = ufunc(x)
-            return self._chain(y, _DERIVATIVES[ufunc](x, y))
+            y, order = ufunc(x), len(self.derivatives) - 1
+            return self._chain(y, tuple(f(x, y) for f in DERIVATIVES[ufunc][:order]))
         raise without_derivatives(ufunc)
 
     def _entries(self, x: Any) -> tuple[Any, ...]:

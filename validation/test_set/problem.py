@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from ancfdae import ComplexStepSystem, Integral, Terminal, custom
+from ancfdae import FormulaSystem, Integral, Terminal, custom
 from ancfdae.sensitivity.objectives import Objective
 
 __all__ = ["Array", "TestProblem"]
@@ -29,7 +29,7 @@ Array = npt.NDArray[Any]
 _STEP = 1e-40
 
 
-class TestProblem(ComplexStepSystem):
+class TestProblem(FormulaSystem):
     """A problem with a published answer; three design variables.
 
     Attributes

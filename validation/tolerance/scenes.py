@@ -12,9 +12,9 @@ from ancfdae import (
     Beam,
     Circle,
     Clamp,
-    ComplexStepSystem,
     Drive,
     Explicit,
+    FormulaSystem,
     Integral,
     Integrator,
     Material,
@@ -185,7 +185,7 @@ def _calibration() -> list[Case]:
 # Held out.
 
 
-class Guided(ComplexStepSystem):
+class Guided(FormulaSystem):
     """A double pendulum of point masses whose tip is moved along a line; written by hand."""
 
     n_q, n_lam = 2, 1

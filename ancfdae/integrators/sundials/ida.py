@@ -139,6 +139,9 @@ class _IdaMarch(March):
                 self._points.add(self._t, self._y, result.yp.copy())
         return None
 
+    def _states(self, times: Array) -> Array:
+        return np.array([self._state(t) for t in times.tolist()])
+
     def _state(self, t: float) -> Array:
         y = self._y
         if self._t != t:

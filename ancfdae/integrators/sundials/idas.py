@@ -90,6 +90,9 @@ class _IdasMarch(March):
             self._points.add(reached, *self._reached(reached))
         return None
 
+    def _states(self, times: Array) -> Array:
+        return np.array([self._state(t) for t in times.tolist()])
+
     def _state(self, t: float) -> Array:
         self._bindings.check(self._bindings.idas.IDAGetDky(self._memory, t, 0, self._out))
         y = self._bindings.array(self._out)

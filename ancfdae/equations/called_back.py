@@ -41,10 +41,10 @@ from typing import Self, TypeAlias, cast, final
 
 import numpy as np
 
-from ancfdae.equations.analytic import Reach, require_analytic
+from ancfdae.equations.analytic import Reach
 from ancfdae.equations.motion import Direction, Motion, require_perturbation
 from ancfdae.equations.rows import RowCalls
-from ancfdae.equations.system import MechanicalSystem
+from ancfdae.equations.system import ListedSystem, MechanicalSystem
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.contour import derivative
@@ -173,25 +173,11 @@ class Differentiator:
         return np.abs(value) + np.nansum(weighted, axis=0)
 
 
-class ComplexStepSystem(MechanicalSystem):
-    """A system that is given by M, Q, Phi and its start.
+class CalledBack(ListedSystem):
+    """A system whose M, Q, Phi and start are called with complex numbers.
 
-    Subclasses set `n_q`, `n_lam` and `design_names`, implement `mass_matrix`, `force`,
-    `position_constraint`, `start` and `with_values`, and call ``super().__init__(b)`` at the end
-    of their own constructor. All of it must be analytic in q, v, t and ``self.b`` and accept
-    complex numbers: no ``abs``, no comparison, no writing into an array of floats. Any partial may
-    be overridden by a formula of the user; `check_system` compares.
-
-    Parameters
-    ----------
-    b : sequence of number, shape (n_b,)
-        Values of the design variables.
-
-    Raises
-    ------
-    InvalidInput
-        If a method does not accept complex numbers, drops an imaginary part or returns another
-        shape, or if a weight is not positive.
+    All of it must be analytic in q, v, t and ``self.b`` and accept complex numbers: no ``abs``, no
+    comparison, no writing into an array of floats.
     """
 
     _last: tuple[tuple[bytes, float], Array] | None = None
@@ -204,12 +190,15 @@ class ComplexStepSystem(MechanicalSystem):
             raise InvalidInput(f"{where}.b", rule, self.b.shape, "Name all.")
         self.pattern = _full(self.n_q, self.n_q)
         self.constraint_pattern = _full(self.n_lam, self.n_q)
-        if self.b.dtype.kind != "c":
-            require_analytic(self)
+        self._prepare()
         self.weights = self.coordinate_weights()
         if not np.all(self.weights > 0):
             repair = "Override coordinate_weights."
             raise InvalidInput(f"{where}.weights", "must be positive", self.weights, repair)
+
+    @abc.abstractmethod
+    def _prepare(self) -> None:
+        """Check the formulas."""
 
     # -- what a user writes --------------------------------------------------------------------
 
@@ -238,10 +227,9 @@ class ComplexStepSystem(MechanicalSystem):
 
     # -- inertia and forces --------------------------------------------------------------------
 
-    @final
     def mass(self, q: Array) -> Array:
         """Return the entries of M row by row."""
-        return self.mass_matrix(q).ravel()
+        return np.asarray(self.mass_matrix(q)).ravel()
 
     def mass_along(self, q: Array, dq: Array) -> Array:
         """Differentiate M along dq."""
@@ -268,7 +256,7 @@ class ComplexStepSystem(MechanicalSystem):
     def constraint(self, t: float, *motion: Array) -> Array:
         """Differentiate Phi along the motion; of the jerk, Phi_q times it."""
         if len(motion) == 1:
-            return self.position_constraint(t, motion[0])
+            return np.asarray(self.position_constraint(t, motion[0]))
         m = self._d.motion(*motion[:3], t=t)
         order, radius = len(motion) - 1, self._d.reach.time(m)
         value = self._d.value(_constraint_at, m, (radius,), order)
@@ -376,21 +364,21 @@ def _force_along(change: Motion) -> Kernel:
 
 
 def _mass_at(system: MechanicalSystem, m: Motion, s: complex) -> Array:
-    return cast(ComplexStepSystem, system).mass_matrix(m.q + s * m.v)
+    return cast(CalledBack, system).mass_matrix(m.q + s * m.v)
 
 
 def _constraint_at(system: MechanicalSystem, m: Motion, s: complex) -> Array:
     moved = m.at(s)
-    return cast(ComplexStepSystem, system).position_constraint(moved.t, moved.q)
+    return cast(CalledBack, system).position_constraint(moved.t, moved.q)
 
 
 def _constraint_moved(system: MechanicalSystem, m: Motion, changes: Array) -> Array:
-    Phi = cast(ComplexStepSystem, system).position_constraint
+    Phi = cast(CalledBack, system).position_constraint
 
     def of_coordinates(q: Array, t: complex) -> Array:
         return Phi(cast(float, t), q)
 
-    return cast(ComplexStepSystem, system).rows.of(of_coordinates, m.q + changes, m.t)
+    return cast(CalledBack, system).rows.of(of_coordinates, m.q + changes, m.t)
 
 
 def _constraint_rate(system: MechanicalSystem, m: Motion, s: complex, changes: Array) -> Array:

@@ -1,0 +1,539 @@
+"""Formulas of a user as lists of operations, against derivatives of another kind."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    Explicit,
+    FormulaSystem,
+    InvalidInput,
+    NotTraced,
+    Terminal,
+    Traits,
+    check_system,
+    custom,
+    differentiate,
+    gradient,
+    simulate,
+)
+from ancfdae.equations.saddle_points import saddle_point
+from ancfdae.errors import SingularMatrix
+from ancfdae.integrators.index_1 import Accelerations, ListedAccelerations, accelerations
+from ancfdae.kernels import (
+    OperationList,
+    index_1_projected,
+    index_1_rows,
+    index_1_stages,
+    list_values,
+)
+from ancfdae.numerics.operations import NotTraceable, Operations, Traced
+
+# ---- single rules, by means over circles -------------------------------------------------------
+
+# Formulas with an argument, and the same formula in complex numbers where NumPy has none.
+FUNCTIONS = {
+    "sqrt": (np.sqrt, 0.7),
+    "exp": (np.exp, -0.4),
+    "log": (np.log, 1.9),
+    "sin": (np.sin, 0.8),
+    "cos": (np.cos, 0.8),
+    "tan": (np.tan, 0.8),
+    "sinh": (np.sinh, 0.8),
+    "cosh": (np.cosh, 0.8),
+    "tanh": (np.tanh, 0.8),
+    "arctan": (np.arctan, 0.8),
+    "arcsin": (np.arcsin, -0.6),
+    "arccos": (np.arccos, -0.6),
+    "square": (np.square, -0.6),
+    "reciprocal": (np.reciprocal, -0.6),
+    "negative": (np.negative, -0.6),
+    "positive": (np.positive, -0.6),
+    "cube": (lambda x: x**3, -0.6),
+    "zeroth power": (lambda x: x**0 + x, -0.6),
+    "first power": (lambda x: np.power(x, 1), -0.6),
+    "seventh power": (lambda x: np.power(x, 7), -0.6),
+    "large power": (lambda x: x**101, 0.9),
+    "negative power": (lambda x: x**-3, -0.6),
+    "real power": (lambda x: x**2.3, 0.6),
+    "negative real power": (lambda x: x**-0.7, 0.6),
+    "root": (lambda x: x**0.5, 0.6),
+    "exponential": (lambda x: 2.0**x, 0.6),
+    "own power": (lambda x: x**x, 0.6),
+    "angle": (
+        lambda x: np.arctan2(x, x * x - 2),
+        0.6,
+        lambda x: np.arctan(x / (x * x - 2)) + np.pi,
+    ),
+    "angle of a constant": (
+        lambda x: np.arctan2(0 * x + 1.5, x),
+        -0.6,
+        lambda x: np.pi / 2 - np.arctan(x / 1.5),
+    ),
+    "hypot": (lambda x: np.hypot(x, 2.0), 0.6, lambda x: np.sqrt(x * x + 4)),
+    "sum": (lambda x: 2 - x + (x - 3), 0.6),
+    "products": (lambda x: (x * 3) * (x - 1), 0.6),
+    "quotient": (lambda x: (1 + x) / (2 - x * x), 0.6),
+    "quotient by a constant": (lambda x: x / 4.0, 0.6),
+}
+# A circle and its radius; roots of unity.
+RADIUS, ROOTS = 0.15, np.exp(2j * np.pi * np.arange(64) / 64)
+
+
+def traced(function, n):
+    """Return a list of operations, its inputs and outputs of a function of an array."""
+    operations = Operations(n)
+    x = Traced.array(operations, np.arange(n))
+    return operations, Traced.numbers(operations, function(x))
+
+
+def evaluated(operations, outputs, x):
+    inputs = range(len(x))
+    return list_values(operations.compiled(outputs, list(inputs)), np.asarray(x))
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_function_and_its_first_three_derivatives_are_means_over_a_circle(name):
+    ours, at, *analytic = FUNCTIONS[name]
+    exact = analytic[0] if analytic else ours
+    around = np.array([exact(x) for x in at + RADIUS * ROOTS])
+    operations, outputs = traced(lambda x: [ours(x[0])], 1)
+    one = operations.constant(1.0)
+    for order in range(4):
+        factor = math.factorial(order) / RADIUS**order
+        expected = factor * np.mean(around * ROOTS**-order).real
+        (found,) = evaluated(operations, outputs, [at])
+        # Round-off of the mean; the nearest singularity is four radii away.
+        assert abs(found - expected) <= 1e-14 * factor * np.max(np.abs(around)), order
+        # A complex step through the list is the next derivative.
+        (outputs_b,) = operations.along(outputs, {0: one})
+        step = evaluated(operations, outputs, [at + 1e-40j])[0].imag / 1e-40
+        (slope,) = evaluated(operations, outputs_b, [at])
+        assert abs(step - slope) <= 1e-13 * max(1.0, abs(slope)), order
+        outputs = outputs_b
+
+
+def arrays(x):
+    """Every way of NumPy that formulas of a mechanism are written in."""
+    A = np.array([[1, 2, 0], [0, -1, 3], [2, 0, 1]])
+    u, w = x[:3], np.stack([x[3], x[4], x[5]])
+    out = np.zeros(6, dtype=x.dtype)
+    out[0] = u @ w
+    out[1] += np.sum(u * w) - np.dot(u, A @ w)
+    out[2:4] = np.concatenate([u, w])[1:3]
+    out[4] = np.sqrt(np.vdot(u - w, u - w) if x.dtype != complex else (u - w) @ (u - w)) + sum(
+        x
+    ) * np.prod(u)
+    out[5] = np.trace(np.outer(u, w)) + np.mean(w)
+    M = np.diag(u) + np.outer(w, w) + np.eye(3)
+    c, s = np.cos(x[0]), np.sin(x[0])
+    R = np.array([[c, -s], [s, c]])
+    return [
+        out,
+        *(M @ R.ravel()[:3]).reshape(1, 3),
+        np.cross(u, w),
+        np.einsum("ij,j->i", M, w),
+        np.hstack([R @ x[:2], x[:1]]),
+        np.vstack([u, w]).T[0],
+        np.tile(u, 2)[::-1],
+        np.where([True, False, True], u, w),
+        np.flip(np.cumsum(u)),
+        np.array([[1.5, x[1]], [2, 3]]).ravel(),
+        np.kron(u[:2], w[:2]),
+        np.power(w, 2) - w**-1 + 3 / u - np.square(u),
+        np.array(2.0) * u + np.float64(3.0) * w[0] - np.int64(2) * w,
+        np.block([[u[0], u[1]], [w[0], w[1]]]).ravel()
+        if x.dtype == float
+        else R.ravel() * 0 + np.array([u[0], u[1], w[0], w[1]]),
+    ]
+
+
+def test_arrays_of_numpy_are_traced_as_they_are_computed():
+    def flat(x):
+        return np.concatenate([np.ravel(y) for y in arrays(x)])
+
+    x = np.array([0.3, -0.7, 1.1, 0.4, 0.9, -1.3])
+    operations, outputs = traced(flat, 6)
+    np.testing.assert_allclose(evaluated(operations, outputs, x), flat(x), rtol=1e-14)
+    # Rows of states: one, fewer and more than are evaluated together.
+    rows = x + 0.01 * np.arange(19)[:, None]
+    inputs = list(range(6))
+    values = list_values(operations.compiled(outputs, inputs), rows)
+    np.testing.assert_allclose(values, [flat(row) for row in rows], rtol=1e-13, atol=1e-14)
+    # Columns of the Jacobian against complex steps of the function.
+    units = [{i: operations.constant(1.0)} for i in inputs]
+    for i, column in enumerate(operations.along(outputs, *units)):
+        step = flat(x + 1e-40j * np.eye(6)[i]).imag / 1e-40
+        np.testing.assert_allclose(evaluated(operations, column, x), step, rtol=1e-13, atol=1e-14)
+
+
+def random_formula(rng, x, depth):
+    """Return a smooth formula of random operations; sizes stay of order one."""
+    if depth == 0:
+        return x[rng.integers(len(x))] if rng.random() < 0.8 else float(rng.uniform(0.5, 2.0))
+    a, b = (random_formula(rng, x, depth - 1) for _ in range(2))
+    kind = rng.integers(8)
+    if kind == 0:
+        return a + b
+    if kind == 1:
+        return a - 0.5 * b
+    if kind == 2:
+        return a * b
+    if kind == 3:
+        return a / (2.0 + np.sin(b))
+    if kind == 4:
+        return np.sqrt(1.0 + a**2) - np.exp(-(b**2))
+    if kind == 5:
+        return np.tanh(a) * np.cos(b)
+    if kind == 6:
+        return np.arctan(a + b) ** 3
+    return (1.5 + np.sin(a)) ** 1.7 - np.log(2.0 + np.cos(b))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_second_derivatives_of_random_formulas(seed):
+    def formula(x):
+        return [np.sin(random_formula(np.random.default_rng(seed), x, 5)) + 0.0 * x[0]]
+
+    operations, outputs = traced(formula, 4)
+    x, d = np.random.default_rng(seed + 100).uniform(-1, 1, (2, 4))
+    direction = dict(enumerate(operations.constant(y) for y in d.tolist()))
+    (first,) = operations.along(outputs, direction)
+    (second,) = operations.along(first, direction)
+    step = np.asarray(formula(x + 1e-40j * d))[0].imag / 1e-40
+    assert evaluated(operations, outputs, x)[0] == pytest.approx(formula(x)[0], rel=1e-13)
+    assert evaluated(operations, first, x)[0] == pytest.approx(step, rel=1e-11, abs=1e-13)
+    # By central differences of the complex step, extrapolated.
+    slopes = [
+        (np.asarray(formula(x + s * d + 1e-40j * d))[0].imag
+         - np.asarray(formula(x - s * d + 1e-40j * d))[0].imag) / (2e-40 * s)
+        for s in (1e-3, 5e-4)
+    ]  # fmt: skip
+    expected = (4 * slopes[1] - slopes[0]) / 3
+    assert evaluated(operations, second, x)[0] == pytest.approx(expected, rel=1e-7, abs=1e-8)
+
+
+def test_lists_hold_no_operation_twice_and_none_that_is_not_needed():
+    operations, outputs = traced(lambda x: [np.sin(x[0]) * x[1], x[1] * np.sin(x[0]) * 1 + 0], 2)
+    constants, op, *_ = operations.arrays(outputs)
+    assert len(constants) == 0
+    assert len(op) <= 3
+    (rate,) = operations.along(outputs[:1], {1: operations.constant(1.0)})
+    assert len(operations.arrays(rate)[1]) == 1  # sin x
+
+
+@pytest.mark.parametrize(
+    ("formula", "told"),
+    [
+        (lambda x: [x[0] if x[0] > 0 else x[1]], "comparison"),
+        (lambda x: [x[0] if x[0] else x[1]], "decision"),
+        (lambda x: np.where(x > 0, x, 0), "comparison"),
+        (lambda x: np.maximum(x, 0.0), "comparison"),
+        (lambda x: np.abs(x), "abs"),
+        (lambda x: [float(x[0])], "number"),
+        (lambda x: [np.zeros(2).__setitem__(0, x[0])], "array of floats"),
+        (lambda x: [x[0] * 1j], "complex"),
+        (lambda x: x.astype(float), "number"),
+    ],
+)
+def test_formulas_that_need_numbers_say_which(formula, told):
+    with pytest.raises(NotTraceable, match=told):
+        traced(formula, 2)
+
+
+@pytest.mark.parametrize("index", [-1, 3, 99])
+def test_lists_that_do_not_fit_are_refused(index):
+    operations, outputs = traced(lambda x: [x[0] + x[1]], 2)
+    constants, op, a, b, to = operations.arrays(outputs)
+    bad = np.array([index], np.int32)
+    with pytest.raises(ValueError, match="list of operations"):
+        OperationList(2, constants, op, bad, b, to)
+    with pytest.raises(ValueError, match="list of operations"):
+        OperationList(2, constants, op, a, b, bad)
+    fine = OperationList(2, constants, op, a, b, to)
+    for x in (np.zeros(3), np.zeros((2, 1)), np.zeros(())):
+        with pytest.raises(ValueError, match=r"number for each|too few axes"):
+            list_values(fine, x)
+    assert list_values(fine, np.zeros((0, 2))).shape == (0, 1)
+    assert list_values(pickle.loads(pickle.dumps(fine)), np.array([1.0, 2.0])) == 3.0
+
+
+# ---- systems -----------------------------------------------------------------------------------
+
+
+class Swing(FormulaSystem):
+    """A pendulum of length L whose pivot moves by A sin 3t along x; one angle, no constraint."""
+
+    n_q, n_lam, design_names = 1, 0, ("L", "A", "unused")
+
+    def __init__(self, b=(0.8, 0.1, 3.0)):
+        super().__init__(b)
+
+    def with_values(self, b):
+        return type(self)(b)
+
+    def start(self):
+        return np.array([0.5]), np.array([0.0])
+
+    def mass_matrix(self, q):
+        return [[self.b[0] ** 2]]
+
+    def force(self, t, q, v):
+        L, A, _ = self.b
+        pivot = -9 * A * np.sin(3 * t)
+        return [-9.81 * L * np.sin(q[0]) - L * np.cos(q[0]) * pivot]
+
+    def position_constraint(self, t, q):
+        return []
+
+
+class SwingInSpace(Swing):
+    """The same in x and y, with the rod as a constraint; a redundant coordinate, and L = 2 z."""
+
+    n_q, n_lam = 3, 2
+
+    def start(self):
+        L, A, _ = self.b
+        return (
+            np.stack([L * np.sin(0.5), -L * np.cos(0.5), L / 2]),
+            np.stack([3 * A, 0 * A, 0 * A]),
+        )
+
+    def mass_matrix(self, q):
+        return np.eye(3)
+
+    def force(self, t, q, v):
+        Q = np.zeros(3, dtype=q.dtype)
+        Q[1] = -9.81
+        return Q
+
+    def position_constraint(self, t, q):
+        x = q[0] - self.b[1] * np.sin(3 * t)
+        return np.array([np.hypot(x, q[1]) - self.b[0], q[2] - self.b[0] / 2])
+
+
+HEIGHTS = {
+    Swing: Terminal(custom(lambda t, q, v, lam, b: -b[0] * np.cos(q[:, 0]))),
+    SwingInSpace: Terminal(custom(lambda t, q, v, lam, b: q[:, 1])),
+}
+
+
+@pytest.mark.parametrize("kind", [Swing, SwingInSpace])
+def test_members_follow_from_the_values(kind):
+    check_system(kind(), samples=2).raise_if_wrong()
+
+
+def test_redundant_coordinates_move_like_the_angle():
+    ends = []
+    for kind, height in HEIGHTS.items():
+        system = kind()
+        found = gradient(system, height, 1.0, Explicit(1e-11))
+        ends.append([found.value, *found.gradient])
+        for i in range(3):
+            step = 1e-4 * np.eye(3)[i]
+            pair = (
+                gradient(
+                    system.with_values(system.b + s * step), height, 1.0, Explicit(1e-12)
+                ).value
+                for s in (1, -1)
+            )
+            difference = np.subtract(*pair) / 2e-4
+            assert found.gradient[i] == pytest.approx(difference, rel=1e-6, abs=1e-8), (kind, i)
+        assert found.gradient[2] == 0
+    # Two runs of a tolerance of 1e-11.
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-8)
+
+
+def test_what_a_system_is_constant_in_is_found():
+    found = SwingInSpace().traits
+    assert found.constant_mass
+    assert not found.linear_constraints
+    assert not found.velocity_forces
+    assert not Swing().traits.linear_constraints or Swing.n_lam == 0
+
+
+def test_formulas_run_once():
+    calls = []
+
+    class Counted(Swing):
+        def force(self, t, q, v):
+            calls.append(1)
+            return super().force(t, q, v)
+
+    system = Counted()
+    before = len(calls)
+    simulate(system, 0.1, HHT(0.01))
+    differentiate(system.with_values((0.9, 0.1, 1.0)), 0.1, HHT(0.01))
+    assert len(calls) == before
+
+
+def test_systems_pickle():
+    system = pickle.loads(pickle.dumps(SwingInSpace()))
+    q, v = system.start()
+    np.testing.assert_array_equal(system.force(0.1, q, v), SwingInSpace().force(0.1, q, v))
+
+
+class Iterated(Swing):
+    def mass_matrix(self, q):
+        M = np.zeros((1, 1), dtype=np.result_type(q, self.b))
+        while M[0, 0].real < 0.6:  # a decision
+            M[0, 0] = M[0, 0] + self.b[0] ** 2
+        return M
+
+
+def test_a_warning_names_the_line_and_what_it_costs():
+    with pytest.warns(NotTraced, match=r"hundred times slower.*M\[0, 0\]\.real < 0\.6.*comparison"):
+        system = Iterated()
+    # Handed on, without another trial and warning.
+    moved = system.with_values((0.9, 0.1, 3.0))
+    run, exact = (simulate(x, 0.2, HHT(0.01)).q for x in (moved, Swing((0.9, 0.1, 3.0))))
+    np.testing.assert_allclose(run, exact, rtol=1e-12)
+
+
+class Remembering(Swing):
+    """Not a function: it returns something else each time."""
+
+    count = 0
+
+    def force(self, t, q, v):
+        Remembering.count += 1
+        return [Remembering.count * self.b[0] - q[0]]
+
+
+class Forgetting(Swing):
+    def with_values(self, b):
+        return Forgetting()
+
+
+class Floats(Swing):
+    def force(self, t, q, v):
+        Q = np.zeros(1)
+        Q[0] = -q[0]
+        return Q
+
+
+def test_formulas_that_are_none_are_refused():
+    with pytest.raises(InvalidInput, match=r"with_values: must return the system at the values b"):
+        Forgetting()
+    with pytest.raises(InvalidInput, match=r"Floats\.force") as told:
+        Floats()
+    assert any("np.zeros(n, dtype=q.dtype)" in note for note in told.value.__notes__)
+    with pytest.raises(InvalidInput, match=r"Remembering\.force"):
+        Remembering()
+
+
+class Corner(Swing):
+    """A force that is not defined at rest: v / |v|."""
+
+    traits = Traits(constant_mass=True)
+
+    def force(self, t, q, v):
+        return [-q[0] - 0.1 * v[0] / np.sqrt(v[0] ** 2)]
+
+
+def test_a_division_by_zero_at_the_start_is_told():
+    with pytest.raises(InvalidInput, match="must be finite"):
+        simulate(Corner(), 0.1, HHT(0.01))
+
+
+# ---- accelerations in the kernel ---------------------------------------------------------------
+
+
+class Elbow(FormulaSystem):
+    """Two links in the plane, ten variables: M depends on q, Q on v and t, Phi on t."""
+
+    n_q, n_lam = 4, 2
+    design_names = tuple(f"b{i}" for i in range(10))
+
+    def __init__(self, b=tuple(1 + 0.1 * i for i in range(10))):
+        super().__init__(b)
+
+    def with_values(self, b):
+        return type(self)(b)
+
+    def start(self):
+        b = self.b
+        return np.stack([0.3 * b[0], b[1], 0.5 * b[2], -0.2 * b[3]]), 0.1 * b[4:8]
+
+    def mass_matrix(self, q):
+        b = self.b
+        M = np.diag(b[:4] + np.cos(q) ** 2)
+        M[0, 3] = M[3, 0] = 0.3 * np.sin(q[1]) * b[4]
+        return M
+
+    def force(self, t, q, v):
+        b = self.b
+        return -b[5] * q * (q @ q) - b[6] * v * np.sqrt(1 + v @ v) + np.sin(b[7] * t)
+
+    def position_constraint(self, t, q):
+        b = self.b
+        return np.array(
+            [q[0] ** 2 + b[8] * q[1] * q[2] - np.cos(t) * b[0], np.sin(q[3]) * q[1] - b[9] * t**2]
+        )
+
+
+@pytest.mark.parametrize("with_derivatives", [False, True])
+def test_accelerations_of_lists_are_those_of_the_protocol(with_derivatives):
+    system, rng = Elbow(), np.random.default_rng(3)
+    matrices = saddle_point(system, 0.0)
+    ours = accelerations(system, matrices)
+    assert isinstance(ours, ListedAccelerations)
+    states = rng.uniform(0.5, 1.5, (5, 2, 1 + 10 * with_derivatives, 4))
+    t = rng.uniform(0, 1, 5)
+    exact = Accelerations(system, matrices)
+    for of in ("rows_of", "projected_of"):
+        found, expected = (getattr(x, of)(t, states) for x in (ours, exact))
+        assert found.shape == expected.shape
+        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11)
+        assert np.max(np.abs(found - states.mean())) > 0.1
+
+
+def test_what_has_no_accelerations_is_told():
+    system = Elbow()
+    ours = accelerations(system, saddle_point(system, 0.0))
+    q, v = (np.ones((1, 4)) for _ in range(2))
+    with pytest.raises(SingularMatrix):
+        ours.rows(0.0, 0 * q, v)
+    assert np.all(np.isnan(ours.rows(0.0, q * np.nan, v)))
+    assert np.all(np.isfinite(ours.rows(0.0, q, v)))
+
+
+@pytest.mark.parametrize("wrong", ["lists", "b", "scale", "t", "states", "stages"])
+def test_arguments_that_do_not_fit_are_refused(wrong):
+    system = Elbow()
+    arguments = {
+        "lists": system.index_1,
+        "b": system.b,
+        "scale": np.ones(6),
+        "t": np.zeros(2),
+        "states": np.ones((2, 2, 11, 4)),
+    }
+    if wrong == "stages":
+        step = np.zeros(3), np.zeros((3, 2, 5)), np.zeros((5, 44)), np.zeros((3, 2, 11, 4))
+        out = np.zeros((3, 11, 6))
+        fixed = [arguments[x] for x in ("lists", "b", "scale")]
+        assert index_1_stages(*fixed, *step, out, 0, 0) == 0
+        for i in range(4):
+            short = [x[:-1] if k == i else x for k, x in enumerate(step)]
+            with pytest.raises(ValueError, match=r"fit|shape|time|large"):
+                index_1_stages(*fixed, *short, out, 0, 3)
+        with pytest.raises(ValueError, match="shape"):
+            index_1_stages(*fixed, *step, out[:, :, ::2], 0, 3)
+        with pytest.raises(ValueError, match="large"):
+            index_1_stages(*fixed, *step, out, 0, 4)
+        return
+    for function in (index_1_rows, index_1_projected):
+        function(*arguments.values())
+        bad = {
+            "lists": [system.index_1[:5], system.index_1[::-1], (1,) * 6],
+            "b": [system.b[:5], np.ones(11)],
+            "scale": [np.ones(3), np.ones(7)],
+            "t": [np.zeros(3)],
+            "states": [np.ones((2, 2, 3, 4)), np.ones((2, 1, 11, 4)), np.ones((2, 2, 11, 5))],
+        }[wrong]
+        for value in bad:
+            with pytest.raises(ValueError, match=r"fit|lists|tuples|time"):
+                function(*{**arguments, wrong: value}.values())
