@@ -9,6 +9,7 @@ error control. Only what was tried is named, and nothing replaces the run.
 from __future__ import annotations
 
 import math
+import time
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -33,6 +34,9 @@ _HALVINGS = 4
 # Steps times coordinates and multipliers of all attempts together: some seconds (4 us and 0.7 us
 # for each coordinate, docs/measurements.md). A message should not take longer than the run.
 _MOST = 2e6
+# Process time of all attempts, s. A run that follows prescribed motions between its steps costs
+# more than steps and unknowns tell.
+_SECONDS = 5.0
 
 
 def with_remedies(model: Scene | MechanicalSystem, run: Run, solution: Solution) -> Solution:
@@ -58,12 +62,15 @@ class _Budget:
         assert isinstance(integrator.steps, FixedSteps)
         self.step, self._integrator = integrator.steps.step, integrator
         self._run, self._stopped, self._left = run, solution, _MOST
+        self._began, self._longest = time.process_time(), 0.0
 
     def reaches_end(self, system: MechanicalSystem | None, step: float) -> bool | None:
         """Whether a run reaches the end, of the same system by default; None if it is too long."""
         system = self._run.system if system is None else system
         self._left -= math.ceil(self._run.t_end / step) * (system.n_q + system.n_lam)
-        return None if self._left < 0 else self._ends(system, FixedSteps(step))
+        # A step of half the length reaches twice as far in twice as many steps.
+        late = time.process_time() + 4 * self._longest > self._began + _SECONDS
+        return None if self._left < 0 or late else self._ends(system, FixedSteps(step))
 
     def reaches_end_with(self, rtol: float) -> bool:
         """Whether a run under error control reaches the end in the steps that are left."""
@@ -72,10 +79,11 @@ class _Budget:
         return most >= 1 and self._ends(system, ControlledSteps(rtol, max_steps=int(most)))
 
     def _ends(self, system: MechanicalSystem, steps: StepControl) -> bool:
-        integrator = self._integrator.with_steps(steps)
+        integrator, began = self._integrator.with_steps(steps), time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ManySteps)
             outcome = integrator.integrate(system, self._run.t_end).outcome
+        self._longest = max(self._longest, time.process_time() - began)
         if outcome.verdict is Verdict.INTERRUPTED:
             raise Interrupted(self._stopped, str(self._stopped.outcome))
         return outcome.success
@@ -113,8 +121,8 @@ def _damped(budget: _Budget, model: Scene | MechanicalSystem) -> Iterator[str]:
     """Tell whether the step reaches the end with a retardation time of one step."""
     if not isinstance(model, Scene):
         return
-    time = float(f"{budget.step:.3g}")
-    beams = [_with_damping(beam, time) for beam in model.beams]
+    damping_time = float(f"{budget.step:.3g}")
+    beams = [_with_damping(beam, damping_time) for beam in model.beams]
     if all(one is other for one, other in zip(beams, model.beams, strict=True)):
         return
     try:
@@ -123,7 +131,7 @@ def _damped(budget: _Budget, model: Scene | MechanicalSystem) -> Iterator[str]:
         return
     if done:
         yield (
-            f"Its waves are damped too little for this step: with damping_time={time:.3g} where "
+            f"Its waves are damped too little for this step: with damping_time={damping_time:.3g} where "
             "materials have less, it reached the end."
         )
 
