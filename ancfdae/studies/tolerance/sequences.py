@@ -51,6 +51,8 @@ _PER_RTOL = 1.0
 _STABLE, _FOLLOWED = 5.7, 1e-3
 # Steps that it takes at least, so that more are tried where they are too few.
 _FEWEST = 20.0
+# Steps over those that follow laws and objectives from which on errors fall with the order.
+_OF_FEATURES = 4
 # Differences over the tolerance whose order need not be seen.
 _SMALL = 0.05
 # What all unresolved waves may change, over the tolerance, for the order to be believed; and bars
@@ -137,7 +139,7 @@ class _Steps(Runs):
         if len(self.samples) < 2 or self.counts[-2] < self._least:
             return []
         estimates = [
-            self._estimate(x) for x in zip(*(x.vectors for x in self.samples[-3:]), strict=True)
+            self._estimate(x) for x in zip(*(x.vectors for x in self.samples[-5:]), strict=True)
         ]
         if len(self.samples) == 2 and not self.resolved:
             sizes = self._sizes([x for x, _ in estimates])
@@ -155,8 +157,8 @@ class _Steps(Runs):
         return self._wanted.features.steps
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
-        """Judge a vector of the last two or three runs."""
-        return refined(runs, self.counts[-3:], self.order, self.resolved, self._wanted.along)
+        """Judge a vector of the last two to five runs."""
+        return refined(runs[-3:], self.counts[-3:], self.order, self.resolved, self._wanted.along)
 
     @property
     @abc.abstractmethod
@@ -198,7 +200,8 @@ class Second(_Steps):
         if sample.vectors and wanted.slopes:
             self._small = small_from(system, sample.run, _ALPHA)
         if self.samples and sample.vectors:
-            found = missed(system, sample.run, _ALPHA, wanted.numbers, wanted.integrated)
+            known = wanted.numbers, wanted.integrated, not _resolve([*self.samples, sample])
+            found = missed(system, sample.run, _ALPHA, *known)
             self._damped = found.waves
             self.waves = self.waves or bool(found.waves)
             self._lost, self.whole = map(self._parts, (found.parts, found.whole))
@@ -222,13 +225,21 @@ class Second(_Steps):
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
         """Judge a vector; its order is believed where it is seen and no wave can be a part of it.
 
-        The improvement of numbers by extrapolation is not believed then.
+        The improvement of numbers by extrapolation is not believed then. Steps that just follow a
+        pulse err by where they meet it, and those that jump over a kink of forces by where.
         """
+        earlier, runs = runs[:-1], runs[-3:]
+        kinked = len(earlier) == 4 and not (
+            self._seen(earlier[:3], self.counts[-5:-2])
+            or self._seen(earlier[1:], self.counts[-4:-1])
+        )
+        if kinked or self.counts[-2] < _OF_FEATURES * self._least:
+            return refined(runs, self.counts[-3:], self.order, False, self._wanted.along)
         if self._wanted.along:
             return self._over_time(runs)
         if self.resolved or not self.smooth:
             return super()._estimate(runs)
-        if not self._seen(runs):
+        if not self._seen(runs, self.counts[-3:]):
             return super()._estimate(runs)
         known = self.counts[-3:], self.order, True, self._wanted.along
         x, bar = refined(runs, *known, improved=False)
@@ -239,15 +250,14 @@ class Second(_Steps):
 
         That the motion resolves its waves says little of velocities and reactions.
         """
-        resolved = self.resolved and (len(runs) < 3 or self._seen(runs))
+        resolved = self.resolved and (len(runs) < 3 or self._seen(runs, self.counts[-3:]))
         known = self.counts[-3:], self.order, resolved, True
         x, bar = refined(runs, *known)
         return Estimate(x, bar if len(runs) > 2 or not resolved else _ORDER_ONLY * bar)
 
-    def _seen(self, runs: Sequence[Array]) -> bool:
+    def _seen(self, runs: Sequence[Array], counts: Sequence[int]) -> bool:
         """Return whether the differences of three runs fall with the order, or faster."""
-        sizes = np.linalg.norm(np.diff(runs, axis=0), axis=1)
-        return falls(sizes, self.counts[-3:], self.order, faster=True)
+        return falls(np.linalg.norm(np.diff(runs, axis=0), axis=1), counts, self.order, faster=True)
 
     @property
     def regular(self) -> bool:
@@ -260,7 +270,7 @@ class Second(_Steps):
         vectors = [x.vectors for x in self.samples[-3:]]
         sizes = self._sizes(vectors[-1])
         return all(
-            self._seen(runs)
+            self._seen(runs, self.counts[-3:])
             or float(np.linalg.norm(runs[-1] - runs[-2])) <= _SMALL * self._tolerance * size
             for runs, size in zip(zip(*vectors, strict=True), sizes, strict=True)
         )
@@ -308,10 +318,16 @@ class Second(_Steps):
             return math.ceil(self._following)
         growth = 2.0
         if self.resolved or self.regular:
-            # Long strides say little of the last run alone, which bars over time are about.
-            most = 2.0 if self._wanted.along else 4.0
-            growth = self._growth(3, most) if self.resolved else self._growth(2, 2.0)
+            growth = self._growth(3, self._stride) if self.resolved else self._growth(2, 2.0)
         return math.ceil(growth * self._taken)
+
+    @property
+    def _stride(self) -> float:
+        """Most times the steps of a run that the next one has where waves are resolved.
+
+        Long strides say little of the last run alone, which bars over time and pulses need.
+        """
+        return 2.0 if self._wanted.along or self._least else 4.0
 
     @property
     def _following(self) -> float:
@@ -329,7 +345,7 @@ class Second(_Steps):
             return self._work(self._following) + self._work(2 * self._following)
         order = 3 if self.resolved else 2 if self.regular else _UNSEEN
         last = max(self._growth(order, math.inf) * self._taken, self.count)
-        most = 4.0 if self.resolved and not self._wanted.along else 2.0
+        most = self._stride if self.resolved else 2.0
         runs = math.ceil(math.log(last / self._taken) / math.log(most))
         return self._work(last) * (1 - most**-runs) / (1 - 1 / most)
 
@@ -345,8 +361,7 @@ class Second(_Steps):
 
         Finer steps resolve what coarser ones did.
         """
-        orders = list(map(_estimated_order, self.samples, self.samples[1:]))
-        return max(orders, default=0.0) >= _RESOLVED or max(orders[1:], default=0.0) >= _NEARLY
+        return _resolve(self.samples)
 
     @property
     def asked(self) -> bool:
@@ -361,6 +376,12 @@ class Second(_Steps):
         ratio = self.counts[-1] / self.counts[-2]
         error = self.relative(self._gaps, self.samples[-1].vectors) / (ratio**2 - 1)
         return self.counts[-1] * math.sqrt(error / _PERCENT)
+
+
+def _resolve(samples: Sequence[Sample]) -> bool:
+    """Return whether the errors that runs estimate themselves fell with the order once."""
+    orders = list(map(_estimated_order, samples, samples[1:]))
+    return max(orders, default=0.0) >= _RESOLVED or max(orders[1:], default=0.0) >= _NEARLY
 
 
 def _estimated_order(coarse: Sample, fine: Sample) -> float:

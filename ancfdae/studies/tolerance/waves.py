@@ -195,10 +195,12 @@ def missed(
     alpha: float,
     numbers: Numbers,
     integrated: Sequence[bool],
+    phases: bool,
 ) -> Lost:
     """Return what numbers may miss by the waves of a run; infinite where it cannot be told.
 
-    Where a number is `integrated` over the instants, it sees the mean of a wave.
+    Where a number is `integrated` over the instants, it sees the mean of a wave. With `phases`
+    waves count as unresolved whose phases are off, too.
     """
     states, T, steps = states_of(run), float(run.t[-1]), len(run.t) - 1
     plain, lost = numbers(states), Lost([], [], [])
@@ -209,7 +211,7 @@ def missed(
         if wave is None:
             continue
         share, kept = wave.missed(T, steps, alpha), wave.kept(T / steps, alpha)
-        if max(share, wave.turned(T, steps)) <= _KEPT:
+        if share <= _KEPT and not (phases and wave.turned(T, steps) > _KEPT):
             continue
         # One that lasts longer than it should shows in the differences of runs.
         if share > _KEPT and kept > wave.decay:
