@@ -12,6 +12,7 @@ import scipy
 
 from ancfdae import (
     HHT,
+    Explicit,
     Integral,
     Pin,
     PointForce,
@@ -26,6 +27,7 @@ from ancfdae import (
     assemble,
     custom,
     gradient,
+    observe,
     position,
     simulate,
     velocity,
@@ -33,9 +35,11 @@ from ancfdae import (
 from ancfdae.studies.tolerance.bars import Estimate, spread
 from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.gradients import _wanted
+from ancfdae.studies.tolerance.observables import observed_within
 from ancfdae.studies.tolerance.sequences import Eighth, Second
-from ancfdae.studies.tolerance.waves import radius, wave_of
-from validation.tolerance.generator import case
+from ancfdae.studies.tolerance.spectrum import fades
+from ancfdae.studies.tolerance.waves import Wave, radius, wave_of
+from validation.tolerance.generator import FAMILIES, case
 
 SOFT, STIFF, HEAVY, LIGHT, STRETCH = 90.0, 1.089e6, 10.0, 0.1, 1e-4
 
@@ -118,6 +122,58 @@ def test_hht_damps_as_its_recurrence_says():
         # The largest of a window lies within 1 % of the amplitude at 0.7 radians, or at another
         # place within its last period: 2e-3 of rho over the 30 steps at least.
         assert (late / early) ** (1 / (end - begin)) == pytest.approx(radius(angle, -0.2), rel=2e-3)
+
+
+@pytest.mark.parametrize(("angle", "damped"), [(0.7, 0.05), (10.0, 0.4), (0.7, 3.0)])
+def test_a_damped_wave_decays_in_a_run_as_the_recurrence_says(angle, damped):
+    """A mass on a spring with a damper, 2 c h = `damped`: two windows of a run."""
+    a = RigidBody("a", (0.5, 0), mass=1.0, inertia=0.01)
+    spring = SpringDamper(a.at(0), 1.0, damped / angle, 0.499, ground=(0.0, 0.0), name="s")
+    scene = Scene([], [PointOnLine(a.at(0), direction=(1, 0))], loads=[spring], bodies=[a])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StabilityWarning)
+        run = simulate(scene, 120 * angle, HHT(angle, -0.2))
+    x = np.abs(run.q[:, 0] - 0.499)
+    early, late = (x[n : n + 10].max() for n in (10, 50))
+    wave = Wave(0.0, np.ones(1), np.ones(0), 1.0, damped / (2 * angle))
+    # The largest of a window is off the amplitude by a phase of half a step: 6 % of 40 steps' log.
+    assert math.log(early / late) == pytest.approx(40 * angle * wave.kept(angle, -0.2), rel=0.06)
+
+
+def test_an_overdamped_wave_decays_at_the_slower_of_its_rates():
+    """s^2 + 2 c s + omega^2 = 0."""
+    for c in (0.3, 1.0, 1.001, 5.0, 1e4):
+        roots = np.roots([1.0, 2 * c, 1.0])
+        wave = Wave(0.0, np.ones(1), np.ones(0), 1.0, c)
+        assert wave.decay == pytest.approx(-roots.real.max(), rel=1e-6)
+
+
+def test_a_wave_that_fades_is_not_followed_to_the_end():
+    """Steps that lose all of an undamped wave miss little of one that fades at once."""
+    still, fading = (Wave(0.0, np.ones(1), np.ones(0), 300.0, c) for c in (0.0, 60.0))
+    # 300 rad/s in steps of 1/512 s: HHT-I3 itself damps by 0.29 /s, 60 /s are physical.
+    assert still.missed(10.0, 5120, -0.05) > 0.9
+    assert fading.missed(10.0, 5120, -0.05) < 0.05
+    # Its phase is off all the same, as long as it lasts: 300/60 rad times (300/512)^2 / 10.
+    assert fading.turned(10.0, 5120) == pytest.approx(5 * (300 / 512) ** 2 / 10)
+
+
+@pytest.mark.parametrize(("damping", "dies"), [(0.0, False), (1.0, False), (40.0, True)])
+def test_unresolved_motions_fade_by_the_spectrum_of_the_start(damping, dies):
+    """A stiff spring between two masses, 1,000 rad/s, with a damper: decay c (1/m + 1/M) / 2."""
+    a, b = (
+        RigidBody(name, (x, 0), mass=m, inertia=0.01) for name, x, m in (("a", 0.5, 9), ("b", 1, 1))
+    )
+    loads = [
+        SpringDamper(a.at(0), 9.0, 0.0, 0.4, ground=(0.0, 0.0), name="s"),
+        SpringDamper(b.at(0), 9e5, damping, 0.5, a.at(0), name="m"),
+    ]
+    rails = [PointOnLine(x.at(0), direction=(1, 0)) for x in (a, b)]
+    system = assemble(Scene([], rails, loads=loads, bodies=[a, b]), ["m.stiffness"])
+    run = simulate(system, 1.0, HHT(1 / 128, -0.05))
+    # e^(-22) of it are left at the end with 40 N s/m, and e^(-0.56) with 1; the motion of 0.95
+    # rad/s, which has no damper, is resolved.
+    assert fades(system, run) is dies
 
 
 def struck(width, at, push=0.5):
@@ -238,23 +294,56 @@ def test_kinds_of_runs_that_contradict_each_other_are_not_believed():
 
 # Families whose answer takes a second or two; seeds in which calls were certain and wrong once,
 # or whose bars did not hold.
+# In "ringing" 9 physical and numerical damping of an unresolved wave are equal by chance; waves of
+# "slider" 3 and 8 and "damped rod" 1004 fade, and were followed to the end, or out of reach.
 @pytest.mark.parametrize(
-    ("family", "seed"),
-    [("pendulum", 0), ("pulse", 1), ("window", 1), ("cable", 0), ("damped rod", 1)],
+    ("family", "seed", "tolerance"),
+    [
+        ("pendulum", 0, 1e-3),
+        ("pulse", 1, 1e-3),
+        ("window", 1, 1e-3),
+        ("cable", 0, 1e-3),
+        ("damped rod", 1, 1e-3),
+        ("damped rod", 1004, 1e-2),
+        ("ringing", 9, 1e-2),
+        ("slider", 3, 1e-2),
+        ("slider", 8, 1e-3),
+    ],
 )
-def test_no_random_scene_errs_without_a_word(family, seed):
+def test_no_random_scene_errs_without_a_word(family, seed, tolerance):
     given = case(family, seed)
     exact = gradient(given.told, given.objective, given.t_end, given.reference)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ToleranceMissed)
-        found = gradient(given.system, given.objective, given.t_end, tolerance=1e-3)
+        found = gradient(given.system, given.objective, given.t_end, tolerance=tolerance)
     scale = np.where(given.system.b == 0, 1.0, np.abs(given.system.b))
     size = np.linalg.norm(exact.gradient * scale)
     errors = (
         abs(found.value - exact.value) / max(size, abs(exact.value)),
         np.linalg.norm((found.gradient - exact.gradient) * scale) / size,
     )
-    assert not found.accuracy.reached or max(errors) <= 1e-3
+    assert not found.accuracy.reached or max(errors) <= tolerance
+    assert sum(trial.steps for trial in found.accuracy.trials) < 20_000
+
+
+@pytest.mark.parametrize(
+    ("family", "seed", "tolerance"),
+    [("rod", 1001, 1e-3), ("rod", 1002, 1e-3), ("ringing", 1000, 1e-2)],
+)
+def test_bars_over_time_hold_at_single_instants(family, seed, tolerance):
+    """Undamped rods whose velocity and reaction swing; Explicit knows them. 23 to 34 % were out."""
+    draft = FAMILIES[family](np.random.default_rng([seed, *map(ord, family)]))
+    system = assemble(draft.scene, draft.design)
+    axis = 0 if draft.straight else 1
+    seen = [position(draft.point, axis), velocity(draft.point, 0), *draft.others]
+    at = np.linspace(0, draft.t_end, 65)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ToleranceMissed)
+        found = observed_within(system, seen, at, draft.t_end, tolerance, False)
+    run = simulate(system, draft.t_end, Explicit(1e-10, intervals=64))
+    exact = np.stack([observe(x, run, system)[::8] for x in seen], axis=1)
+    off = np.abs(found.values - exact) > found.bars + 1e-12 * np.abs(exact).max(axis=0)
+    assert off.mean(axis=0).max() <= 0.05
 
 
 def test_two_time_scales_are_answered_within_a_few_runs():

@@ -53,10 +53,12 @@ def refined(
     order: int,
     resolved: bool,
     along: bool = False,
+    improved: bool = True,
 ) -> Estimate:
     """Judge runs of ever more steps, two at least; `resolved` says that waves are.
 
-    With `along` a vector holds values at increasing instants.
+    With `along` a vector holds values at increasing instants. Where numbers are `improved`, bars
+    are those of extrapolated ones, if the order is seen.
     """
     d, N = np.diff(runs, axis=0), np.array(steps, dtype=float)
     if not resolved:
@@ -64,13 +66,13 @@ def refined(
     powers = (N[1:] / N[:-1]) ** order
     errors = d / (powers - 1)[:, None]
     size = spread(errors[-1], along)
-    seen = len(d) > 1 and _falls(np.linalg.norm(d[-2:], axis=1), N[-3:], order)
+    seen = len(d) > 1 and falls(np.linalg.norm(d[-2:], axis=1), N[-3:], order)
     if len(d) > 1:
         size = np.maximum(size, spread(errors[-2], along) / powers[-1])
     if order > 2:
         return Estimate(runs[-1], (_HIGH_SEEN if seen else HIGH_GRANTED) * size)
     better = np.array(runs[1:]) + errors
-    if seen:
+    if seen and improved:
         of_better = spread(better[-1] - better[-2], along) / (powers[-1] - 1)
         size = np.minimum(size, np.maximum(of_better, _TRUSTED * size))
     return Estimate(better[-1], _EXTRAPOLATED * size)
@@ -96,13 +98,13 @@ def tightened(before: Array, after: Array, along: bool = False) -> Array:
     return _TIGHTENED * spread(after - before, along)
 
 
-def _falls(sizes: Array, steps: Array, order: int) -> bool:
-    """Whether two differences of runs at three numbers of steps fall with the order."""
+def falls(sizes: Array, steps: Sequence[int] | Array, order: int, faster: bool = False) -> bool:
+    """Whether two differences of runs at three numbers of steps fall with the order, or faster."""
     if not np.all(sizes > 0):
         return False
-    powers = steps[:, None] ** -(order + np.array([-_NEAR, _NEAR]))
+    powers = np.array(steps, dtype=float)[:, None] ** -(order + np.array([-_NEAR, _NEAR]))
     least, most = (powers[0] - powers[1]) / (powers[1] - powers[2])
-    return bool(least <= sizes[0] / sizes[1] <= most)
+    return bool(least <= sizes[0] / sizes[1] <= (math.inf if faster else most))
 
 
 def spread(d: Array, along: bool = False, least: float = _SHARE) -> Array:

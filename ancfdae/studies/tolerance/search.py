@@ -18,7 +18,7 @@ from ancfdae.studies.tolerance.sequences import Second
 # Most work of a search, about as many microseconds.
 _MOST = 4e7
 # Share of the work foreseen that a run may take which may show that less is needed.
-_WORTH = 0.05
+_WORTH = 0.1
 
 
 @final

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import math
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, ClassVar, final
 
@@ -18,9 +19,10 @@ from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.method import Radau
 from ancfdae.numerics.arrays import Array
-from ancfdae.studies.tolerance.bars import HIGH_GRANTED, Estimate, refined, tightened
+from ancfdae.studies.tolerance.bars import HIGH_GRANTED, Estimate, falls, refined, spread, tightened
 from ancfdae.studies.tolerance.runs import OF_A_RUN, Runs, Sample, Wanted
-from ancfdae.studies.tolerance.waves import Wave, followed, missed
+from ancfdae.studies.tolerance.spectrum import fades
+from ancfdae.studies.tolerance.waves import Missed, Wave, followed, missed
 
 # Order at which the estimated errors of derivatives fall where steps resolve their waves; where
 # there are three runs, a little less will do.
@@ -49,6 +51,15 @@ _PER_RTOL = 1.0
 _STABLE, _FOLLOWED = 5.7, 1e-3
 # Steps that it takes at least, so that more are tried where they are too few.
 _FEWEST = 20.0
+# Steps over those that follow laws and objectives from which on errors fall with the order.
+_OF_FEATURES = 4
+# Differences over the tolerance whose order need not be seen.
+_SMALL = 0.05
+# What all unresolved waves may change, over the tolerance, for the order to be believed; and bars
+# then, over those of resolved waves.
+_LITTLE, _ORDER_ONLY = 0.2, 2.0
+# Fewest steps of Radau where waves fade, and its error over the difference of two runs then.
+_FADING, _OF_FADING = 32, 0.5
 # Errors over the tolerance of two runs that do not resolve waves, at least: they may agree by
 # chance in all that is wanted.
 _DOUBTED = 2.0
@@ -127,9 +138,9 @@ class _Steps(Runs):
         """Compare the runs; add what they may miss by waves that they damp."""
         if len(self.samples) < 2 or self.counts[-2] < self._least:
             return []
-        rows = zip(*(x.vectors for x in self.samples[-3:]), strict=True)
-        known = self.counts[-3:], self.order, self.resolved, self._wanted.along
-        estimates = [refined(x, *known) for x in rows]
+        estimates = [
+            self._estimate(x) for x in zip(*(x.vectors for x in self.samples[-5:]), strict=True)
+        ]
         if len(self.samples) == 2 and not self.resolved:
             sizes = self._sizes([x for x, _ in estimates])
             least = (_DOUBTED * self._tolerance * size for size in sizes)
@@ -144,6 +155,10 @@ class _Steps(Runs):
     def _least(self) -> int:
         """Steps below which laws or objectives have features that runs pass over."""
         return self._wanted.features.steps
+
+    def _estimate(self, runs: Sequence[Array]) -> Estimate:
+        """Judge a vector of the last two to five runs."""
+        return refined(runs[-3:], self.counts[-3:], self.order, self.resolved, self._wanted.along)
 
     @property
     @abc.abstractmethod
@@ -161,6 +176,10 @@ class Second(_Steps):
         super().__init__(wanted)
         # What is lost by waves, and the waves.
         self._lost, self._damped = list[Array](), list[Wave]()
+        # What all unresolved waves change, and whether that is below the tolerance.
+        self.whole, self._little = list[Array](), False
+        # Whether they fade; None as long as nobody asks.
+        self._fades: bool | None = None
         # Whether its runs damped waves of the motion.
         self.waves = False
         # Steps above which they are small.
@@ -176,23 +195,96 @@ class Second(_Steps):
             self.samples = []
         elif self.damps:
             self.samples = self.samples[-1:] if sample.steps < self._following / 2 else []
-        self._lost, self._damped = [], []
+        self._lost, self._damped, self.whole, self._little, self._fades = [], [], [], False, None
         wanted, system = self._wanted, self._system
         if sample.vectors and wanted.slopes:
             self._small = small_from(system, sample.run, _ALPHA)
         if self.samples and sample.vectors:
-            found = missed(system, sample.run, _ALPHA, wanted.numbers, wanted.integrated)
+            known = wanted.numbers, wanted.integrated, not _resolve([*self.samples, sample])
+            found = missed(system, sample.run, _ALPHA, *known)
             self._damped = found.waves
             self.waves = self.waves or bool(found.waves)
-            for each in found.parts:
-                self._lost += [each.value, each.slope] if wanted.slopes else [each.value]
+            self._lost, self.whole = map(self._parts, (found.parts, found.whole))
+            most = self.relative(self.whole, sample.vectors)
+            # Waves of derivatives are seen where the run has them.
+            seen = wanted.slopes and sample.run.sensitivities is not None
+            self._little = seen and most <= _LITTLE * self._tolerance
         super().take(sample)
         self._taken = taken
 
     @property
     def lost(self) -> list[Array]:
-        """By the last two runs."""
-        return self._lost
+        """By the last two runs; all of unresolved waves where they are few."""
+        return self.whole if self.smooth and not self.resolved else self._lost
+
+    @property
+    def smooth(self) -> bool:
+        """Whether all that unresolved waves change is below the tolerance; of three runs."""
+        return self._little and len(self.samples) > 2
+
+    def _estimate(self, runs: Sequence[Array]) -> Estimate:
+        """Judge a vector; its order is believed where it is seen and no wave can be a part of it.
+
+        The improvement of numbers by extrapolation is not believed then. Steps that just follow a
+        pulse err by where they meet it, and those that jump over a kink of forces by where.
+        """
+        earlier, runs = runs[:-1], runs[-3:]
+        kinked = len(earlier) == 4 and not (
+            self._seen(earlier[:3], self.counts[-5:-2])
+            or self._seen(earlier[1:], self.counts[-4:-1])
+        )
+        if kinked or self.counts[-2] < _OF_FEATURES * self._least:
+            return refined(runs, self.counts[-3:], self.order, False, self._wanted.along)
+        if self._wanted.along:
+            return self._over_time(runs)
+        if self.resolved or not self.smooth:
+            return super()._estimate(runs)
+        if not self._seen(runs, self.counts[-3:]):
+            return super()._estimate(runs)
+        known = self.counts[-3:], self.order, True, self._wanted.along
+        x, bar = refined(runs, *known, improved=False)
+        return Estimate(x, _ORDER_ONLY * bar)
+
+    def _over_time(self, runs: Sequence[Array]) -> Estimate:
+        """Judge values at increasing instants; their order is believed where it is seen.
+
+        That the motion resolves its waves says little of velocities and reactions.
+        """
+        resolved = self.resolved and (len(runs) < 3 or self._seen(runs, self.counts[-3:]))
+        known = self.counts[-3:], self.order, resolved, True
+        x, bar = refined(runs, *known)
+        return Estimate(x, bar if len(runs) > 2 or not resolved else _ORDER_ONLY * bar)
+
+    def _seen(self, runs: Sequence[Array], counts: Sequence[int]) -> bool:
+        """Return whether the differences of three runs fall with the order, or faster."""
+        return falls(np.linalg.norm(np.diff(runs, axis=0), axis=1), counts, self.order, faster=True)
+
+    @property
+    def regular(self) -> bool:
+        """Whether the order is seen in all that is not small beside the tolerance, without waves.
+
+        Then numbers do not depend on whether waves are resolved.
+        """
+        if not self.smooth:
+            return False
+        vectors = [x.vectors for x in self.samples[-3:]]
+        sizes = self._sizes(vectors[-1])
+        return all(
+            self._seen(runs, self.counts[-3:])
+            or float(np.linalg.norm(runs[-1] - runs[-2])) <= _SMALL * self._tolerance * size
+            for runs, size in zip(zip(*vectors, strict=True), sizes, strict=True)
+        )
+
+    @property
+    def fades(self) -> bool:
+        """Whether damping takes away all waves that its last run does not resolve."""
+        if self._fades is None:
+            self._fades = self.smooth and fades(self._system, self.samples[-1].run)
+        return self._fades
+
+    def _parts(self, parts: Sequence[Missed]) -> list[Array]:
+        """Return what is lost of each vector."""
+        return [x for each in parts for x in each[: 1 + self._wanted.slopes]]
 
     @property
     def damps(self) -> bool:
@@ -206,6 +298,8 @@ class Second(_Steps):
         if self.damps:
             waves = f"waves of about {max(x.speed for x in self._damped):.2g} rad/s"
             return f"{self.name} damps {waves}, which its steps pass over; bars hold their share"
+        if self.smooth and not self.resolved:
+            return f"{self.name} does not resolve all waves, which change little; bars hold that"
         return super().words
 
     @property
@@ -222,14 +316,23 @@ class Second(_Steps):
             return self._least
         if self.damps:
             return math.ceil(self._following)
-        growth = self._growth(3, 4.0) if self.resolved else 2.0
+        growth = 2.0
+        if self.resolved or self.regular:
+            growth = self._growth(3, self._stride) if self.resolved else self._growth(2, 2.0)
         return math.ceil(growth * self._taken)
+
+    @property
+    def _stride(self) -> float:
+        """Most times the steps of a run that the next one has where waves are resolved.
+
+        Long strides say little of the last run alone, which bars over time and pulses need.
+        """
+        return 2.0 if self._wanted.along or self._least else 4.0
 
     @property
     def _following(self) -> float:
         """Steps that keep the waves which the last run damps."""
-        less = _AIM * self._tolerance / self.relative(self._lost, self.samples[-1].vectors)
-        return followed(self._damped, self._t_end, _ALPHA, self._taken, less / 2)
+        return followed(self._damped, self._t_end, _ALPHA, 1.4 * self._taken)
 
     @property
     def left(self) -> float:
@@ -240,9 +343,9 @@ class Second(_Steps):
             return self._work(self._least) + self._work(2 * self._least)
         if self.damps:
             return self._work(self._following) + self._work(2 * self._following)
-        growth = self._growth(3 if self.resolved else _UNSEEN, math.inf)
-        last = max(growth * self._taken, self.count)
-        most = 4.0 if self.resolved else 2.0
+        order = 3 if self.resolved else 2 if self.regular else _UNSEEN
+        last = max(self._growth(order, math.inf) * self._taken, self.count)
+        most = self._stride if self.resolved else 2.0
         runs = math.ceil(math.log(last / self._taken) / math.log(most))
         return self._work(last) * (1 - most**-runs) / (1 - 1 / most)
 
@@ -258,8 +361,7 @@ class Second(_Steps):
 
         Finer steps resolve what coarser ones did.
         """
-        orders = list(map(_estimated_order, self.samples, self.samples[1:]))
-        return max(orders, default=0.0) >= _RESOLVED or max(orders[1:], default=0.0) >= _NEARLY
+        return _resolve(self.samples)
 
     @property
     def asked(self) -> bool:
@@ -274,6 +376,12 @@ class Second(_Steps):
         ratio = self.counts[-1] / self.counts[-2]
         error = self.relative(self._gaps, self.samples[-1].vectors) / (ratio**2 - 1)
         return self.counts[-1] * math.sqrt(error / _PERCENT)
+
+
+def _resolve(samples: Sequence[Sample]) -> bool:
+    """Return whether the errors that runs estimate themselves fell with the order once."""
+    orders = list(map(_estimated_order, samples, samples[1:]))
+    return max(orders, default=0.0) >= _RESOLVED or max(orders[1:], default=0.0) >= _NEARLY
 
 
 def _estimated_order(coarse: Sample, fine: Sample) -> float:
@@ -312,8 +420,14 @@ class Fifth(_Steps):
 
     @property
     def lost(self) -> list[Array]:
-        """That of the other sequence: they begin with the same waves."""
-        return self._seer.lost
+        """That of the other sequence: they begin with the same waves; all of those that fade."""
+        return self._seer.lost if self._seer.resolved else self._seer.whole
+
+    def _estimate(self, runs: Sequence[Array]) -> Estimate:
+        """Judge a vector; stiff motions that fade leave nothing of the order."""
+        if self._seer.resolved:
+            return super()._estimate(runs)
+        return Estimate(runs[-1], _OF_FADING * spread(runs[-1] - runs[-2], self._wanted.along))
 
     @property
     def setting(self) -> Integrator:
@@ -330,7 +444,9 @@ class Fifth(_Steps):
     @property
     def _planned(self) -> int:
         if not self.samples:
-            return max(math.ceil(self._last / 2), 5, 2 * self._taken)
+            # Differences of HHT-I3 are too large for its smooth motion where waves fade.
+            share, least = (2, 5) if self._seer.resolved else (4, _FADING)
+            return max(math.ceil(self._last / share), least, 2 * self._taken)
         return math.ceil(self._taken * self._growth(self.order, 4.0))
 
     @property
@@ -351,12 +467,21 @@ class Fifth(_Steps):
     @property
     def resolved(self) -> bool:
         """Whether there are no waves that are damped without a word."""
-        return self._seer.resolved
+        return self._seer.resolved or self._seer.fades
+
+    @property
+    def words(self) -> str:
+        """Whether waves are resolved, or fade."""
+        if self._seer.resolved or not self.resolved:
+            return super().words
+        return f"{self.name} does not resolve all waves, which change little"
 
     def _growth(self, order: float, most: float) -> float:
         """By what the runs tell; the first one by how far it is from the other kind."""
         if self.estimates:
             return super()._growth(order, most)
+        if not self._seer.resolved:
+            return 2.0
         far = HIGH_GRANTED * self.apart(self._seer) / (_AIM * self._tolerance)
         return min(max(math.pow(far, 1 / order), 2.0), most)
 

@@ -19,7 +19,7 @@ phase, omega t / 2, comes from another frequency.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple, final
 
@@ -37,6 +37,8 @@ _ROW = 4
 _AT_MOST = 2.0
 # Waves of less than this angle per step are part of the smooth motion.
 _SMOOTH = 0.05
+# Waves of less than this angle per step are followed; the recurrence is close to a double root.
+_FINE = 1e-3
 # Share of a wave whose loss does not count.
 _KEPT = 0.02
 # Phases at which a wave is tried, its angle per step in integrals, where the steps sample it, and
@@ -65,9 +67,11 @@ class Wave(NamedTuple):
 
     @property
     def decay(self) -> float:
-        """Rate of decay; overdamped motions relax at omega^2 / 2c; 1/s."""
-        slow = self.damping > self.speed
-        return self.speed**2 / (2 * self.damping) if slow else self.damping
+        """Rate of decay; an overdamped motion has that of the slower one of its two; 1/s."""
+        c = self.damping
+        if c <= self.speed:
+            return c
+        return self.speed**2 / (c + math.sqrt(c**2 - self.speed**2))
 
     def kept(self, h: float, alpha: float) -> float:
         """Return the rate of decay in a run of HHT-I3 with the step h, 1/s."""
@@ -80,10 +84,19 @@ class Wave(NamedTuple):
         t = np.geomspace(1e-3 * min(1 / max(self.decay, kept, 1 / t_end), t_end), t_end, 50)
         return float(np.abs(np.exp(-self.decay * t) - np.exp(-kept * t)).max())
 
+    def turned(self, t_end: float, steps: float) -> float:
+        """Return about how far the phase of a run of HHT-I3 is off while the wave lasts.
+
+        It is omega^3 h^2 t (1/12 - alpha/4 - ...): chapter 13 of the theory.
+        """
+        lasts = min(t_end, 1 / self.decay) if self.decay else t_end
+        return self.speed * lasts * (self.speed * t_end / steps) ** 2 / 10
+
     def added(self, states: States, angle: float, phase: float, decay: float) -> States:
         """Return the states with the wave as one of another frequency, `angle`, and decay."""
         t = states.t - self.begin
-        size = (t >= 0) * np.exp(-decay * np.maximum(t, 0.0))
+        # The beginning is part of the run.
+        size = (t > 0) * np.exp(-decay * np.maximum(t, 0.0))
         cos, sin = (size * f(angle * t + phase) for f in (np.cos, np.sin))
         q, lam = states.q + np.outer(cos, self.q), states.lam + np.outer(cos, self.lam)
         v = states.v - self.speed * np.outer(sin, self.q)
@@ -98,9 +111,14 @@ class Missed(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """What numbers may miss by waves, and the waves that a run damps."""
+    """What numbers may miss by waves.
+
+    `parts` is what a run misses by its numerical damping, `whole` is all that the waves which it
+    does not resolve change, and `waves` are those that it damps more than physics does.
+    """
 
     parts: list[Missed]
+    whole: list[Missed]
     waves: list[Wave]
 
 
@@ -160,15 +178,12 @@ def wave_of(system: MechanicalSystem, run: Solution, a: Array) -> Wave | None:
     return Wave(float(run.t[n]), size * x, size * mu, speed, max(damping, 0.0))
 
 
-def followed(waves: Sequence[Wave], t_end: float, alpha: float, begin: float, less: float) -> float:
-    """Return the steps, 1.4 or more times those of a run, that miss waves by a smaller share.
-
-    `less` is the share over that of `begin` steps; one that does not count is enough.
-    """
-    enough = [max(_KEPT, less * wave.missed(t_end, begin, alpha)) for wave in waves]
-    steps = 1.4 * begin
+def followed(waves: Sequence[Wave], t_end: float, alpha: float, at_least: float) -> float:
+    """Return the steps, `at_least` times a power of 1.4, that keep waves as long as they last."""
+    steps = at_least
     while any(
-        wave.missed(t_end, steps, alpha) > share for wave, share in zip(waves, enough, strict=True)
+        wave.speed * t_end / steps > _FINE and wave.missed(t_end, steps, alpha) > _KEPT
+        for wave in waves
     ):
         steps *= 1.4
     return steps
@@ -180,74 +195,80 @@ def missed(
     alpha: float,
     numbers: Numbers,
     integrated: Sequence[bool],
+    phases: bool,
 ) -> Lost:
     """Return what numbers may miss by the waves of a run; infinite where it cannot be told.
 
-    Where a number is `integrated` over the instants, it sees the mean of a wave.
+    Where a number is `integrated` over the instants, it sees the mean of a wave. With `phases`
+    waves count as unresolved whose phases are off, too.
     """
     states, T, steps = states_of(run), float(run.t[-1]), len(run.t) - 1
-    plain, lost = numbers(states), Lost([], [])
-    for x in plain:
-        lost.parts.append(Missed(np.zeros(x.shape), np.zeros(system.n_b)))
+    plain, lost = numbers(states), Lost([], [], [])
+    for parts in (lost.parts, lost.whole):
+        parts += [Missed(np.zeros(x.shape), np.zeros(system.n_b)) for x in plain]
     for j, a in enumerate(_rows(run), -1):
         wave = wave_of(system, run, a)
-        if wave is None or wave.missed(T, steps, alpha) <= _KEPT:
+        if wave is None:
             continue
-        decays = wave.decay, wave.kept(T / steps, alpha)
+        share, kept = wave.missed(T, steps, alpha), wave.kept(T / steps, alpha)
+        if share <= _KEPT and not (phases and wave.turned(T, steps) > _KEPT):
+            continue
         # One that lasts longer than it should shows in the differences of runs.
-        if decays[1] > decays[0]:
+        if share > _KEPT and kept > wave.decay:
             lost.waves.append(wave)
         if j < 0:
-            _of_the_motion(wave, decays, states, (numbers, integrated), lost.parts)
-            continue
-        scale = abs(float(system.b[j])) or 1.0
-        for each, size in zip(
-            lost.parts, _of_a_derivative(wave, decays, states, numbers), strict=True
-        ):
-            each.slope[j] += scale * size
+            _of_the_motion(wave, kept, states, (numbers, plain, integrated), lost)
+        else:
+            scale = abs(float(system.b[j])) or 1.0
+            _of_a_derivative(wave, kept, states, (numbers, plain), lost, (j, scale))
     return lost
 
 
 def _of_the_motion(
     wave: Wave,
-    decays: tuple[float, float],
+    kept: float,
     states: States,
-    asked: tuple[Numbers, Sequence[bool]],
-    parts: list[Missed],
+    asked: tuple[Numbers, Sequence[Array], Sequence[bool]],
+    lost: Lost,
 ) -> None:
     """Add what numbers and their derivatives miss by a wave of the motion."""
-    numbers, integrated = asked
+    numbers, plain, integrated = asked
     h, T = float(states.t[1] - states.t[0]), float(states.t[-1])
     angle = min(wave.speed, _ANGLE / h)
+    angles = angle, angle + _TURN / T
     for phase in _PHASES:
-        missed, detuned = (
-            _apart(numbers, (wave.added(states, x, phase, decay) for decay in decays))
-            for x in (angle, angle + _TURN / T)
-        )
-        for k, (x, y) in enumerate(zip(missed, detuned, strict=True)):
+        true, detuned = (numbers(wave.added(states, x, phase, wave.decay)) for x in angles)
+        left, moved = (numbers(wave.added(states, x, phase, kept)) for x in angles)
+        for k, x in enumerate(true):
             speed = angle if integrated[k] else wave.speed
-            np.maximum(parts[k].value, np.abs(x), out=parts[k].value)
-            turned = float(np.abs(y - x).max()) * speed * T / _TURN
-            slope = _POWER * turned + float(np.abs(x).max())
-            np.maximum(parts[k].slope, slope, out=parts[k].slope)
-
-
-def _apart(numbers: Numbers, pair: Iterable[States]) -> list[Array]:
-    """Return by what the numbers of the first states exceed those of the second."""
-    true, kept = map(numbers, pair)
-    return [x - y for x, y in zip(true, kept, strict=True)]
+            kinds = (lost.parts[k], left[k], moved[k]), (lost.whole[k], plain[k], plain[k])
+            for part, y, z in kinds:
+                value = np.abs(x - y)
+                np.maximum(part.value, value, out=part.value)
+                turned = float(np.abs(detuned[k] - z - x + y).max()) * speed * T / _TURN
+                slope = _POWER * turned + float(value.max())
+                np.maximum(part.slope, slope, out=part.slope)
 
 
 def _of_a_derivative(
-    wave: Wave, decays: tuple[float, float], states: States, numbers: Numbers
-) -> list[float]:
-    """Return what derivatives of numbers miss by a wave of a derivative of the motion."""
+    wave: Wave,
+    kept: float,
+    states: States,
+    asked: tuple[Numbers, Sequence[Array]],
+    lost: Lost,
+    of: tuple[int, float],
+) -> None:
+    """Add what derivatives of numbers miss by a wave of a derivative of the motion."""
+    (numbers, plain), (j, scale) = asked, of
     h = float(states.t[1] - states.t[0])
     small = _SMALL * (float(np.abs(states.q).max()) or 1.0) / (float(np.abs(wave.q).max()) or 1.0)
     scaled = wave._replace(q=small * wave.q, lam=small * wave.lam)
-    angle, sizes = min(wave.speed, _ANGLE / h), np.zeros(0)
+    angle, sizes = min(wave.speed, _ANGLE / h), np.zeros((2, len(plain)))
     for phase in _PHASES:
-        missed = _apart(numbers, (scaled.added(states, angle, phase, x) for x in decays))
-        each = np.array([float(np.abs(x).max()) / small for x in missed])
-        sizes = np.maximum(sizes, each) if sizes.size else each
-    return list(sizes)
+        true, left = (numbers(scaled.added(states, angle, phase, x)) for x in (wave.decay, kept))
+        for k, x in enumerate(true):
+            for row, y in zip(sizes, (left[k], plain[k]), strict=True):
+                row[k] = max(row[k], float(np.abs(x - y).max()) / small)
+    for row, parts in zip(sizes, (lost.parts, lost.whole), strict=True):
+        for size, part in zip(row, parts, strict=True):
+            part.slope[j] += scale * size
