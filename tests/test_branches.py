@@ -8,11 +8,13 @@ whatever d.
 
 import numpy as np
 import pytest
+from scipy.interpolate import make_interp_spline
 
 from ancfdae import (
     HHT,
     IDA,
     Beam,
+    Drive,
     Explicit,
     Guide,
     Harmonic,
@@ -29,7 +31,7 @@ from ancfdae import (
     assemble,
     simulate,
 )
-from ancfdae.integrators.branch import CHANGED, Form, Place
+from ancfdae.integrators.branch import CHANGED, Form, Place, followed
 
 STEEL = Material(density=7800.0, youngs_modulus=2e11, poisson_ratio=0.3)
 SECTION = Rectangle(height=0.02, width=0.02)
@@ -164,3 +166,39 @@ def test_the_change_of_a_place_against_its_definition():
     first = int(np.argmax(changes > CHANGED))
     assert first > 0
     assert changes[first] <= 1.7 * exact[first]
+
+
+@pytest.mark.parametrize("short", [0.5, 1e-2, 1e-4, 1e-7])
+def test_a_chain_whose_second_link_is_free_has_one_branch(short):
+    """A double pendulum with a driven first link: the places of the second are a circle.
+
+    A long step may lead to the other side of the circle, an angle `short` of half a turn away from
+    where the path ends that aims through it. Once "the joints close in more than one way".
+    """
+    one = Beam("one", (0.0, 0.0), (1.0, 0.0), 1, SECTION, STEEL, rigid=True)
+    two = Beam("two", (1.0, 0.0), (1.5, 0.0), 1, SECTION, STEEL, rigid=True)
+    joints = [Pin(one.at_start), Drive(one.at_start, Uniform(0.0)), Pin(one.at_end, two.at_start)]
+    system = assemble(Scene([one, two], joints))
+    first = system.start()[0]
+    c, s = np.cos(np.pi - short), np.sin(np.pi - short)
+    found = np.append(first[:6], [1.0, 0.0, c, s, -s, c])
+    np.testing.assert_allclose(system.constraint(1.0, found), 0.0, atol=1e-14)
+    reached, place = followed(system, 0.0, first, 1.0, lambda t: (1 - t) * first + t * found)
+    assert reached == 1.0
+    np.testing.assert_allclose(place, found, atol=1e-3)
+
+
+def test_the_law_of_the_splines_is_that_of_scipy():
+    """Degree seven with three derivatives that vanish at both ends; no cubic spline."""
+    random = np.random.default_rng(1)
+    times = np.linspace(0.0, 0.7, 9)
+    places = R + L - 10 ** random.uniform(-7, -1.5, len(times))
+    law, t = Spline(times, places - places[0]), np.linspace(0.0, 0.7, 1001)
+    still = [(k, 0.0) for k in (1, 2, 3)]
+    same = make_interp_spline(times, places, k=7, bc_type=(still, still))
+    np.testing.assert_allclose(places[0] + law.at(t), same(t), atol=1e-12)
+    # The run follows it, and stops before it is over the dead point.
+    crank, scene = pushed(places[0], law)
+    run = simulate(scene, 0.7, HHT(0.7 / 600))
+    assert error(run, crank, same(run.t)) < 1e-9
+    assert run.t[-1] == pytest.approx(t[np.argmax(same(t) > R + L)], abs=2 * 0.7 / 600)

@@ -24,6 +24,7 @@ from ancfdae import (
     Moment,
     Point,
     PointForce,
+    Rectangle,
     RigidMotion,
     Scene,
     SlideFriction,
@@ -32,6 +33,7 @@ from ancfdae import (
     TorsionSpring,
     assemble,
     check_system,
+    equilibrium,
     simulate,
 )
 from ancfdae.model import loads
@@ -832,3 +834,34 @@ def test_loads_that_follow_are_those_without_an_energy(follows):
 def test_loads_with_an_energy_are_known():
     springs = {Bushing, JointFriction, SlideFriction, SpringDamper, TorsionSpring}
     assert {kind for kind in concrete_subclasses(Load) if kind.elastic} == springs
+
+
+@pytest.mark.parametrize("n", [8, 32, 128])
+@pytest.mark.parametrize("width", [0.05, 0.02])
+def test_a_moment_shears_the_section_at_the_end_of_a_twisted_bar(n, width):
+    """Closed form of linear elements for G J theta'' = 0, K gamma'' = G A gamma.
+
+    The moment does the work M (theta + (c_z - c_y) gamma/2) on the mean turn of both slopes;
+    gamma decays as mu^j along the nodes.
+    """
+    height, length, E, nu, M = 0.05, 1.0, 1e7, 0.3, 1e-3
+    section, G = Rectangle(height, width), E / (2 * (1 + nu))
+    rod = Beam(
+        "rod", (0, 0, 0), (length, 0, 0), n, section, Material(1e3, E, nu), height_axis=(0, 1, 0)
+    )
+    scene = Scene([rod], [Clamp(rod.at_start)], loads=[Moment(rod.at_end, (M, 0, 0))])
+    slopes = equilibrium(scene).solution.nodes("rod")[0][:, 2:]
+    a = np.arctan2(slopes[:, 0, 2], slopes[:, 0, 1])
+    b = np.arctan2(-slopes[:, 1, 1], slopes[:, 1, 2])
+    c_y = height**2 / (height**2 + width**2)
+    theta = c_y * a + (1 - c_y) * b
+    GJ = M * length / (2 * theta[n // 2])
+    uneven, K = (2 * c_y - 1) ** 2, GJ * c_y * (1 - c_y)
+    k, s = K * n / length, G * height * width * length / n / 6
+    root = (k + 2 * s) / (k - s)
+    mu = root - np.copysign(np.sqrt(root**2 - 1), root)
+    excess = uneven / 4 / (k * (1 - mu) + s * (2 + mu)) * GJ / length
+    mean = (a[-1] + b[-1]) / 2 * GJ / (M * length)
+    assert mean - 1 == pytest.approx(excess, rel=1e-4, abs=1e-8)
+    # In the mean by the squares of radii it is that of the bar.
+    assert theta[-1] * GJ / (M * length) == pytest.approx(1, rel=1e-7)

@@ -46,8 +46,9 @@ _CURVED, _SHORTEST, _ITERATIONS = 0.1, 1e-9, 8
 SMALL = 1e-11
 # Places that differ by more than this part of the way are not the same.
 APART = 1e-3
-# Moves along constraints from the end of a followed path towards the solution there.
-_MOVES = 40
+# Moves along constraints from the end of a followed path towards the solution there: nearly half a
+# turn away they begin as small as the rest of it, and double.
+_MOVES = 400
 # Up to this number of constraints matrices are dense; above it norms are estimated by this number
 # of products.
 _DENSE, _PRODUCTS = 100, 4
