@@ -13,7 +13,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities, Statistics
-from ancfdae.errors import AncfdaeError, StabilityWarning, Verdict, uninterrupted
+from ancfdae.errors import AncfdaeError, CoarseMesh, StabilityWarning, Verdict, uninterrupted
 from ancfdae.errors.text import listed
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
@@ -114,13 +114,30 @@ def find_equilibrium(
     if sensitivities and end.outcome.success:
         balance.work.factorisations += 1
         derivatives = Tangent(system, 0.0, end.q, end.lam).sensitivities()
-    if end.outcome.success and end.outcome.stable_to is None and not near:
-        _warn_of_neutral(balance, end)
+    if end.outcome.success and not near:
+        _warn_of_mesh(system, end.q)
+        if end.outcome.stable_to is None:
+            _warn_of_neutral(balance, end)
     work, seconds = balance.work, time.perf_counter() - began
     counted = (work.steps, work.iterations, work.factorisations, work.residuals)
     statistics = Statistics(*counted, 0, seconds, work.rejected)
     solution = _solution(system, end, derivatives, statistics)
     return Equilibrium(end.q, end.lam, end.outcome, solution, *(derivatives or (None, None)))
+
+
+def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
+    """Warn of beams with too few elements for their bends."""
+    coarse = system.coarse(q)
+    if not coarse:
+        return
+    worst = max(coarse.values())
+    warnings.warn(
+        f"equilibrium: too few elements for the bending of {listed(map(repr, coarse))}: "
+        f"{100 * worst / (1 + worst):.2g} % of the energy is a stretch that cubics need to "
+        "bend. Double the number of elements until this warning is gone.",
+        CoarseMesh,
+        stacklevel=5,
+    )
 
 
 def _warn_of_neutral(balance: Balance, end: SearchEnd) -> None:
@@ -132,7 +149,7 @@ def _warn_of_neutral(balance: Balance, end: SearchEnd) -> None:
         "of the stiffness, or joints that depend on each other hide it. Change the load a little, "
         "or look at the modes about this state.",
         StabilityWarning,
-        stacklevel=3,
+        stacklevel=5,
     )
 
 
