@@ -27,6 +27,7 @@ from ancfdae import (
     Moment,
     Pin,
     PointForce,
+    PointMass,
     PointOnLine,
     Rectangle,
     Revolute,
@@ -298,3 +299,37 @@ def test_a_bar_bears_no_more_than_the_largest_force_of_its_law():
     assert force == pytest.approx(0.9 * most, rel=1e-12)
     with pytest.raises(NoEquilibrium):
         assemble(scene(1.1)).start()
+
+
+def meeting_wires(element, n, span, mass):
+    """Two wires in line, declared straight, that meet at a mass between supports too near."""
+    d = element.d
+    side = RADIUS * np.sqrt(np.pi)
+    section = Rectangle(side, side) if d == 2 else Circle(RADIUS)
+    points = [(x, 0.0, 0.0)[:d] for x in (0.0, 0.5, 1.0, span)]
+    a = Beam("a", points[0], points[1], n, section, STEEL, element=element)
+    b = Beam("b", points[1], points[2], n, section, STEEL, element=element)
+    ends = Pin(a.at_start, name="left"), Pin(b.at_end, ground=points[3], name="right")
+    joints = [*ends, Pin(a.at_end, b.at_start, name="middle")]
+    return Scene([a, b], joints, (0.0, -G, 0.0)[:d], bodies=[PointMass(a.at_end, mass)])
+
+
+@pytest.mark.parametrize("element", [CABLE_2D, CABLE_3D, BEAM_2D])
+@pytest.mark.parametrize("span", [0.95, 0.8, 0.5])
+def test_slack_wires_that_meet_at_a_mass_hang_as_catenaries(element, span):
+    """In line they hold the mass by nothing: they settle, and then their supports approach."""
+    mass = 0.01
+    found = equilibrium(meeting_wires(element, 4, span, mass))
+    assert found.outcome.success
+    assert found.outcome.stable_to is None
+    w = STEEL.density * np.pi * RADIUS**2 * G
+    low, high = mass * G / 2, mass * G / 2 + 0.5 * w
+
+    def gap(H):
+        return 2 * H / w * (np.arcsinh(high / H) - np.arcsinh(low / H)) - span
+
+    pull = brentq(gap, 1e-3, 1.0, xtol=1e-14)
+    force = -found.solution.reaction("left")[0]
+    # Stretch and bending: 1e-4 at most, whatever the mesh.
+    assert force[0] == pytest.approx(pull, rel=3e-4)
+    assert -force[1] == pytest.approx(high, rel=1e-9)
