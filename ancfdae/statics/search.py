@@ -78,8 +78,9 @@ def _closed(
     open_gaps = replace(balance, closes=False)
     if start is None:
         downhill = Settling(open_gaps, max_steps)
-        end = downhill.run(), 1.0, downhill.steps, downhill.residual
-        loaded = SearchEnd(downhill.q, downhill.lam, LoadOutcome(*end))
+        verdict = downhill.run()
+        outcome = LoadOutcome(verdict, 1.0, downhill.steps, downhill.residual)
+        loaded = SearchEnd(downhill.q, downhill.lam, outcome)
     else:
         loaded = _path_end(open_gaps, start, True, max_steps, fine=True)
     if not loaded.outcome.success:

@@ -151,8 +151,8 @@ class Settling:
     """Goes downhill under the full load; q and lam are the state reached.
 
     Constraints that are violated at the start close at once, or where a step cannot, or folds an
-    element, in parts that adapt; or not at all, as the balance says. `steps` have converged, the last of the size
-    `residual`; `gone` is whether it grew without bound.
+    element, in parts that adapt; or not at all, as the balance says. `steps` have converged, the
+    last of the size `residual`; `gone` is whether it grew without bound.
     """
 
     def __init__(self, balance: Balance, max_steps: int) -> None:
