@@ -166,8 +166,11 @@ class ConstrainedMatrix:
                 break
             values, count = moved.nearest(M, count), 4 * count
         kappa = values - 0.5 * rho
-        real = np.abs(kappa.imag) <= _ROUNDINGS * _EPS * rho
-        return bool(np.any(kappa.real[real] < -_ROUNDINGS * _EPS * rho))
+        noise = _ROUNDINGS * _EPS * rho
+        real = np.abs(kappa.imag) <= noise
+        # Round-off splits a double one, as of a round shaft under a torque, by its root.
+        real |= (np.abs(kappa.imag) <= _EPS**-0.5 * noise) & (kappa.real < -np.abs(kappa.imag))
+        return bool(np.any(kappa.real[real] < -noise))
 
     def growing(self, M: Array) -> complex | None:
         """Return s, Im s > 0, of the vibration x e^{st} that grows fastest, K x = -s^2 M x.
