@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
+from scipy.optimize import brentq
 
 from ancfdae import (
     BEAM_2D,
@@ -26,6 +27,7 @@ from ancfdae import (
     Moment,
     Pin,
     PointForce,
+    PointMass,
     PointOnLine,
     Rectangle,
     Revolute,
@@ -105,20 +107,46 @@ def test_a_slack_wire_hangs_as_the_elastica(element, n, span):
 
 
 @pytest.mark.parametrize("element", [CABLE_2D, BEAM_2D])
-@pytest.mark.parametrize("n", [3, 4, 5, 6, 8, 12])
-def test_a_slack_wire_of_too_few_elements_is_warned_of(element, n):
+@pytest.mark.parametrize(
+    ("span", "n"),
+    [*((0.5, n) for n in (3, 4, 5, 6, 8, 12)), *((0.95, n) for n in (2, 3, 4)), (0.9, 3), (0.9, 6)],
+)
+def test_a_slack_wire_of_too_few_elements_is_warned_of(element, n, span):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        found = equilibrium(wire(element, n, 0.5))
+        found = equilibrium(wire(element, n, span))
     assert found.outcome.success
     I = (np.pi * RADIUS**2) ** 2 / 12
-    pull = elastica(STEEL.youngs_modulus * I, STEEL.density * np.pi * RADIUS**2 * G, 0.5)
-    error = -found.solution.reaction("left")[0][0] / pull - 1
+    pull = elastica(STEEL.youngs_modulus * I, STEEL.density * np.pi * RADIUS**2 * G, span)
+    error = abs(-found.solution.reaction("left")[0][0] / pull - 1)
     # Of a pull that errs by half and more, and of none that is right to an eighth.
     assert error > 0.5 or error < 0.125
     assert [x.category for x in told] == [CoarseMesh] * int(error > 0.5)
     if told:
         assert "'wire'" in str(told[0].message)
+        assert told[0].filename == __file__
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 8])
+def test_a_limp_wire_of_few_elements_is_warned_of_where_it_pulls_wrongly(n):
+    """Its weight shapes it: 3 elements pull rightly to 2 %, whatever part of U is the mesh's."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = equilibrium(wire(CABLE_2D, n, 0.95, radius=2e-6))
+    area = np.pi * 2e-6**2
+    # The catenary: sinh(u) / u = 1 / 0.95 with u = w span / 2 H.
+    u = brentq(lambda u: np.sinh(u) / u - 1 / 0.95, 0.1, 2.0)
+    pull = STEEL.density * area * G * 0.95 / (2 * u)
+    error = abs(-found.solution.reaction("left")[0][0] / pull - 1)
+    assert error > 0.3 or error < 0.05
+    assert [x.category for x in told] == [CoarseMesh] * int(error > 0.3)
+
+
+def test_gradients_and_starts_at_rest_warn_of_coarse_meshes():
+    with pytest.warns(CoarseMesh, match="too few elements for the bending of 'wire'"):
+        static_gradient(wire(CABLE_2D, 2, 0.95), reaction("left", 0), design=["wire.density"])
+    with pytest.warns(CoarseMesh, match="too few elements for the bending of 'wire'"):
+        assemble(wire(CABLE_2D, 2, 0.95, start=[AtRest()])).start()
 
 
 def test_a_taut_wire_a_hanging_bar_and_a_thick_arc_are_fine():
@@ -271,3 +299,37 @@ def test_a_bar_bears_no_more_than_the_largest_force_of_its_law():
     assert force == pytest.approx(0.9 * most, rel=1e-12)
     with pytest.raises(NoEquilibrium):
         assemble(scene(1.1)).start()
+
+
+def meeting_wires(element, n, span, mass):
+    """Two wires in line, declared straight, that meet at a mass between supports too near."""
+    d = element.d
+    side = RADIUS * np.sqrt(np.pi)
+    section = Rectangle(side, side) if d == 2 else Circle(RADIUS)
+    points = [(x, 0.0, 0.0)[:d] for x in (0.0, 0.5, 1.0, span)]
+    a = Beam("a", points[0], points[1], n, section, STEEL, element=element)
+    b = Beam("b", points[1], points[2], n, section, STEEL, element=element)
+    ends = Pin(a.at_start, name="left"), Pin(b.at_end, ground=points[3], name="right")
+    joints = [*ends, Pin(a.at_end, b.at_start, name="middle")]
+    return Scene([a, b], joints, (0.0, -G, 0.0)[:d], bodies=[PointMass(a.at_end, mass)])
+
+
+@pytest.mark.parametrize("element", [CABLE_2D, CABLE_3D, BEAM_2D])
+@pytest.mark.parametrize("span", [0.95, 0.8, 0.5])
+def test_slack_wires_that_meet_at_a_mass_hang_as_catenaries(element, span):
+    """In line they hold the mass by nothing: they settle, and then their supports approach."""
+    mass = 0.01
+    found = equilibrium(meeting_wires(element, 4, span, mass))
+    assert found.outcome.success
+    assert found.outcome.stable_to is None
+    w = STEEL.density * np.pi * RADIUS**2 * G
+    low, high = mass * G / 2, mass * G / 2 + 0.5 * w
+
+    def gap(H):
+        return 2 * H / w * (np.arcsinh(high / H) - np.arcsinh(low / H)) - span
+
+    pull = brentq(gap, 1e-3, 1.0, xtol=1e-14)
+    force = -found.solution.reaction("left")[0]
+    # Stretch and bending: 1e-4 at most, whatever the mesh.
+    assert force[0] == pytest.approx(pull, rel=3e-4)
+    assert -force[1] == pytest.approx(high, rel=1e-9)

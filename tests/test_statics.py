@@ -466,6 +466,22 @@ def test_a_mechanism_that_is_free_to_move_is_refused_with_its_motion(words):
         equilibrium(FREE[words])
 
 
+@pytest.mark.parametrize("n", [2, 4, 8])
+def test_a_rod_that_spins_on_two_links_is_a_family_of_equilibria(n):
+    """Its weight bends it by 2 mm: it turns in its bent shape, at no stiffness but round-off."""
+    steel = Material(7850.0, 2.1e11, 0.3)
+    bar = Beam("rod", (0, -1, 0), (1, -1, 0), n, Circle(0.005), steel)
+    links = [
+        Distance(point, np.sqrt(1.04), ground=(x, 0, 0))
+        for point, x in ((bar.at_start, -0.2), (bar.at_end, 1.2))
+    ]
+    with pytest.raises(FreeMechanism, match="rod turns about its own axis, bent as it is"):
+        equilibrium(Scene([bar], links, (0.0, -G, 0.0)))
+    found = modes(Scene([bar], links, (0.0, -G, 0.0)), 3)
+    assert found.exponents[0] == 0
+    assert "rod turns about its own axis" in found.free
+
+
 def test_a_free_motion_of_a_system_without_names_is_told_by_coordinates():
     class Sliding(CartesianPendulum):
         def with_values(self, b):

@@ -43,10 +43,11 @@ _PLACES = np.linspace(0.0, 1.0, 9)
 _NAMED = 3
 # Share of the energy of the mesh above which elements are too few: of a wire that hangs slack the
 # pull errs by five times as much (docs/howto/elements.md).
-_SHARE = 0.05
-# And the turn of an element, in rad, fitted, not derived: limp cables of few elements, which their
-# weight and not their bending shapes, turn by less and pull rightly whatever their share.
-_TURN = 2.0 / 3.0
+_SHARE = 0.04
+# What else is asked, fitted, not derived. Where tension shapes an element, N l^2/EI of the mean
+# element above the first number, as of limp cables, pulls are right whatever the share, until one
+# of the elements turns by more than the second one, in rad: by 20 % and more they err then.
+_LIMP, _TURN = 25.0, 0.5
 # Weights of Boole's rule twice, and what of a strain at the places is not linear in xi.
 _WEIGHTS = np.array([7, 32, 12, 32, 14, 32, 12, 32, 7]) / 180.0
 _LINE = np.stack([np.ones(9), np.sqrt(3.0) * (2.0 * _PLACES - 1.0)])
@@ -134,7 +135,7 @@ class _Beam:
         return f"{self.name!r}, element{'s' if len(folded) > 1 else ''} {some}"
 
     def share(self, Z: Array) -> float:
-        """Return eta of the module, or zero where no element turns far."""
+        """Return eta of the module, or zero where tension makes up for it."""
         X = Z[self._ends]
         strain = 0.5 * (np.sum(self._tangents(X) ** 2, axis=-1) / self._stretch_o - self._free)
         beyond = strain @ _BEYOND.T
@@ -148,7 +149,9 @@ class _Beam:
         ends = [_unit(X[:, k + Quantity.SLOPE_X]) for k in (0, X.shape[1] // 2)]
         # |t_2 - t_1| = 2 sin(phi/2).
         turn = np.max(np.sqrt(np.sum((ends[1] - ends[0]) ** 2, axis=1)))
-        if turn <= 2.0 * np.sin(0.5 * _TURN) or rest <= 0:
+        force = np.abs(self._EA * (strain @ _WEIGHTS)[:, None])
+        limp = np.mean(force * self._lengths**2 / self._EI) > _LIMP
+        if (limp and turn <= 2.0 * np.sin(0.5 * _TURN)) or rest <= 0:
             return 0.0
         return float(np.sum(error)) / rest
 

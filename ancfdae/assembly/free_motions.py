@@ -21,6 +21,8 @@ from ancfdae.numerics.rotations import generators
 _SMALL = 1e-6
 # A motion that is less rigid than this deforms the beam.
 _RIGID = 1e-3
+# A round bar turns in its bent shape: its nodes move by less than this part of its slopes.
+_STAYS = 0.05
 # Number of beams whose motion is described.
 _SHOWN = 3
 
@@ -31,9 +33,9 @@ def motions_in_words(layout: Layout, q: Array, motions: Array) -> str:
     fits = [body.fit(motions) for body in bodies]
     basis = np.concatenate([fit.rigid for fit in fits])
     size = max(fit.size for fit in fits)
-    deformed = [b.name for b, fit in zip(bodies, fits, strict=True) if fit.left > _RIGID * size]
+    deformed = [b for b, fit in zip(bodies, fits, strict=True) if fit.left > _RIGID * size]
     if deformed:
-        return f"{listed(deformed)} deforms without stiffness"
+        return listed(body.bent_words(motions, size) for body in deformed)
     texts = []
     for motion in _simplified(basis).T:
         parts = np.split(motion, len(bodies))
@@ -115,6 +117,13 @@ class _Body:
         # A turn of a straight cable about itself moves nothing.
         x = np.linalg.lstsq(A, right, rcond=_SMALL)[0]
         return _Fit(x, float(np.max(np.abs(right))), float(np.max(np.abs(right - A @ x))))
+
+    def bent_words(self, motions: Array, size: float) -> str:
+        """Say how it deforms without stiffness, in motions whose largest entry has this size."""
+        moved = motions[self.columns].reshape(*self.X.shape, -1)[self.positions] / self.length
+        if np.max(np.abs(moved)) <= _STAYS * size:
+            return f"{self.name} turns about its own axis, bent as it is"
+        return f"{self.name} deforms without stiffness"
 
     def words(self, motion: Array) -> str:
         """Say how it moves; v/L and omega in one array."""

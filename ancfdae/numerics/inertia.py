@@ -34,6 +34,8 @@ _BOUNDS = 40
 _ROUNDINGS = 64
 # Fewer motions than this are looked at all at once; eigenvalues first sought around a centre.
 _DENSE, _AROUND = 100, 12
+# Of a large system so many are searched for a vibration that grows.
+_LOWEST = 20
 # Up to this many coordinates dense matrices may be formed: about a second.
 _LARGE = 800
 # In the order as given. Pivots are taken from the diagonal whatever their size, or exchanged.
@@ -164,8 +166,27 @@ class ConstrainedMatrix:
                 break
             values, count = moved.nearest(M, count), 4 * count
         kappa = values - 0.5 * rho
-        real = np.abs(kappa.imag) <= _ROUNDINGS * _EPS * rho
-        return bool(np.any(kappa.real[real] < -_ROUNDINGS * _EPS * rho))
+        noise = _ROUNDINGS * _EPS * rho
+        real = np.abs(kappa.imag) <= noise
+        # Round-off splits a double one, as of a round shaft under a torque, by its root.
+        real |= (np.abs(kappa.imag) <= _EPS**-0.5 * noise) & (kappa.real < -np.abs(kappa.imag))
+        return bool(np.any(kappa.real[real] < -noise))
+
+    def growing(self, M: Array) -> complex | None:
+        """Return s, Im s > 0, of the vibration x e^{st} that grows fastest, K x = -s^2 M x.
+
+        None if no kappa = -s^2 is complex, of all or of the _LOWEST of a large system. Round-off e
+        splits a double kappa by its root, with e of the smallest one times eps.
+        """
+        K, B = self.pattern.K, self.pattern.B
+        few = K.shape[0] - B.shape[0] <= _DENSE
+        kappa = self.eigenvalues(M) if few else self.nearest(M, _LOWEST)
+        size = np.abs(kappa)
+        noise = _ROUNDINGS * np.sqrt(_EPS * size / np.min(size, initial=1.0)) * size
+        pairs = kappa[np.abs(kappa.imag) > noise]
+        # The root with a positive real part, in the upper half plane.
+        s = np.sqrt(-pairs)
+        return complex(max(np.where(s.imag < 0, np.conj(s), s), key=np.real)) if len(s) else None
 
     def _bound(self, M: Array) -> float:
         """Return a number rho with which the symmetric part of K + rho M is positive definite."""

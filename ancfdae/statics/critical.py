@@ -155,7 +155,9 @@ def find_critical(system: MechanicalSystem, k: int, to: float) -> CriticalLoad:
         raise InvalidInput("critical_load", rule, str(start.outcome), repair)
     begin = float(system.b[k])
     point, kind = _first_critical(system, k, to, start)
-    motion = point.motion[0] * point.size
+    # As large as the system, wherever it stands.
+    extent = Balance(system, 0.0, system.start()[0], start.lam).extent
+    motion = point.motion[0] * extent / norm(point.motion[0], system.weights)
     motion = motion * np.sign(motion[np.argmax(np.abs(motion))])
     names = tuple(x for j, x in enumerate(system.design_names) if j != k)
     at = resting(point.system, point.q, point.lam, stable=True)

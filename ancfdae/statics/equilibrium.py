@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
@@ -13,7 +13,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities, Statistics
-from ancfdae.errors import AncfdaeError, StabilityWarning, Verdict, uninterrupted
+from ancfdae.errors import AncfdaeError, CoarseMesh, StabilityWarning, Verdict, uninterrupted
 from ancfdae.errors.text import listed
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
@@ -21,7 +21,7 @@ from ancfdae.statics.balance import Balance
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.outcome import LoadOutcome
 from ancfdae.statics.search import SearchEnd, search
-from ancfdae.statics.softness import softest
+from ancfdae.statics.softness import Softness, softest
 
 # Attempted steps of the load.
 MAX_STEPS = 1000
@@ -114,8 +114,12 @@ def find_equilibrium(
     if sensitivities and end.outcome.success:
         balance.work.factorisations += 1
         derivatives = Tangent(system, 0.0, end.q, end.lam).sensitivities()
-    if end.outcome.success and end.outcome.stable_to is None and not near:
-        _warn_of_neutral(balance, end)
+    if end.outcome.success and not near:
+        _warn_of_mesh(system, end.q)
+        soft = softest(balance, 1.0, end.q, end.lam)
+        if end.outcome.stable_to is None:
+            _warn_of_neutral(soft)
+        end = replace(end, outcome=replace(end.outcome, flutter=soft.flutter))
     work, seconds = balance.work, time.perf_counter() - began
     counted = (work.steps, work.iterations, work.factorisations, work.residuals)
     statistics = Statistics(*counted, 0, seconds, work.rejected)
@@ -123,16 +127,31 @@ def find_equilibrium(
     return Equilibrium(end.q, end.lam, end.outcome, solution, *(derivatives or (None, None)))
 
 
-def _warn_of_neutral(balance: Balance, end: SearchEnd) -> None:
+def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
+    """Warn of beams with too few elements for their bends."""
+    coarse = system.coarse(q)
+    if not coarse:
+        return
+    worst = max(coarse.values())
+    warnings.warn(
+        f"equilibrium: too few elements for the bending of {listed(map(repr, coarse))}: "
+        f"{100 * worst / (1 + worst):.2g} % of the energy is a stretch that cubics need to "
+        "bend. Double the number of elements until this warning is gone.",
+        CoarseMesh,
+        stacklevel=5,
+    )
+
+
+def _warn_of_neutral(soft: Softness) -> None:
     """Warn of an equilibrium whose stability round-off hides."""
-    if softest(balance, 1.0, end.q, end.lam).judged:
+    if soft.judged:
         return
     warnings.warn(
         "equilibrium: stability is undecided: its softest motion is neutral within the round-off "
         "of the stiffness, or joints that depend on each other hide it. Change the load a little, "
         "or look at the modes about this state.",
         StabilityWarning,
-        stacklevel=3,
+        stacklevel=5,
     )
 
 
@@ -184,7 +203,7 @@ class RestingStart:
         at_rest = uninterrupted(find_equilibrium(self._system))
         if not at_rest.outcome.success:
             raise NoEquilibrium(at_rest)
-        if at_rest.outcome.stable_to is not None:
+        if at_rest.outcome.stable_to is not None or at_rest.outcome.flutter is not None:
             warnings.warn(
                 f"start at rest: {at_rest.outcome} Round-off grows in a motion that starts there, "
                 "and takes its derivatives with it. Start from another NodeState, near a stable "

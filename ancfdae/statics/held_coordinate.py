@@ -106,14 +106,6 @@ class HeldPoint:
         return self._forces(moved, step * q_p, step * lam_p)
 
     @cached_property
-    def size(self) -> float:
-        """The change of a with which the motion is as large as the system, wherever it stands."""
-        q, naming = self.system.start()[0], self.system.naming
-        weights = self.system.weights
-        extent = norm(q if naming is None else naming.centred(q, weights), weights)
-        return (extent or float(np.sqrt(np.sum(weights)))) / norm(self.motion[0], weights)
-
-    @cached_property
     def round_off(self) -> float:
         """What rounding of the coordinates and sums of forces leaves of tau."""
         system, y, q = self.system, np.abs(self.left[0]), self.q

@@ -63,6 +63,9 @@ class LoadOutcome:
         starts (a mechanism, a slack cable) or it could not be followed.
     folded : str
         Elements that are folded, of a state in balance that no body can have; else empty.
+    flutter : complex or None
+        Exponent s of the vibration that grows fastest without damping, where loads turn with the
+        motion and feed it; 1/s. None where there is none.
     """
 
     verdict: Verdict
@@ -72,6 +75,7 @@ class LoadOutcome:
     stable_to: float | None = None
     downhill: bool = False
     folded: str = ""
+    flutter: complex | None = None
 
     @property
     def success(self) -> bool:
@@ -106,4 +110,9 @@ class LoadOutcome:
         if self.stable_to is not None:
             above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""
             text += f"; unless it turns, it is unstable (buckled), with a negative stiffness{above}"
+        if self.flutter is not None:
+            text += (
+                "; unless damping holds it, it flutters: its loads turn with the motion, and a "
+                f"vibration of {self.flutter.imag:.4g} rad/s grows by {self.flutter.real:.3g} 1/s"
+            )
         return f"{text}."

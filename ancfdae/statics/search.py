@@ -44,7 +44,10 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
     if isinstance(first, Unsolved) or not first.definite:
         start = softest(balance, 0.0, balance.q_0, balance.lam_0)
         if not start.stable or start.free.shape[1]:
-            return _settled(balance, start, max_steps)
+            settled = _settled(balance, start, max_steps)
+            if settled.outcome.success or settled.outcome.verdict is Verdict.INTERRUPTED:
+                return settled
+            return _closed(balance, None, max_steps) or settled
     followed = _followed(balance, first, True, max_steps)
     outcome = followed.outcome
     if (outcome.stable_to is not None or not outcome.success) and balance.gyroscopic:
@@ -60,16 +63,26 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
     return settled if settled.outcome.success else followed
 
 
-def _closed(balance: Balance, start: Balanced | Unsolved, max_steps: int) -> SearchEnd | None:
+def _closed(
+    balance: Balance, start: Balanced | Unsolved | None, max_steps: int
+) -> SearchEnd | None:
     """Return where two paths lead: the loads grow, then constraints that are violated close.
 
     A wire whose supports are too near to each other is taut under its weight at first and slackens
-    as they approach; at s = 0 of one path for both it would buckle. None where no constraint is
-    violated, or the paths lead to no stable equilibrium.
+    as they approach; at s = 0 of one path for both it would buckle. Without a start that has
+    stiffness, as of two wires in line, it settles under the loads instead. None where no
+    constraint is violated, or the paths lead to no stable equilibrium.
     """
     if not np.any(balance.Phi_0):
         return None
-    loaded = _path_end(replace(balance, closes=False), start, True, max_steps, fine=True)
+    open_gaps = replace(balance, closes=False)
+    if start is None:
+        downhill = Settling(open_gaps, max_steps)
+        verdict = downhill.run()
+        outcome = LoadOutcome(verdict, 1.0, downhill.steps, downhill.residual)
+        loaded = SearchEnd(downhill.q, downhill.lam, outcome)
+    else:
+        loaded = _path_end(open_gaps, start, True, max_steps, fine=True)
     if not loaded.outcome.success:
         return loaded if loaded.outcome.verdict is Verdict.INTERRUPTED else None
     start_of = replace(balance, q_0=loaded.q, lam_0=loaded.lam, follows=False)

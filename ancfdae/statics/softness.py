@@ -12,7 +12,8 @@ motions that leave without turning back (divergence): there is none where the sy
 positive definite; there is one where the determinant is negative, and
 else all eigenvalues that could be are looked at. They are those of K phi = omega^2 M phi there:
 motions that diverge do so against their inertia, and which of an even number do depends on it.
-Flutter, pairs of complex omega^2, is not judged.
+Flutter, pairs of complex
+omega^2, is judged where a search ends.
 """
 
 from __future__ import annotations
@@ -64,9 +65,17 @@ class Softness:
             return True
         if matrix.skewness <= _CLEAR[0]:
             return False
+        return not (matrix.is_odd(_CLEAR[0]) or matrix.has_negative(self._M))
+
+    @property
+    def flutter(self) -> complex | None:
+        """Exponent of the vibration that loads which turn make grow, without damping; or None."""
+        return self._matrix.growing(self._M) if self.follows else None
+
+    @cached_property
+    def _M(self) -> Array:
         scale, pattern = 1.0 / np.sqrt(self.D), self.balance.system.pattern
-        M = self.balance.M_0.real * scale[pattern.rows] * scale[pattern.columns]
-        return not (matrix.is_odd(_CLEAR[0]) or matrix.has_negative(M))
+        return self.balance.M_0.real * scale[pattern.rows] * scale[pattern.columns]
 
     @property
     def follows(self) -> bool:

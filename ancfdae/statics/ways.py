@@ -151,8 +151,8 @@ class Settling:
     """Goes downhill under the full load; q and lam are the state reached.
 
     Constraints that are violated at the start close at once, or where a step cannot, or folds an
-    element, in parts that adapt. `steps` have converged, the last of the size
-    `residual`; `gone` is whether it grew without bound.
+    element, in parts that adapt; or not at all, as the balance says. `steps` have converged, the
+    last of the size `residual`; `gone` is whether it grew without bound.
     """
 
     def __init__(self, balance: Balance, max_steps: int) -> None:
@@ -169,7 +169,8 @@ class Settling:
 
     def _run(self) -> Verdict:
         balance, mu, failures = self._balance, self._first_mu(), 0
-        left, closed = 1.0, 1.0
+        closes = balance.closes
+        left, closed = 1.0, float(closes)
         for _ in range(self._max_steps):
             gap = max(0.0, left - closed)
             solved = balance.solve(1.0, self.q, self.lam, mu, self.q, gap)
@@ -197,7 +198,7 @@ class Settling:
                 self.gone = True
                 return Verdict.NO_CONVERGENCE
             left, closed = gap, 2.0 * closed
-            if moved <= _SETTLED and held <= _HELD and not left:
+            if moved <= _SETTLED and held <= _HELD and not (left and closes):
                 return Verdict.EQUILIBRIUM
             mu /= 8.0 if solved.iterations <= _EASY else 2.0
         return Verdict.STEP_LIMIT

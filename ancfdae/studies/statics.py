@@ -1,6 +1,5 @@
 """Calls at rest: an equilibrium, and the gradient of what is observed there."""
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -10,7 +9,6 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import (
-    CoarseMesh,
     InvalidInput,
     UnknownName,
     require_count,
@@ -19,7 +17,6 @@ from ancfdae.errors import (
     require_sequence,
     uninterrupted,
 )
-from ancfdae.errors.text import listed
 from ancfdae.integrators.static import Static
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
@@ -80,20 +77,9 @@ def equilibrium(
     if start is not None:
         _require_start_of(system, start)
     state = None if start is None else (start.q, start.lam)
-    found = uninterrupted(
+    return uninterrupted(
         find_equilibrium(system, start=state, max_steps=max_steps, sensitivities=bool(system.n_b))
     )
-    coarse = system.coarse(found.q) if found.outcome.success else {}
-    if coarse:
-        worst = max(coarse.values())
-        warnings.warn(
-            f"equilibrium: too few elements for the bending of {listed(map(repr, coarse))}: "
-            f"{100 * worst / (1 + worst):.2g} % of the energy is a stretch that cubics need to "
-            "bend. Double the number of elements until this warning is gone.",
-            CoarseMesh,
-            stacklevel=2,
-        )
-    return found
 
 
 def critical_load(
