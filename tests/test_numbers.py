@@ -13,13 +13,16 @@ from design_cases import CASES
 
 from ancfdae import (
     HHT,
+    AtRest,
     Beam,
+    Clamp,
     Direct,
     Distance,
     Joint,
     Material,
     Pin,
     Point,
+    PointForce,
     PointOnLine,
     Rectangle,
     Revolute,
@@ -46,11 +49,15 @@ from scenes import SCENES
 STEEL = Material(7800, 2e11, 0.3)
 
 
+def given(system, b):
+    """What a system at other values is made of."""
+    structure = system._structure
+    return structure.scene, structure.design, structure.mapping, b
+
+
 def anew(system):
     """The same system with a structure of its own."""
-    structure = system._structure
-    given = structure.scene, structure.design, structure.mapping, system.b
-    return AncfSystem(Numbers.first(*given))
+    return AncfSystem(Numbers.first(*given(system, system.b)))
 
 
 def values(system, t=0.3):
@@ -226,6 +233,28 @@ def test_small_mechanisms_close_by_arrays_as_large_ones_do_by_sparse_matrices(
     # Newton's method goes on until the last correction is round-off of the first.
     for ours, theirs in zip(by_arrays, closed(scene, design), strict=True):
         assert np.max(np.abs(ours - theirs)) <= 1e-11 * np.max(np.abs(theirs), initial=1e-300)
+
+
+def test_an_equilibrium_is_searched_on_the_structure_that_is_there(monkeypatch):
+    """Its own loads and gravity; the start of a moved system is that of an assembly there."""
+    rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.02, 0.02), Material(1000, 1e7, 0.0))
+    pull = PointForce(rod.at_end, (0.0, -0.1), name="pull")
+    rest = AtRest(loads=[pull], gravity=(0.0, -3.0))
+    scene = Scene([rod], [Clamp(rod.at_start)], (0, -9.81), start=[rest])
+    design = ["rod.youngs_modulus", "rod.length", "pull.force_y", "scene.gravity_y"]
+    system = assemble(scene, design)
+    system.start()
+    b, factors = system.b, [*(1 + 0.1 * np.eye(4)), np.full(4, 1.1)]
+    expected = [AncfSystem(Numbers.first(*given(system, b * each))).start()[0] for each in factors]
+    monkeypatch.setattr(Numbers, "first", None)
+    starts = []
+    for each in factors:
+        # The one before stays moved.
+        system = system.with_values(b * each)
+        starts.append(system.start()[0])
+    assert all(np.array_equal(*pair) for pair in zip(starts, expected, strict=True))
+    # Gravity of the motion moves no equilibrium that has its own; the others do.
+    assert len({start.tobytes() for start in starts}) == 5
 
 
 def test_equal_joints_are_prepared_once_and_have_the_equations_of_each_alone(monkeypatch):
