@@ -4,7 +4,7 @@ Numbers that no changed variable reaches are taken over, the others are made on 
 is there: whatever was left out of what a variable reaches shows as a difference here.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,12 +13,16 @@ from design_cases import CASES
 
 from ancfdae import (
     HHT,
+    AtRest,
     Beam,
+    Clamp,
     Direct,
+    Distance,
     Joint,
     Material,
     Pin,
     Point,
+    PointForce,
     PointOnLine,
     Rectangle,
     Revolute,
@@ -30,6 +34,7 @@ from ancfdae import (
     position,
     simulate,
 )
+from ancfdae.assembly import closing
 from ancfdae.assembly.assembly import Assembly
 from ancfdae.assembly.numbers import Numbers
 from ancfdae.assembly.system import AncfSystem
@@ -37,17 +42,22 @@ from ancfdae.errors import InvalidInput
 from ancfdae.model.design import numbers
 from ancfdae.model.joints.axis_joint import AxisJoint
 from ancfdae.model.joints.joint import empty_coefficients
+from validation.performance.mechanisms import flexible_slider_crank
 
 from scenes import SCENES
 
 STEEL = Material(7800, 2e11, 0.3)
 
 
+def given(system, b):
+    """What a system at other values is made of."""
+    structure = system._structure
+    return structure.scene, structure.design, structure.mapping, b
+
+
 def anew(system):
     """The same system with a structure of its own."""
-    structure = system._structure
-    given = structure.scene, structure.design, structure.mapping, system.b
-    return AncfSystem(Numbers.first(*given))
+    return AncfSystem(Numbers.first(*given(system, system.b)))
 
 
 def values(system, t=0.3):
@@ -166,6 +176,85 @@ def test_a_coefficient_that_appears_makes_another_structure():
     turned = system.with_values(np.array([0.5]))
     assert turned.constraint_pattern.size == system.constraint_pattern.size + 1
     require_equal(turned)
+
+
+def closed(scene, design):
+    """Start and its derivatives where the design has moved what closes it."""
+    system = assemble(scene, design)
+    moved = system.with_values(system.b * 1.01 + 1e-3 * (system.b == 0))
+    return [*moved.start(), *moved.start_b()]
+
+
+def stretched():
+    """A crank and a rod that are a little too short, so that bodies are strained."""
+    scene = flexible_slider_crank(2)
+    crank, rod = scene.beams
+    end = Pin(rod.at_end, ground=(0.552, 0.0))
+    joints = [Pin(crank.at_start), Pin(crank.at_end, rod.at_start), end]
+    return Scene([crank, rod], joints, project_start=True)
+
+
+def hinged():
+    """Two bodies in space, a hinge between them and a strut; one leads."""
+    base = RigidBody("base", (0, 0, 0), 1.0, (0.2, 0.25, 0.3))
+    arm = RigidBody("arm", (1, 0, 0), 1.0, (0.2, 0.25, 0.3))
+    joints = [
+        Revolute(base.at(0, 0, 0), (0, 0, 1)),
+        Revolute(arm.at(-0.5, 0, 0), (0, 0.6, 0.8), base.at(0.5, 0, 0)),
+        Distance(arm.at(0.5, 0, 0), length=1.0, ground=(1.5, 1.0, 0.0)),
+    ]
+    return Scene([], joints, (0, -9.81, 0), bodies=[base, arm], lead=["base"])
+
+
+@pytest.mark.parametrize(
+    ("scene", "design"),
+    [
+        (flexible_slider_crank(2), ["crank.length", "rod.length"]),
+        (stretched(), ["crank.length", "rod.length"]),
+        (hinged(), ["base.turn_z", "arm.position_x"]),
+    ],
+    ids=["closes", "strains", "space"],
+)
+def test_small_mechanisms_close_by_arrays_as_large_ones_do_by_sparse_matrices(
+    scene, design, monkeypatch
+):
+    by_arrays = closed(scene, design)
+    equations = assemble(scene, design)._start._assembly.closing
+    generator, count = np.random.default_rng(1), len(equations.start(True)[0])
+    x, sigma, rho = (generator.uniform(-0.1, 0.1, n) for n in (count, *[equations.rows] * 2))
+    none = np.zeros(0)
+    small = [equations.matrix_at((x, *rest)) for rest in ((sigma, rho), (none, none))]
+    monkeypatch.setattr(closing, "DENSE", 0)
+    # Sums of some tens of products of numbers of size one.
+    for ours, rest in zip(small, ((sigma, rho), (none, none)), strict=True):
+        theirs = replace(equations).matrix_at((x, *rest)).toarray()
+        assert ours.shape == theirs.shape
+        assert np.max(np.abs(ours - theirs)) <= 1e-13 * np.max(np.abs(theirs))
+    # Newton's method goes on until the last correction is round-off of the first.
+    for ours, theirs in zip(by_arrays, closed(scene, design), strict=True):
+        assert np.max(np.abs(ours - theirs)) <= 1e-11 * np.max(np.abs(theirs), initial=1e-300)
+
+
+def test_an_equilibrium_is_searched_on_the_structure_that_is_there(monkeypatch):
+    """Its own loads and gravity; the start of a moved system is that of an assembly there."""
+    rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.02, 0.02), Material(1000, 1e7, 0.0))
+    pull = PointForce(rod.at_end, (0.0, -0.1), name="pull")
+    rest = AtRest(loads=[pull], gravity=(0.0, -3.0))
+    scene = Scene([rod], [Clamp(rod.at_start)], (0, -9.81), start=[rest])
+    design = ["rod.youngs_modulus", "rod.length", "pull.force_y", "scene.gravity_y"]
+    system = assemble(scene, design)
+    system.start()
+    b, factors = system.b, [*(1 + 0.1 * np.eye(4)), np.full(4, 1.1)]
+    expected = [AncfSystem(Numbers.first(*given(system, b * each))).start()[0] for each in factors]
+    monkeypatch.setattr(Numbers, "first", None)
+    starts = []
+    for each in factors:
+        # The one before stays moved.
+        system = system.with_values(b * each)
+        starts.append(system.start()[0])
+    assert all(np.array_equal(*pair) for pair in zip(starts, expected, strict=True))
+    # Gravity of the motion moves no equilibrium that has its own; the others do.
+    assert len({start.tobytes() for start in starts}) == 5
 
 
 def test_equal_joints_are_prepared_once_and_have_the_equations_of_each_alone(monkeypatch):

@@ -25,9 +25,8 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-import scipy
 
-from ancfdae.assembly.closing import SOFT, Closing, Declared, Unknowns
+from ancfdae.assembly.closing import SOFT, Closing, Declared, Matrix, Unknowns
 from ancfdae.assembly.rigid_motions import RigidMotions
 from ancfdae.errors import InconsistentStart
 from ancfdae.numerics.arrays import STEP, Array
@@ -171,8 +170,7 @@ class Assembly:
         for _ in range(_DAMPED_STEPS):
             motion = self.closing.motion(x)
             q, T = self._motions.place(Z, motion).ravel(), self._motions.tangent(Z, motion)
-            flat = scipy.sparse.csr_array((len(x), len(x)))
-            matrix = self.closing.matrix(self.closing.jacobian(q, T), [flat])
+            matrix = self.closing.matrix(self.closing.jacobian(q, T), [self.closing.flat])
             F = self.closing.at(self._declared, (x, none, none)).real
             dx = -LeastNorm(matrix).solve(F - SOFT * x)
             turn = np.max(np.abs(dx[~self.closing.shift]), initial=0.0)
@@ -267,8 +265,9 @@ class Assembly:
         F = self._rates.equations(self._declared, q, self._rigid(q), none, rate).real
         s = -LeastNorm(self._velocity_matrix(3)).solve(F)[: len(none[0])]
         J = self._rates.jacobian(q, self._rigid(q))
-        B = constraints.structure.pattern.csr(constraints.constraint_q(0.0, q).real)
-        terms = (self._rates.weights * (abs(B) @ np.abs(v)))[: self._rates.rows]
+        B = np.abs(constraints.constraint_q(0.0, q).real)
+        terms = self._rates.weights * constraints.structure.pattern.dot(B, np.abs(v))
+        terms = terms[: self._rates.rows]
         most = np.max(np.abs(rate), initial=0.0)
         left = np.max(np.abs(rate + J @ s), initial=0.0)
         is_open = left > _OPEN_RATE * (most + np.max(terms, initial=0.0))
@@ -278,17 +277,16 @@ class Assembly:
     def _velocity_inverse(self) -> LeastNorm:
         return LeastNorm(self._velocity_matrix(1 if self._soft_rates else 3))
 
-    def _velocity_matrix(self, count: int) -> scipy.sparse.csr_array:
+    def _velocity_matrix(self, count: int) -> Matrix:
         """Return the matrix of all three equations, or where joints stay open of one."""
         q = self.q.real
         J = self._rates.jacobian(q, self._rigid(q))
-        return self._rates.matrix(J, [scipy.sparse.csr_array((J.shape[1], J.shape[1]))] * count)
+        return self._rates.matrix(J, [self._rates.flat] * count)
 
     def _moving(self, declared: Declared, motion: Array, q: Array, s: Array) -> Array:
         """Velocities as declared, with rigid motions at rates s added."""
         v = declared.velocities(q, motion)
-        added: Array = self._motions.matrix(self._rigid(q)) @ self._rates.motion(s).ravel()
-        return v + added
+        return v + self._motions.velocities(self._rigid(q), self._rates.motion(s))
 
     def _rigid(self, q: Array) -> Array:
         """Rigid velocities of all bodies at q."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 import scipy
@@ -13,6 +13,7 @@ import scipy
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.rigid_motions import RigidMotions
 from ancfdae.numerics.arrays import Array, only
+from ancfdae.numerics.least_norm import DENSE
 from ancfdae.numerics.patterns import Pattern
 
 #: delta: what moving by the size of the mechanism counts beside joints that stay open by as much.
@@ -20,6 +21,8 @@ SOFT = 1e-3
 
 #: Unknowns of a problem: a motion of all free bodies, and multipliers sigma and rho.
 Unknowns: TypeAlias = tuple[Array, Array, Array]
+#: An array, or of a large problem a sparse array of SciPy.
+Matrix: TypeAlias = Any
 
 
 @final
@@ -70,11 +73,28 @@ class Closing:
         return np.where(self.shift, self.size, 1.0)
 
     @cached_property
-    def _freedom(self) -> scipy.sparse.csr_array:
+    def _small(self) -> bool:
+        """Whether matrices are arrays: calls of SciPy's sparse ones take longer than products."""
+        return len(self._places) + 2 * self.rows <= DENSE
+
+    @cached_property
+    def _freedom(self) -> Matrix:
         """Free motions in their units, as columns of all."""
         place = self._places, np.arange(len(self._places))
         shape = self.motions.none.size, len(self._places)
         return scipy.sparse.csr_array((self._units, place), shape=shape)
+
+    @cached_property
+    def flat(self) -> Matrix:
+        """No curvature."""
+        n = len(self._places)
+        return np.zeros((n, n)) if self._small else scipy.sparse.csr_array((n, n))
+
+    def _moving(self, T: Array) -> Matrix:
+        """Velocities of the coordinates in free motions, (n_q, n_free)."""
+        if self._small:
+            return self.motions.array(T)[:, self._places] * self._units
+        return self.motions.matrix(T) @ self._freedom
 
     @cached_property
     def weights(self) -> Array:
@@ -137,14 +157,16 @@ class Closing:
         lam[: self.rows] = self.weights[: self.rows] * multipliers
         return lam
 
-    def jacobian(self, q: Array, T: Array) -> scipy.sparse.csr_array:
+    def jacobian(self, q: Array, T: Array) -> Matrix:
         """J, dimensionless, shape (n_rows, n_free)."""
-        constraints = self.declared.constraints
-        B = constraints.structure.pattern.csr(constraints.constraint_q(0.0, q).real)[: self.rows]
+        constraints, moving = self.declared.constraints, self._moving(T)
+        pattern, values = constraints.structure.pattern, constraints.constraint_q(0.0, q).real
+        if self._small:
+            return (self.weights[:, None] * pattern.dot(values, moving))[: self.rows]
         rows = scipy.sparse.diags_array(self.weights[: self.rows])
-        return (rows @ B @ (self.motions.matrix(T) @ self._freedom)).tocsr()
+        return (rows @ pattern.csr(values)[: self.rows] @ moving).tocsr()
 
-    def matrix_at(self, y: Unknowns) -> scipy.sparse.csr_array:
+    def matrix_at(self, y: Unknowns) -> Matrix:
         """F_(x, sigma, rho) for `at`."""
         x, sigma, rho = (part.real for part in y)
         Z, motion, constraints = self.declared.Z.real, self.motion(x), self.declared.constraints
@@ -152,24 +174,35 @@ class Closing:
         T = self.motions.tangent(Z, motion)
         Phi = self.left(self.declared, q).real
         loads = (sigma, Phi, rho) if len(sigma) == len(Phi) else (Phi,)
-        moving = self.motions.matrix(T) @ self._freedom
+        moving = self._moving(T)
 
-        def bend(multipliers: Array) -> scipy.sparse.csr_array:
+        def bend(multipliers: Array) -> Matrix:
             """(J^T s)_x with s held: curvature of the joints, and of the turns."""
             lam = self._spread(multipliers)
             values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
             force = constraints.reaction(0.0, q, lam).real
-            turns = self.motions.blocks(self.motions.curvature(Z, motion, force))
+            turns, units = self.motions.curvature(Z, motion, force), self._units
+            if self._small:
+                free = self.motions.array_of_blocks(turns)[np.ix_(self._places, self._places)]
+                of_joints = moving.T @ self.pattern.dot(values, moving)
+                return of_joints + units[:, None] * free * units
             of_joints = moving.T @ (self.pattern.csr(values) @ moving)
-            return of_joints + self._freedom.T @ turns @ self._freedom
+            return of_joints + self._freedom.T @ self.motions.blocks(turns) @ self._freedom
 
         return self.matrix(self.jacobian(q, T), [bend(s) for s in loads])
 
-    def matrix(
-        self, J: scipy.sparse.csr_array, bends: Sequence[scipy.sparse.csr_array]
-    ) -> scipy.sparse.csr_array:
+    def matrix(self, J: Matrix, bends: Sequence[Matrix]) -> Matrix:
         """F_(x, sigma, rho), or of one equation F_x."""
         (m, n), shift = J.shape, self.shift
+        if self._small:
+            if len(bends) == 1:
+                return J.T @ J + bends[0] + SOFT * np.eye(n)
+            on_1, on_2, on_3 = bends
+            whole = np.zeros((2 * n + int(np.sum(shift)), n + 2 * m))
+            whole[:n, :n], whole[:n, n : n + m] = np.diag(np.where(shift, 0.0, 1.0)) + on_1, J.T
+            whole[n : 2 * n, :n] = J.T @ J + on_2
+            whole[2 * n :, :n], whole[2 * n :, n + m :] = (np.eye(n) + on_3)[shift], J.T[shift]
+            return whole
         if len(bends) == 1:
             return (J.T @ J + bends[0] + SOFT * scipy.sparse.eye_array(n)).tocsr()
         one, none = np.where(shift, 0.0, 1.0), scipy.sparse.csr_array((n, m))

@@ -39,7 +39,8 @@ class JointFactors:
             return self._still
         last, factors = self._last
         if t != last or len(factors) < orders:
-            factors = self.over(np.array([t]), orders)
+            # A start asks for one order after the other.
+            factors = self.over(np.array([t]), orders if t != last else _ORDERS)
             self._last = t, factors
         return factors
 

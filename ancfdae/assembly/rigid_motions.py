@@ -60,6 +60,17 @@ class RigidMotions:
         shape = (n * d, self._count * n_x)
         return scipy.sparse.csr_array((T.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
+    def array(self, T: Array) -> Array:
+        """Return `matrix` as an array."""
+        n, d, n_x = T.shape
+        matrix = np.zeros((n, d, self._count, n_x), dtype=T.dtype)
+        matrix[np.arange(n), :, self._owner] = T
+        return matrix.reshape(n * d, -1)
+
+    def velocities(self, T: Array, x: Array) -> Array:
+        """Return the product of `matrix` with rates x, (n_bodies, n_x): shape (n_q,)."""
+        return np.asarray(np.einsum("vix,vx->vi", T, x[self._owner]).ravel())
+
     def reach(self, pattern: Pattern, B: Array, T: Array) -> Array:
         """Return how far rows of B go with displacements, and with any motion, (n_rows, 2)."""
         vector, axis = np.divmod(pattern.columns, self._d)
@@ -79,6 +90,13 @@ class RigidMotions:
         at = [np.broadcast_to(first + x, values.shape).ravel() for x in (rows, columns)]
         size = self._count * self.n_x
         return scipy.sparse.csr_array((values.ravel(), tuple(at)), shape=(size, size))
+
+    def array_of_blocks(self, values: Array) -> Array:
+        """Return `blocks` as an array."""
+        count, n_x, _ = values.shape
+        matrix = np.zeros((count, n_x, count, n_x), dtype=values.dtype)
+        matrix[np.arange(count), :, np.arange(count)] = values
+        return matrix.reshape(count * n_x, -1)
 
     def collect(self, T: Array, f: Array) -> Array:
         """Return what forces f, shape (n_q,), do on each motion: T^T f, shape (n_bodies, n_x)."""

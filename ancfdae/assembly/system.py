@@ -53,8 +53,10 @@ class AncfSystem(PlannedSystem):
 
     naming: SceneNaming
 
-    def __init__(self, numbers: Numbers) -> None:
+    def __init__(self, numbers: Numbers, at_rest: Numbers | None = None) -> None:
+        """Set up the system; `at_rest` are numbers of its equilibrium at other design values."""
         structure, geometry = numbers.structure, numbers.geometry
+        self._at_rest = at_rest
         self._numbers, self._structure, self.b = numbers, structure, numbers.b
         self._scene, self._mapping = structure.scene, structure.mapping
         self._numbering, self._reference = structure.numbering, geometry.reference
@@ -163,23 +165,30 @@ class AncfSystem(PlannedSystem):
         scene, design = self._scene, self._structure.design
         if np.any(b.real != self.b.real):
             scene.refuse_values(dict(zip(design, b.real.tolist(), strict=True)))
-        numbers = self._numbers.at(b)
-        return AncfSystem(numbers or Numbers.first(scene, design, self._mapping, b))
+        numbers = self._numbers.at(b) or Numbers.first(scene, design, self._mapping, b)
+        return AncfSystem(numbers, None if scene.rest is None else self._rest_numbers)
 
     @cached_property
     def _rest(self) -> RestingStart | None:
         """The equilibrium that the motion starts from: of the same scene under other loads."""
-        scene = self._scene.at_rest()
-        if scene is None:
+        if self._scene.rest is None:
             return None
         from ancfdae.statics.equilibrium import RestingStart
 
-        mapping, rest = self._mapping, self._scene.rest
-        if rest is not None and rest.gravity is not None:
+        return RestingStart(AncfSystem(self._rest_numbers))
+
+    @cached_property
+    def _rest_numbers(self) -> Numbers:
+        """Numbers of the scene at rest, on the structure that is there if there is one."""
+        known = None if self._at_rest is None else self._at_rest.at(self.b)
+        if known is not None:
+            return known
+        scene, rest, mapping = self._scene.at_rest(), self._scene.rest, self._mapping
+        assert scene is not None
+        assert rest is not None
+        if rest.gravity is not None:
             mapping = mapping.holding("scene", rest.gravity, len(self._scene.gravity or ()))
-        return RestingStart(
-            AncfSystem(Numbers.first(scene, self._structure.design, mapping, self.b))
-        )
+        return Numbers.first(scene, self._structure.design, mapping, self.b)
 
     def start(self) -> tuple[Array, Array]:
         """Return the declared start, or the equilibrium."""

@@ -39,6 +39,8 @@ _MIRRORED = (
 # Rows of Phi_q that are compared with one place at once: twice as many as were near before, but at
 # least, and at most.
 _ROWS, _MOST_ROWS = 4, 128
+# Entries of matrices n_lam x n_lam that take as long as the calls that compute with them.
+_NUMBERS = 10_000
 
 
 class Lost(NamedTuple):
@@ -68,7 +70,8 @@ class Branch:
         self._driven = system.n_lam == system.n_q
         self._form: Form | None = None
         self._place: Place | None = None
-        self._count = _ROWS
+        # Of small systems the first place is compared with as many rows as any.
+        self._count = min(max(_ROWS, _NUMBERS // max(system.n_lam, 1) ** 2), _MOST_ROWS)
 
     def lost(self, rows: Rows) -> Lost | None:
         """Check the steps between rows; `first` counts from the second. None if all are right."""

@@ -408,9 +408,8 @@ def _with_values(part: _Part, changes: list[_Change]) -> _Part:
             return part.with_values([(t.parameter, t.element, value) for _, t, value in changes])
         if isinstance(part, RigidBody):
             placement = part.placement()
-            part = part.with_placement(
-                {t.parameter: value for _, t, value in changes if t.parameter in placement}
-            )
+            moved = {t.parameter: value for _, t, value in changes if t.parameter in placement}
+            part = part.with_placement(moved) if moved else part
             changes = [change for change in changes if change[1].parameter not in placement]
         return _with_numbers(part, changes)
     except InvalidInput as error:

@@ -21,8 +21,8 @@ import scipy
 from ancfdae.errors import SingularMatrix
 from ancfdae.numerics.arrays import Array
 
-# Measured on chains of bodies: up to this many columns singular values cost less.
-_DENSE = 150
+#: Up to this many columns singular values cost less: measured on chains of bodies.
+DENSE = 150
 # Singular values below this part of the largest are round-off of zero.
 _RANK = 1e-10
 # a over the largest entry of K: far below singular values that are not zero, far above round-off.
@@ -32,12 +32,13 @@ _PASSES = 20
 
 @final
 class LeastNorm:
-    """The pseudo-inverse of a real sparse matrix K."""
+    """The pseudo-inverse of a real matrix K: a sparse one, or an array of few columns."""
 
-    def __init__(self, matrix: scipy.sparse.csr_array) -> None:
+    def __init__(self, matrix: scipy.sparse.csr_array | Array) -> None:
         self._matrix, self._pinv = matrix, None
-        if matrix.shape[1] <= _DENSE:
-            self._pinv = np.linalg.pinv(matrix.toarray(), rcond=_RANK)
+        if matrix.shape[1] <= DENSE:
+            small = matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
+            self._pinv = np.linalg.pinv(small, rcond=_RANK)
         else:
             self._lu = _augmented(matrix)
 

@@ -1,11 +1,12 @@
 """The call: one function at many designs, here or in the workers of an executor."""
 
 import os
+import uuid
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, final
 
 import numpy as np
@@ -142,6 +143,7 @@ def sweep(
     parts = {"model": model, "what": what}
     arriving = answers(_row, tasks, executor, parts, progress=progress, done=len(rows), chunk=chunk)
     interrupted = _collect(arriving, rows, values, kept)
+    _assembled.cache_clear()
     left = "not computed: the sweep was interrupted"
     in_order = (rows.get(k) or SweepRow(x, None, left) for k, x in enumerate(values))
     done = Sweep(tuple(in_order))
@@ -185,50 +187,46 @@ class _Study:
     """A model and what is computed of it, the same for all designs of a sweep.
 
     A scene that `Evaluate` runs is assembled once in every process; its designs are numbers of
-    this one structure.
+    this one structure. Copies in other processes have the same number.
     """
 
-    model: Scene | MechanicalSystem
-    what: Callable[[Any], Any]
+    model: Scene | MechanicalSystem = field(compare=False)
+    what: Callable[[Any], Any] = field(compare=False)
+    number: uuid.UUID = field(default_factory=uuid.uuid4)
 
     def result(self, design: Design) -> Any:
         """Compute at the values of a design."""
         if isinstance(self.model, MechanicalSystem):
             return self.what(_moved(self.model, design))
-        keys = tuple(design)
-        if keys not in self._systems:
-            self._systems[keys] = self._assembled(keys)
-        system = self._systems[keys]
+        system = _assembled(self, tuple(design))
         if system is not None and isinstance(self.what, Evaluate):
             # An error is raised again by the scene at the values, in the words that a user wrote.
             with suppress(Exception):
                 return replace(self.what, design=None)(_moved(system, design))
         return self.what(self.model.with_values(design))
 
-    @cached_property
-    def _systems(self) -> dict[tuple[str | DesignVariable, ...], MechanicalSystem | None]:
-        return {}
 
-    def _assembled(self, keys: tuple[str | DesignVariable, ...]) -> MechanicalSystem | None:
-        """Return the scene with the variables of a design; None if runs would see their number."""
-        what, scene = self.what, self.model
-        if not (isinstance(what, Evaluate) and isinstance(scene, Scene)):
-            return None
-        integrator = what.integrator
-        along = isinstance(integrator, SteppedIntegrator) and not integrator.differentiates_runs
-        try:
-            variables = as_design(keys)
-            if what.gradient:
-                wanted = as_design(what.design or ())
-                if set(wanted) != set(variables):
-                    return None
-                variables = wanted
-            elif along:
+@lru_cache(maxsize=4)
+def _assembled(study: _Study, keys: tuple[str | DesignVariable, ...]) -> MechanicalSystem | None:
+    """Return the scene with the variables of a design; None if runs would see their number."""
+    what, scene = study.what, study.model
+    if not (isinstance(what, Evaluate) and isinstance(scene, Scene)):
+        return None
+    integrator = what.integrator
+    along = isinstance(integrator, SteppedIntegrator) and not integrator.differentiates_runs
+    try:
+        variables = as_design(keys)
+        if what.gradient:
+            wanted = as_design(what.design or ())
+            if set(wanted) != set(variables):
                 return None
-            # `Scene.with_values` closes joints at every design.
-            return assemble(replace(scene, assemble=True), variables)
-        except AncfdaeError:
+            variables = wanted
+        elif along:
             return None
+        # `Scene.with_values` closes joints at every design.
+        return assemble(replace(scene, assemble=True), variables)
+    except AncfdaeError:
+        return None
 
 
 @final

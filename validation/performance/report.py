@@ -55,7 +55,7 @@ def _subjects(quick: bool) -> list[tuple[str, list[Row]]]:
             ("From ten to ten thousand elements", scale.measure),
             ("A thousand variables", memory.measure),
             ("A long run", long_run.measure),
-            ("Two hundred runs on two cores", sweep.measure),
+            ("Sweeps", sweep.measure),
         ]
     return [(title, measure()) for title, measure in subjects]
 
