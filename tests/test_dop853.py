@@ -147,7 +147,7 @@ def test_states_move_to_the_nearest_on_constant_constraints():
         B, Phi_q = system.constraint_pattern, system.constraint_q(0.0, first.q)
         assert np.max(np.abs(system.constraint(0.0, moved[0, 0]))) < 1e-15
         assert np.max(np.abs(B.dot(Phi_q, moved.reshape(6, -1)[1:].T))) < 1e-15
-        # M dx + Phi_q^T sigma = 0: no inertia along motions that the constraints allow, but for the
+        # M dx + Phi_q^T sigma = 0: no inertia along motions that the constraints allow, up to the
         # round-off of solving with M, whose condition number is 1e4.
         free = scipy.linalg.null_space(B.dense(Phi_q))
         change = system.mass_times(first.q, (moved - rows).reshape(6, -1).T)

@@ -181,7 +181,7 @@ def test_rows_of_values_mappings_and_variables_mean_the_same():
         ({"designs": [[0.1]]}, "design"),
         ({"designs": [[0.1, 0.2]], "design": [HEIGHT]}, r"designs\[0\]: must have 1 values"),
         ({"designs": [{HEIGHT: 1.0}, [0.1]], "design": [HEIGHT]}, r"designs\[0\]"),
-        ({"design": [HEIGHT]}, "mappings name their variables"),
+        ({"design": [HEIGHT]}, "must be left out where designs are mappings"),
         ({"what": DROP}, "what"),
         ({"executor": 2}, "executor"),
     ],
@@ -493,5 +493,5 @@ def assemble_only(scene):
 
 
 def test_what_a_file_cannot_hold_is_told_at_the_first_row(tmp_path):
-    with pytest.raises(InvalidInput, match="what, file: must return numbers"):
+    with pytest.raises(InvalidInput, match="what, file: results must be numbers"):
         sweep(SCENE, DESIGNS, counted_set, file=tmp_path / "rows.jsonl")

@@ -40,7 +40,7 @@ _LONGEST_TURN = 0.3
 # Other starts where the declared one does not lead to closed joints, and the Gibbs vectors of their
 # turns: up to 90 degrees about each axis; and damped steps before Newton's method.
 _RESTARTS, _FARTHEST, _DAMPED_STEPS = 12, 2.0, 15
-# Of a motion that is fixed but for round-off nothing is left in the null space.
+# A motion counts as fixed if no more than this part of it lies in the null space: round-off only.
 _FREE = 1e-6
 # Joints count as closed at this distance over the size of the mechanism: far above round-off of
 # Newton's method, far below what a declared start may violate.
@@ -48,7 +48,7 @@ _CLOSED = 1e-11
 # Round-off of a derivative times the value of the variable, dimensionless.
 _NOISE = 1e-12
 # Parts of the velocities that rates left open are, and rates of motions over those that they close,
-# beyond which rigid motions do not follow. Neighbours of a design are on the same side of both.
+# beyond which rigid motions do not follow. Neighbouring designs lie on the same side of each limit.
 _OPEN_RATE, _FAST = 1e-3, 10.0
 
 

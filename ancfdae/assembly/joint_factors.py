@@ -34,7 +34,10 @@ class JointFactors:
         return {int(i) for slot in self._slots for i in np.flatnonzero(np.any(slot.item.p_b, 0))}
 
     def at(self, t: float, orders: int = 1) -> Array:
-        """Return the factors at one instant, of so many orders at least."""
+        """Return the factors at time t (s) and their time derivatives of order 1 to orders - 1.
+
+        Shape (k, 1, n_factors) with k >= `orders`.
+        """
         if not self.driven:
             return self._still
         last, factors = self._last

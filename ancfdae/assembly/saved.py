@@ -19,7 +19,7 @@ _ELEMENT = "element of a solution file"
 def load_solution(
     path: str | os.PathLike[str], *, elements: Sequence[BeamElement] = ()
 ) -> Solution:
-    """Read a solution written by `Solution.save`; InvalidInput if the file is no such solution.
+    """Read a solution written by `Solution.save`; InvalidInput if the file holds no solution.
 
     A file knows its elements by name; give `elements` of your own.
     """

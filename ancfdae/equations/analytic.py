@@ -37,7 +37,8 @@ _BESIDE, _BEYOND = 1e-2, (0.4, -0.4)
 class Reach:
     """How far M, Q and Phi may be followed into the complex plane.
 
-    q and v are meant in the norm of the weights; v is infinite for what does not depend on it.
+    Radii of q and v are norms with the weights, that of t is in s; a radius is infinite if M, Q and
+    Phi do not depend on the variable.
     """
 
     q: float

@@ -125,7 +125,7 @@ class Related(Derived):
 
 
 def moved_on(motion: tuple[Array, ...], s: float) -> list[Array]:
-    """Return a motion a time s later but for its last rate, which is constant."""
+    """Return a motion (q, v, a, ...) a time s later, without its last rate, which is constant."""
     count = len(motion)
     return [
         sum((motion[i + n] * (s**n / factorial(n)) for n in range(count - i)), 0.0 * motion[i])

@@ -93,7 +93,8 @@ class Solution:
     def position(self, point: Any) -> Array:
         """Position of a point like ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``, (n_t, d).
 
-        UnknownName if there is no such beam, InvalidInput if its z is not zero in the plane.
+        In m. UnknownName if the scene has no body of that name, InvalidInput if z is not zero in
+        the plane.
         """
         return self._known_naming().position(self.q, point)
 

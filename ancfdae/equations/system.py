@@ -10,10 +10,10 @@ value vectors on a fixed `Pattern`, by default ``matrix.ravel()``.
 
 **Eleven values** say what a system is; they are abstract here, and written in operations that
 accept complex numbers: its sizes, its design variables, `start`, `mass`, `force` and `constraint`,
-and the first derivatives of the latter two, `force_along` and `constraint_q`. A mass that depends
-on q adds `mass_along`. **Everything else** follows by complex steps and products; it may be
-overridden where a formula is faster, and `check_system` compares each override with what it
-overrides.
+and their first derivatives, `force_along` of the force and `constraint_q` of the constraints. A
+mass that depends on q adds `mass_along`. **Everything else** follows by complex steps and products;
+it may be overridden where a formula is faster, and `check_system` compares each override with the
+default that it replaces.
 
 **Rates.** The constraints and their time derivatives are one object by order: a motion
 (q, v, a, j) is given as far as it is needed, and the order is the number of rates in it.

@@ -227,7 +227,10 @@ def _settled(form: Form, place: Place, t: float, q: Array, aim: Array) -> Array:
 def _part(
     form: Form, place: Place, begin: tuple[float, Array], end: float, aim: Array
 ) -> tuple[Array, Place] | None:
-    """Return q at `end`, and its place, by Newton's method; None if it is not surely near."""
+    """Return q at `end`, and its place, by Newton's method.
+
+    None if it does not converge, or if q is too far to lie on the branch for certain.
+    """
     (t, q), system = begin, form.system
     side = (end - t) * velocity_side(system, t, q) if end > t else np.zeros(system.n_lam)
     step = place.nearest(side, aim)

@@ -144,7 +144,7 @@ class Dop853:
         return (E @ self._rows[2 : 2 + STAGES]).reshape(2, *self.states.shape[1:])
 
     def accept(self, state: Array) -> Array:
-        """Take a state for the one after the step, moved a little; return the accelerations."""
+        """Set the state after the step, corrected by projection; return its accelerations."""
         self.states[_AFTER] = state
         after: Array = self.accelerations[_AFTER]
         after[:] = self._evaluated(self.end, self.after)

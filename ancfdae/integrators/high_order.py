@@ -172,8 +172,8 @@ class HighOrder(QuadratureIntegrator):
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, integrals beside the motion."""
         if any(np.iscomplexobj(x) for x in (system.b, *system.start())):
-            rule, got = "computes in real numbers", "a complex system"
-            raise InvalidInput(type(self).__name__, rule, got, "Use HHT.")
+            rule, got = "needs real coordinates and design values", "complex ones"
+            raise InvalidInput(type(self).__name__, rule, got, "Only HHT takes complex steps.")
         with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
             problem = Problem.of(system, t_end)
             problem = problem.differentiated() if sensitivities else problem

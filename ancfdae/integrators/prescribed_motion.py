@@ -88,7 +88,10 @@ class Branch:
         return None
 
     def _changed(self, rows: Rows) -> Array:
-        """Return which steps change Phi_q by half of what may be another branch, shape (k,)."""
+        """Return which steps change Phi_q by more than CHANGED, shape (k,).
+
+        Twice that change may lead to another branch of the constraints.
+        """
         values = self._system.constraints_q(rows.t, rows.q)
         form = self._form = self._form or Form(self._system, values[0])
         changed, k, at = np.zeros(len(rows.t) - 1, dtype=bool), 0, -1

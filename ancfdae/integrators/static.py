@@ -28,8 +28,9 @@ class Static(AdjointIntegrator):
     max_steps: int = MAX_STEPS
 
     def refined(self, solution: Solution) -> Integrator:
-        """Refuse: an equilibrium has no error of discretisation in time."""
-        raise InvalidInput("Static", "has no better setting", repr(self), "Use more elements.")
+        """Raise InvalidInput: an equilibrium has no error of discretisation in time."""
+        rule = "an equilibrium must have no error bar in time"
+        raise InvalidInput("Static", rule, repr(self), "Compare meshes: error_bars(meshes=2).")
 
     def integrate(
         self,

@@ -368,8 +368,8 @@ class SceneDesign(Designable):
         if point.fraction is None or coordinate != "fraction":
             axes = "xyz"[: element.d] if point.fraction is None else "yz"[: element.n_s - 2]
             if coordinate not in axes:
-                rule = f"{point.beam!r} has no such axis"
-                raise InvalidInput(where, rule, coordinate, "Leave it out.")
+                rule = f"points of {point.beam!r} move along {' and '.join(axes) or 'it'} only"
+                raise InvalidInput(where, rule, coordinate, "Remove this variable from `design`.")
             return
         nodes = self.beam(point.beam).reference().fractions
         at_node = bool(np.any(np.abs(nodes - point.fraction) < 1e-9))

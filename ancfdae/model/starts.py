@@ -159,7 +159,7 @@ def _of_nodes(where: str, given: Array, beam: BeamBody, kinks: tuple[int, ...]) 
     if np.any(differ):
         raise InvalidInput(
             where,
-            "elements must meet with the same vectors, but for the slope along the beam at kinks",
+            "elements must meet with the same vectors, except the slope along the beam at kinks",
             f"others at node {1 + int(np.argmax(np.any(differ, axis=1)))}",
             "Declare Beam(..., kinks=[...]) where it jumps.",
         )

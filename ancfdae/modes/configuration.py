@@ -21,7 +21,7 @@ class Configuration:
     lam : array, shape (n_lam,)
         Multipliers: their reactions pre-stress the joints.
     q_b, lam_b : array, shape (n_q, n_b) and (n_lam, n_b), or None
-        Design derivatives of both; None where q and lam stay as the design changes.
+        Design derivatives of q and lam; None if q and lam do not depend on the design.
     t : float
         Time at which prescribed motions are evaluated.
     v : array, shape (n_q,), or None
@@ -52,7 +52,7 @@ class Configuration:
         Raises
         ------
         InvalidInput
-            If the run has no such instant.
+            If the run has fewer than `instant` + 1 states.
         """
         count = len(solution.t)
         if not -count <= instant < count:

@@ -81,7 +81,8 @@ _CURED_BY_STEP = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.STEP_LIMIT
 def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
     """Return the periods of small motions about a state as text; empty if there are none.
 
-    Larger systems get no such words: a message must not take longer than the run that it ends.
+    Systems of more than _QUICK coordinates get an empty text: a message must not take longer than
+    the run that it ends.
     """
     if system.n_q > _QUICK:
         return ""

@@ -90,7 +90,7 @@ class Modes:
 
     @property
     def natural_frequencies(self) -> Array:
-        """|s|, shape (count,); rad/s. Without damping the frequencies."""
+        """|s|, shape (count,); rad/s. Equal to `frequencies` if nothing damps the modes."""
         return np.abs(self.exponents)
 
     @property
@@ -112,7 +112,10 @@ class Modes:
 
     @property
     def natural_frequencies_b(self) -> Array:
-        """Design derivatives of `natural_frequencies`, shape (count, n_b); as `frequencies_b`."""
+        """Design derivatives of `natural_frequencies`, shape (count, n_b).
+
+        In rad/s per unit of the variable. Raises InvalidInput if there are no design variables.
+        """
         s, size = self.exponents[:, None], np.abs(self.exponents)[:, None]
         change = np.real(np.conj(s) * self._known().exponents_b)
         return np.asarray(change / np.where(size == 0, 1.0, size))
@@ -142,12 +145,13 @@ class Modes:
         where = f"derivative of the shape of mode {mode}"
         others = next((group for group in self.coincide if mode in group), None)
         if others is None:
-            raise InvalidInput(where, "goes forward", "an adjoint", "Use method=Direct().")
+            rule, repair = "needs modes differentiated directly", "Use modes(..., method=Direct())."
+            raise InvalidInput(where, rule, "modes differentiated by adjoints", repair)
         raise InvalidInput(
             where,
             "needs a mode that is alone at its frequency",
             f"modes {', '.join(map(str, others))} that coincide",
-            "Change the design a little, or use the derivatives of their frequencies.",
+            "Separate them by another design, or use the derivatives of their frequencies.",
         )
 
     def _known(self) -> ModeDerivatives:

@@ -22,7 +22,7 @@ _CODES: dict[Any, int] = {
 
 @final
 class Operations:
-    """A list of operations on so many inputs, and on constants.
+    """A list of operations on `n_inputs` inputs and on constants.
 
     Numbers are inputs, from 0 on, results, from `n_inputs` on, and constants, from -1 down.
     """
@@ -42,7 +42,10 @@ class Operations:
         return self._known[key]
 
     def apply(self, function: Any, *numbers: int) -> int:
-        """Return the number of a result; what is known already is not listed again."""
+        """Return the number of the result of a function of numbered operands.
+
+        An operation that is in the list already is not listed again; one on constants is computed.
+        """
         constants = [self._constants[-n - 1] if n < 0 else None for n in numbers]
         if all(x is not None for x in constants) and function is not _ANGLE:
             return self.constant(function(*constants))

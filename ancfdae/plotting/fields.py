@@ -52,7 +52,7 @@ class _OfBeams(Field):
 
     @final
     def values(self, mesh: Mesh, motion: Solution) -> Array:
-        """Those of the beam, spread over its points."""
+        """Values of `on_beam` at the points of a mesh, (k, n points); NaN for rigid bodies."""
         if not isinstance(mesh, BeamMesh) or mesh.elements is None:
             return np.full(mesh.places(motion.q).shape[:2], np.nan)
         values = np.broadcast_to(self.on_beam(mesh, motion), (len(motion.t), *mesh.shape))

@@ -100,7 +100,7 @@ def division(
 
 
 def schedule(parts: int, kept: int) -> Any:
-    """Return the actions for so many parts with so many kept states."""
+    """Return the Revolve schedule for `parts` parts of a run and `kept` stored checkpoints."""
     library = require_package("memory", "checkpoint_schedules", "checkpoints")
     return library.Revolve(parts, kept)
 

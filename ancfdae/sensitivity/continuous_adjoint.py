@@ -80,7 +80,7 @@ class ContinuousAdjoint(GradientMethod):
             if not all(isinstance(leaf, OverTime) for leaf in leaves(objective)):
                 raise InvalidInput(
                     "ContinuousAdjoint",
-                    "takes functions of time integrals (eq. 20)",
+                    "needs an objective made of time integrals (eq. 20)",
                     repr(objective),
                     "Use Adjoint for values at given times.",
                 )

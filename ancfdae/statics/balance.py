@@ -32,11 +32,12 @@ _ITERATIONS = 25
 # A sum of forces goes through this many roundings at most, with a margin.
 _ROUNDINGS = 64
 _EPS = float(np.finfo(float).eps)
-# Loads below so many times their round-off are measured against that instead.
+# Convergence is measured against a load of at least _SEEN times the round-off of forces.
 _SEEN = 1e7
 # Samples of the round-off of forces, and a margin over the largest of them.
 _SAMPLES = 8
-# A correction of so many times the size of the system, or growth so many times, is divergence.
+# Newton's method has diverged if a correction exceeds _FAR times the size of the start, or if
+# corrections have grown _GROWTHS times.
 _FAR, _GROWTHS = 100.0, 4
 
 
@@ -57,7 +58,7 @@ class SearchCounts:
 class Balanced:
     """A solution at the load fraction s, dq/ds and dlam/ds there, and the last correction.
 
-    K is surely positive definite if it is `definite`; else it has to be looked at.
+    `definite` is True if K is known to be positive definite; if False, stability must be checked.
     """
 
     s: float
@@ -72,7 +73,7 @@ class Balanced:
 @final
 @dataclass(frozen=True)
 class Unsolved:
-    """Why Newton's method found none, and the size of its last correction."""
+    """Why Newton's method found no equilibrium, and the relative size of its last correction."""
 
     verdict: Verdict
     residual: float
@@ -118,7 +119,7 @@ class Balance:
 
     @cached_property
     def r_0(self) -> Array:
-        """Unbalanced forces at the start, but for the loads that turn."""
+        """Unbalanced forces at the start without follower loads, shape (n_q,)."""
         return self.unbalanced(self.q_0, self.lam_0) - self._following(self.q_0)[0]
 
     @cached_property
@@ -332,10 +333,10 @@ class Balance:
         )
 
     def _irregular(self, K: Array, q: Array, lam: Array, dq: Array) -> float:
-        """Return the size of what forces change by, but for K, where q moves by parts of dq.
+        """Return the size of the change of forces that K does not explain, for q moved by about dq.
 
-        Twice the correction moves the roundings of what forces are made of; the curvature of
-        forces, which is of second order, is below this where Newton's method converges.
+        Moves of twice the correction change the round-off of the forces; the curvature of the
+        forces, which is of second order, is below it where Newton's method converges.
         """
         system, rng, sizes = self.system, np.random.default_rng(0), []
         here = self.unbalanced(q, lam)

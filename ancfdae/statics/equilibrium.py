@@ -129,8 +129,8 @@ def _warn_of_neutral(balance: Balance, end: SearchEnd) -> None:
         return
     warnings.warn(
         "equilibrium: stability is undecided: its softest motion is neutral within the round-off "
-        "of the stiffness, or joints that depend on each other hide it. Change the load a little, "
-        "or look at the modes about this state.",
+        "of the stiffness, or joints that depend on each other hide it. Repeat it at a load that "
+        "differs by 1 %, or look at the modes about this state.",
         StabilityWarning,
         stacklevel=3,
     )
@@ -205,7 +205,7 @@ class RestingStart:
 
     @cached_property
     def q_b(self) -> Array:
-        """Their design derivatives, shape (n_q, n_b)."""
+        """Design derivatives of the coordinates at equilibrium, shape (n_q, n_b)."""
         return self._tangent.sensitivities()[0]
 
     def pull_back(self, on_q: Array) -> Array:

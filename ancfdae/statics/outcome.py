@@ -53,8 +53,8 @@ class LoadOutcome:
         Steps that converged, of the load or downhill.
     residual : float
         Size of the last correction of Newton's method, relative to positions (where it failed, to
-        forces too). Of an equilibrium it is round-off: corrections have stopped to shrink, and the
-        forces left are no more than what rounding the coordinates changes in them.
+        forces too). At an equilibrium it is round-off: corrections have stopped shrinking, and the
+        unbalanced forces are no more than what rounding the coordinates changes in them.
     stable_to : float or None
         None if it is stable; else the part of the load above which a motion meets a negative
         stiffness, as above a buckling load, to one per cent.

@@ -66,7 +66,7 @@ class Campbell:
 
     @property
     def frequencies_b(self) -> Array:
-        """Their derivatives, shape (k, count, n_b)."""
+        """Design derivatives of `frequencies`, shape (k, count, n_b); rad/s per unit of each."""
         return self.exponents_b.imag
 
     @property

@@ -208,7 +208,7 @@ def _of_steps(
 
 
 def _meshes(model: Scene | MechanicalSystem, design: _Design, count: int) -> list[_Mesh]:
-    """Return the model on so many meshes, the coarsest first."""
+    """Return the model and its design on `count` meshes, the coarsest first."""
     if count not in (1, 2, 3):
         raise InvalidInput("meshes", "must be 1, 2 or 3", repr(count), "2 is cheaper, 3 is safer.")
     if count == 1:

@@ -36,7 +36,7 @@ from ancfdae.studies.meshes import Kind, coarsest, known_design, model_kinds, wi
 _SHARE = 1 / 8
 # A model that errs by more needs its value no better than to this share of that.
 _KNOWN = 1 / 8
-# Steps of the first run; shorter runs than so many seconds are timed thrice.
+# Steps of the first run; runs shorter than _SHORT seconds are timed three times.
 _FIRST, _SHORT = 32, 0.05
 # Runs whose differences show the order.
 _SEEN = 3
@@ -165,7 +165,7 @@ def choose_model(
     require_kind("scene", scene, (Scene,), "Pass a Scene.")
     require_positive("tolerance", tolerance)
     if tolerance > 1:
-        rule, repair = "must be at most 1, the size of what is sought", "For example 0.02."
+        rule, repair = "must be at most 1, since it is relative to the result", "For example 0.02."
         raise InvalidInput("tolerance", rule, tolerance, repair)
     require_count("doublings", doublings, "An error is seen in two meshes.")
     require_count("max_steps", max_steps, "Runs begin with 32 steps.")

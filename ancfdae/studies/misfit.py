@@ -300,7 +300,10 @@ def _vibrations(computed: Modes) -> Array:
 
 
 def _measured(misfit: Misfit | StaticMisfit | FrequencyMisfit, shape: tuple[int, ...]) -> None:
-    """Set data and weights as arrays of a shape; refuse what are none. -1 stands for any number."""
+    """Store data and weights as arrays of a shape, in which -1 stands for any number.
+
+    Raises InvalidInput for other shapes, infinite data, or data that are all NaN.
+    """
     where, data = type(misfit).__name__, np.zeros(0)
     of_shape = "a sequence" if -1 in shape else f"of the shape {shape}"
     rule = f"must be numbers, {of_shape}, some of them finite"

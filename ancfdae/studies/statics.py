@@ -1,4 +1,4 @@
-"""Calls at rest: an equilibrium, and the gradient of what is observed there."""
+"""Static calls: an equilibrium, and the gradient of observables at it."""
 
 import warnings
 from collections.abc import Sequence

@@ -46,7 +46,7 @@ class TaylorTest:
     def order(self) -> float:
         """Smallest observed order of `first` between neighbouring sizes; 2 if Psi_b is right.
 
-        Infinite where a remainder vanishes, as that of a linear objective does but for round-off.
+        Infinite where a remainder vanishes, as that of a linear objective does to round-off.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             orders = np.diff(np.log(self.first)) / np.diff(np.log(self.sizes))

@@ -49,7 +49,7 @@ def dead_link() -> Scene:
 
 
 def no_length() -> Scene:
-    """Return a distance joint of hardly any length."""
+    """Return a bar on a distance joint of length 1e-9 m."""
     bar = _bar()
     return Scene([bar], [Distance(bar.at_end, 1e-9, ground=(1.0, 0.0))], project_start=True)
 

@@ -82,7 +82,7 @@ def require_alpha(where: str, alpha: float) -> None:
     """Refuse a numerical damping that makes HHT-I3 unstable."""
     require_finite(where, alpha)
     if not -1 / 3 <= alpha <= 0:
-        repair = "-0.3 damps fast motion strongly, -0.05 hardly."
+        repair = "Use -0.05 for little numerical damping, -0.3 to damp high frequencies strongly."
         raise InvalidInput(where, "must lie in [-1/3, 0]", alpha, repair)
 
 

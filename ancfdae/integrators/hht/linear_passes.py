@@ -60,8 +60,8 @@ class LinearSteps:
     """A chunk of k steps with their converged states (q, v, A, lam); h has the shape (k, 1).
 
     One step takes z = (q~_b, v~_b, A~_b) to a_b and lam_b (`solve`); a matrix of coefficients takes
-    (z, a_b) to (q_b, v_b, A_b) and the next z (`step_matrices`). The pass back takes the transposes
-    of both.
+    (z, a_b) to (q_b, v_b, A_b) and the next z (`step_matrices`). The backward pass applies the
+    transposes of these two maps.
     """
 
     system: MechanicalSystem

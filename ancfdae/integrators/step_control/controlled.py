@@ -47,10 +47,10 @@ _MEMORY = 0.95
 _MOST = 4.0
 # The step changes by less than pi/2 of this part.
 _CHANGE = 0.2
-# A rejection within so many steps of the start begins anew: the start is made for its step.
+# A step rejected among the first _RESTART restarts the run: the start is made for its step size.
 _RESTART = 10
-# So many last steps change linearly, and their number is fixed, to meet the end without a jump;
-# where steps may jump the last ones are equal.
+# The last _LAST_STEPS steps change linearly, and their number is fixed, to meet the end without a
+# jump; a method that bears jumps takes _LAST_EQUAL equal steps instead.
 _LAST_STEPS, _LAST_EQUAL = 10, 1
 # A run ends where the step falls below this part of its length, or of the time reached.
 _SMALLEST = 1e-13

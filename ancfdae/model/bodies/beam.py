@@ -190,9 +190,9 @@ class Beam(BeamBody):
             if self.height_axis is not None:
                 raise InvalidInput(
                     f"beam {self.name!r}, height_axis",
-                    "is a choice of spatial beams only",
+                    "must be left out for a planar beam",
                     tuple(self.height_axis),
-                    "Leave it out: the height of a planar beam lies in the plane.",
+                    "The height of a planar beam lies in the plane.",
                 )
             return np.array([axis, [-axis[1], axis[0]]])
         if self.height_axis is None:

@@ -184,7 +184,7 @@ class BeamBody(Placed):
 
         The element is None where the parameter changes everywhere. InvalidInput if a value is not
         admissible for its parameter, sizes of a section do not fit together or an element does not
-        exist; UnknownName if there is no such parameter.
+        exist; UnknownName if the beam has no parameter of that name.
         """
         names, placement = self.parameter_names(), self.placement()
         changes = tuple(changes)

@@ -43,7 +43,7 @@ class BodyShape(Designable, abc.ABC):
 
 
 def require_shape(where: str, value: object) -> None:
-    """Refuse what is no shape."""
+    """Raise InvalidInput unless `value` is a `BodyShape`."""
     require_kind(where, value, (BodyShape,), "For example RigidBox(0.2, 0.1, 0.05).")
 
 
@@ -279,7 +279,7 @@ class RigidBody(Placed, Designable):
 def _spread(inertia: Array, d: int) -> Array:
     """Return int x x^T dm about the centre of mass from moments of inertia."""
     if d == 2:
-        # In the plane only the sum over both axes is felt.
+        # A planar motion depends on the sum over the two axes only.
         return inertia / 2 * np.eye(2)
     tensor = np.diag(inertia[:3])
     if len(inertia) == 6:

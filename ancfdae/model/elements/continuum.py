@@ -6,8 +6,9 @@ with R and beta independent of the coordinates (`fibre_strains`, `strain_fields`
 A = int beta^T (int R^T C R dA) beta dx and there is no linear term.
 
 Derivatives. With the chord divided by the length l, and y and z by it, parameters enter through the
-points and areas of the section, its factors, C and powers of l only. The former, all of them of one
-or two numbers, are differentiated by complex steps, and so is R; the product rule does the rest.
+points and areas of the section, its factors, C and powers of l only. Points, areas, factors and C
+depend on one or two numbers each and are differentiated by complex steps, and so is R; the product
+rule does the rest.
 """
 
 from dataclasses import dataclass

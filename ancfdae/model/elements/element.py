@@ -168,8 +168,8 @@ class Invariants:
     """Invariants of n elements."""
 
     A: Array  # (n, n_g, n_g): elastic invariant
-    # (n, n_g): packed Gram matrix of the elements free of stress: in the reference configuration,
-    # but for initial strain.
+    # (n, n_g): packed Gram matrix of the elements free of stress: the reference configuration less
+    # the initial strain.
     g_o: Array
     m: Array  # (n, n_a, n_a): mass invariant
     # (n, 2): flexural stiffness E I and length of elements that bend as cables do (`curvature`),
@@ -181,7 +181,7 @@ class Invariants:
 
 
 class Integrals(abc.ABC):
-    """Invariants but for the powers of the length l that their entries go with."""
+    """Invariants divided by a power of the element length l, given for each entry by `powers`."""
 
     # A, m, and the flexural stiffness E I, (n, 1), of elements that bend as cables do.
     values: tuple[Array, ...]

@@ -34,7 +34,7 @@ class Drive(DrivenJoint):
     The angle is that from the reference configuration, in rad, about an axis that stays, or against
     the section of `other`, which carries the axis along. Sections turn, not centre lines: a beam
     that shears transmits a moment through its sections. An element without a section turns its
-    tangent instead. In space another joint must keep the axis (`Revolute`).
+    tangent instead. In space another joint, such as `Revolute`, must keep the axis.
     Design targets: the parameters of the law, and ``axis_x`` ... where the axis is given.
 
     Parameters

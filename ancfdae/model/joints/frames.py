@@ -218,7 +218,8 @@ def hold_axis(
 def hold_turn(c: Equations, rows: slice, section: SectionFrame, other: SectionFrame) -> None:
     """Enter one equation for every turn of a section against another.
 
-    e . (phi - phi') = 1/2 (F e_1 . F' e_2 - F e_2 . F' e_1), e_1 x e_2 = e, less the shear of both.
+    e . (phi - phi') = 1/2 (F e_1 . F' e_2 - F e_2 . F' e_1), e_1 x e_2 = e, less the shear of the
+    section and of the other one.
     """
     d = len(section.normal)
     turns = [(0, 1)] if d == 2 else [(0, 1), (1, 2), (2, 0)]

@@ -39,7 +39,7 @@ class Clamp(Joint):
     in it and b_y, b_z the combinations of slopes that equal them in the reference: r = r_o,
     b_y . n = b_z . n = 0 and b_y . z = b_z . y = 0; in the plane r_y . n = 0. Were only the mean
     turn about n held, the two slopes could turn against each other, and a strip would twist at
-    its end through the slope that hardly carries torsion, the softer the finer the mesh. An
+    its end through the slope that carries little torsion, the softer the finer the mesh. An
     element without a section holds its tangent instead.
 
     Parameters

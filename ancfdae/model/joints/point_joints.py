@@ -49,7 +49,7 @@ class Pin(Joint):
         return c
 
 
-#: In space the pin is the spherical joint.
+#: The spherical joint: another name of `Pin`, which holds a point and leaves all rotations free.
 Spherical = Pin
 
 

@@ -58,5 +58,5 @@ class Law(Designable, abc.ABC):
 
 
 def require_law(where: str, value: object) -> None:
-    """Raise InvalidInput for what is no law."""
+    """Raise InvalidInput unless `value` is a `Law`, a function of time."""
     require_kind(where, value, (Law,), "For example Uniform(speed=2).")

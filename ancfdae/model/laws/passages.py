@@ -159,7 +159,7 @@ class Change(Law):
         return {f"{name}_{key}": value for key, value in values.items()}
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
-        """Those of both laws, and of the passage between them."""
+        """Breakpoints of the laws before and after, and the ends of the passage between them; s."""
         *_, duration, begin = p
         return *super().breakpoints(p), *passage(begin, duration)
 

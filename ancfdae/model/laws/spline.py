@@ -25,19 +25,19 @@ class Spline(Law):
     """The interpolating spline of degree seven through control values at given times.
 
     Before the first and after the last time it is constant, and its first three derivatives vanish
-    there, so that they are continuous everywhere: a drive starts and ends at rest. Through two
-    values it is a `Ramp`. With a `period` it repeats instead. Between two values at even distances
-    it exceeds the largest of them at most 2.5 times; at very uneven ones much more. Design targets:
+    there, so that they are continuous everywhere: a drive starts and ends at rest. A spline with a
+    `period` repeats instead; one through two values is a `Ramp`. Between equidistant times it
+    exceeds the largest value at most 2.5 times; at very uneven times much more. Design targets:
     ``value[0]``, ``value[1]`` ...
 
     Parameters
     ----------
     times : sequence of float
-        Ascending, two or more; s.
+        Two or more ascending times; s.
     values : sequence of float
-        One per time.
+        Control values, one per time; the unit of what the law drives.
     period : float, optional
-        Longer than from the first time to the last; s.
+        Time after which the law repeats, longer than from the first time to the last; s.
     """
 
     times: Numbers

@@ -54,7 +54,7 @@ class UserLaw(Law):
         return np.asarray(value + 0 * t)
 
     def check(self) -> None:
-        """Refuse what is no function, or has no derivatives."""
+        """Raise InvalidInput unless the law is a function with its derivatives."""
         where = "UserLaw, function"
         require_function(where, self.function)
         p = np.array(self.values, dtype=float)

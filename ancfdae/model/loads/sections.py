@@ -51,7 +51,7 @@ class CarriedAxes:
         return rows if self.ground else self._weights(rows) @ _basis(self.U)
 
     def pull_back(self, rows: Array, G: Any) -> Any:
-        """Return the gradient with respect to U of what has the gradient G in the directions."""
+        """Return the gradient in U of a function whose gradient in the directions `rows` is G."""
         return _on_slopes(self.U, np.swapaxes(self._weights(rows), -1, -2) @ G)
 
     def _weights(self, rows: Array) -> Array:

@@ -50,7 +50,7 @@ class Reduction(Objective):
 
     @abc.abstractmethod
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the objective from values and weights where the latter are not zero."""
+        """Return the objective from values x and quadrature weights w, none of them zero."""
 
     @abc.abstractmethod
     def slopes(self, x: Array, w: Array) -> Array:
@@ -159,7 +159,7 @@ class OverTime(Reduction):
 
     @abc.abstractmethod
     def integrand(self, x: Array, near: float) -> Array:
-        """Return what is integrated: the reduction near a value of it, but for a constant."""
+        """Return the integrand, shape of x: the reduction near a value of it, up to a constant."""
 
     def integrand_slope(self, x: Array, near: float) -> Array:
         """Return the derivative of `integrand` in x, for real x."""
@@ -297,8 +297,8 @@ class UpperMaximum(_Maximum):
     """Smooth bound of the values at all instants, (1/k) log(sum of exp(k x_n)).
 
     It lies above the largest by log(n)/k at most, n the number of instants: what it keeps below a
-    limit is below it at every instant of the run. With `maximum_stress` it bounds a stress over
-    place and time. It grows with the number of instants, so runs with other steps have another
+    limit is below it at every instant of the run. Applied to `maximum_stress` it bounds the stress
+    over place and time. It grows with the number of instants, so runs with other steps have another
     value, and `error_bars` says nothing of it; `SmoothMaximum`, which lies below the maximum,
     does not.
 

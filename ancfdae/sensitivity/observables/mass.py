@@ -47,7 +47,7 @@ def inertia(
         2, the axis across the plane, in planar scenes.
     other : int, optional
         The second axis of a product of inertia, -int rho r_i r_j dV; without it the moment about
-        `axis`. In the plane a body that is given by its moment counts as round.
+        `axis`. A planar body that is given by its moment counts as round.
     beam : str, optional
         Name of a beam, a body or a point mass.
     about : Point or sequence of float, optional

@@ -196,7 +196,7 @@ def observe(
 
     Energies, design variables and `custom` functions need the system that was integrated.
     """
-    repair = "Of objectives observe what they are made of, before Integral or Terminal."
+    repair = "Pass the observable that an objective is made of, without Integral or Terminal."
     require_kind("observe, observable", observable, (Observable,), repair)
     require_kind("observe, solution", solution, (Solution,), "Call simulate or differentiate.")
     if system is not None:

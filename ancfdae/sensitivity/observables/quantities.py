@@ -81,7 +81,7 @@ class Multiplier(Leaf):
         elif not place.holds_position:
             raise InvalidInput(
                 f"reaction of {self.joint!r}",
-                "is defined for joints that hold a point in all directions",
+                "the joint must hold a point in all directions",
                 "a joint of another kind",
                 "Use multiplier(joint, row).",
             )

@@ -24,7 +24,7 @@ from ancfdae.studies.tolerance.runs import Runs, Sample, Wanted
 from ancfdae.studies.tolerance.search import Found, search
 from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
 
-# Up to so many variables HHT differentiates directly, which also tells whether waves are resolved.
+# Up to _DIRECT variables HHT differentiates directly, which also shows whether waves are resolved.
 _DIRECT = 6
 # Intervals of instants of high order where objectives read the end only, and else.
 _FEW, _MANY = 4, 64

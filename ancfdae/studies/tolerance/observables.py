@@ -114,7 +114,7 @@ def observed_within(
 def _checked(
     observables: Sequence[Observable] | None, system: MechanicalSystem
 ) -> Sequence[Observable]:
-    """Refuse what is no observable of the system, and none."""
+    """Return the observables. Raise InvalidInput if they are empty or not in the system."""
     repair = "For example observables=[position(rod.at_end, 0)]."
     named = () if observables is None else observables
     wanted = require_each("observables", named, (Observable,), repair)
