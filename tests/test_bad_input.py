@@ -443,7 +443,7 @@ def test_node_state_takes_nested_lists():
     [
         (["rod.height[2]"], "design target rod.height[2]", "elements 0 to 1; got 2"),
         (["rod.height[-1]"], "design target", "'rod.height[-1]'"),
-        (["rod.length[0]"], "design target rod.length[0]", "Use rod.length."),
+        (["rod.length[0]"], "design target rod.length[0]", "Write rod.length, without an index."),
         (["rod"], "design target", "'rod'"),
         (["rod.height[a]"], "design target", "rod.height[2]"),
         (5, "design", "sequence"),

@@ -52,7 +52,8 @@ PATTERNS = {
     "tells": (SPOKEN, r"\b(tells?|told)\b"),
     "all of them": (SPOKEN, r"\b(all|none|some) of (it|them)\b"),
     "no such": (SPOKEN, r"\b[Nn]o such\b|\b([Rr]eturn|[Gg]ive) such\b|\b[Ss]uch (is|are)\b"),
-    "remedy of three words": (("repair",), r"\A\S+( \S+){0,2}\Z"),
+    # A remedy that holds a call, an example or a name in backquotes says enough.
+    "remedy of three words": (("repair",), r"\A(?!For example)[^\s(`]+( [^\s(`]+){0,2}\Z"),
     "the other": (SPOKEN, r"(?<!after )\bthe others?\b(?= ?[.,;:)])"),
     "instants": (SPOKEN, r"\b[Ii]nstants?\b"),
 }
@@ -77,7 +78,6 @@ AT_MOST: dict[str, int] = {
     "inversion": 2,
     "tells": 81,
     "all of them": 49,
-    "remedy of three words": 73,
     "the other": 34,
     "instants": 518,
     "array without a shape": 384,

@@ -110,7 +110,7 @@ def test_every_error_arrives_from_a_worker_process(kind, pool):
 
 
 def test_an_error_about_a_function_arrives_too():
-    error = InvalidInput("where", "rule", lambda x: x, "Repair.")
+    error = InvalidInput("where", "rule", lambda x: x, "Pass a number instead.")
     again = pickle.loads(pickle.dumps(error))
     assert str(again) == str(error)
     assert "lambda" in again.got

@@ -23,7 +23,7 @@ def load_solution(
 
     A file knows its elements by name; give `elements` of your own.
     """
-    file, repair = require_path("path of a solution", path), "Give [MY_ELEMENT]."
+    file, repair = require_path("path of a solution", path), "For example elements=[MY_ELEMENT]."
     known = require_each("load_solution, elements", elements, (BeamElement,), repair)
 
     def naming(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> SceneNaming:

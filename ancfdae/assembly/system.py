@@ -155,8 +155,9 @@ class AncfSystem(PlannedSystem):
         """Return the same scene at other design values, real or complex; refuse unfit ones."""
         b = np.asarray(b)
         if b.shape != (self.n_b,):
-            rule = f"must have shape ({self.n_b},)"
-            raise InvalidInput("design values", rule, b.shape, "One per variable.")
+            names = ", ".join(self.design_names[:5]) + (", ..." if self.n_b > 5 else "")
+            rule = f"must have shape ({self.n_b},), one value per design variable ({names})"
+            raise InvalidInput("design values", rule, f"shape {b.shape}")
         scene, design = self._scene, self._structure.design
         if np.any(b.real != self.b.real):
             scene.refuse_values(dict(zip(design, b.real.tolist(), strict=True)))

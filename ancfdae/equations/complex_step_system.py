@@ -200,15 +200,15 @@ class ComplexStepSystem(MechanicalSystem):
         self.b = np.asarray(b) * 1.0
         where = type(self).__name__
         if self.b.shape != (self.n_b,):
-            rule = f"must have shape ({self.n_b},)"
-            raise InvalidInput(f"{where}.b", rule, self.b.shape, "Name all.")
+            rule = f"must have shape ({self.n_b},), one value per name in `design_names`"
+            raise InvalidInput(f"{where}.b", rule, f"shape {self.b.shape}")
         self.pattern = _full(self.n_q, self.n_q)
         self.constraint_pattern = _full(self.n_lam, self.n_q)
         if self.b.dtype.kind != "c":
             require_analytic(self)
         self.weights = self.coordinate_weights()
         if not np.all(self.weights > 0):
-            repair = "Override coordinate_weights."
+            repair = "Override `coordinate_weights` to return positive masses or inertias."
             raise InvalidInput(f"{where}.weights", "must be positive", self.weights, repair)
 
     # -- what a user writes --------------------------------------------------------------------
@@ -226,7 +226,7 @@ class ComplexStepSystem(MechanicalSystem):
         M = np.asarray(self.mass_matrix(self.start()[0]))
         if M.shape != (self.n_q, self.n_q):
             where, rule = f"{type(self).__name__}.mass_matrix", f"must have shape {(self.n_q,) * 2}"
-            raise InvalidInput(where, rule, M.shape, "Return an array.")
+            raise InvalidInput(where, rule, f"shape {M.shape}")
         return np.diagonal(M).real.astype(float)
 
     def _at_step(self, i: int) -> Self:

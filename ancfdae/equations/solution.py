@@ -225,7 +225,7 @@ class Solution:
                 "sensitivities",
                 "must have been computed",
                 "a solution of `simulate`",
-                "Call `differentiate` instead.",
+                "Call `differentiate`, which returns a solution with design derivatives.",
             )
         return self.sensitivities
 

@@ -175,10 +175,10 @@ def require_positive(where: str, value: float) -> None:
 def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
     """Raise InvalidInput for anything but finite numbers, as many as one of `sizes`."""
     allowed = " or ".join(str(size) for size in sizes)
-    rule, repair = f"must have {allowed} components", f"Give {allowed} numbers."
-    components = require_sequence(where, value, rule, repair)
+    rule = f"must have {allowed} components"
+    components = require_sequence(where, value, rule, "")
     if len(components) not in sizes:
-        raise InvalidInput(where, rule, components, repair)
+        raise InvalidInput(where, rule, components)
     for component in components:
         require_finite(where, component)
 
@@ -187,7 +187,7 @@ def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)
     """Raise InvalidInput for anything but a vector, as in `require_vector`, that is not zero."""
     require_vector(where, value, sizes)
     if not any(value):  # type: ignore[arg-type]  # a sequence, as was just seen
-        raise InvalidInput(where, "must not be zero", value, "Give a direction.")
+        raise InvalidInput(where, "must be a direction, a vector that is not zero", value)
 
 
 def require_axial(where: str, value: object, dimension: int | None = None) -> None:

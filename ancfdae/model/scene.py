@@ -138,7 +138,7 @@ class Scene(SceneDesign):
 
     def _check_names(self) -> None:
         """Raise InvalidInput if two parts have one name, or a beam has two starts."""
-        rule, repair = "every part needs a name of its own", "Rename one."
+        rule, repair = "every part needs a name of its own", "Rename one of the two parts."
         require_unique("Scene.beams", rule, [beam.name for beam in self.beams], repair)
         require_unique("Scene.bodies", rule, [body.name for body in self.bodies], repair)
         require_unique("Scene.joints", rule, [joint.name for joint in self.joints], repair)

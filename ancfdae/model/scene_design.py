@@ -316,7 +316,8 @@ class SceneDesign(Designable):
     def _single(self, text: str) -> float:
         held = self._held(text)
         if _differ(held):
-            rule, repair = "must hold one value to move by a factor", "Name its elements."
+            rule = "elements that one variable changes must have one value"
+            repair = "Name the elements, as in 'rod.height[2]', or use `distribution`."
             raise InvalidInput(f"design target {text}", rule, sorted(set(held)), repair)
         return held[0]
 

@@ -146,9 +146,7 @@ class Panel:
             require_unit(where, label)
         for scale in (self.x_scale, self.y_scale):
             if scale not in ("linear", "log"):
-                raise InvalidInput(
-                    where, "a scale must be 'linear' or 'log'", repr(scale), "Choose one."
-                )
+                raise InvalidInput(where, "a scale must be 'linear' or 'log'", repr(scale))
         labels = [series.label for series in self.series]
         if not labels or len(set(labels)) < len(labels):
             raise InvalidInput(

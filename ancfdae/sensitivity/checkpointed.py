@@ -95,7 +95,8 @@ def division(
     length -= length % degree
     if length < 1:
         rule = f"must be {2 * (degree + 1) * row / 1e6:.3g} MB or more for {system.n_q} coordinates"
-        raise InvalidInput("memory", rule, f"{memory / 1e6:.3g} MB", "Give more.")
+        repair = "Omit it to store the whole run."
+        raise InvalidInput("memory", rule, f"{memory / 1e6:.3g} MB", repair)
     return length, min(kept, -(-steps // length))
 
 

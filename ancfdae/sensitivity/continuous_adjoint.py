@@ -87,7 +87,10 @@ class ContinuousAdjoint(GradientMethod):
         solution = finished(run.solution())
         if len(solution.t) <= _LEAST_STEPS:
             raise InvalidInput(
-                "ContinuousAdjoint", "needs four steps", len(solution.t) - 1, "Use Adjoint."
+                "ContinuousAdjoint",
+                "needs four steps",
+                len(solution.t) - 1,
+                "Use shorter steps, or method=Adjoint().",
             )
         results = []
         for objective in objectives:

@@ -360,6 +360,6 @@ def as_system(
         return assemble(model, () if design is None else design)
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
     if design is not None and require_sequence("design", design):
-        rule, repair = "a mechanical system brings its own design variables", "Leave it out."
-        raise InvalidInput("design", rule, repr(design), repair)
+        rule = "must be left out for a system, which has its own design variables"
+        raise InvalidInput("design", rule, repr(design))
     return model

@@ -59,15 +59,18 @@ class Misfit:
     weights: Array | float = 1.0
 
     def __post_init__(self) -> None:
-        """Validate and freeze."""
-        where, repair = "Misfit.observables", "Use position(...), say."
+        """Check the fields, and store them as tuples and arrays."""
+        where, repair = "Misfit.observables", "For example position(rod.at_end, 1)."
         observables = require_each(where, self.observables, (Observable,), repair)
         times = require_sequence("Misfit.times", self.times)
         for time in times:
             require_finite("Misfit.times", time)
         if not times or min(times) < 0:
             raise InvalidInput(
-                "Misfit.times", "must be one or more times from 0 on", times, "Give such times."
+                "Misfit.times",
+                "must contain at least one time, none below 0",
+                times,
+                "For example times=np.linspace(0, t_end, 101).",
             )
         object.__setattr__(self, "observables", observables)
         object.__setattr__(self, "times", tuple(map(float, times)))
@@ -190,7 +193,7 @@ class StaticMisfit:
 
     def __post_init__(self) -> None:
         """Validate."""
-        repair = "Use position(...), say."
+        repair = "For example position(rod.at_end, 1)."
         require_each("StaticMisfit.observables", self.observables, (Observable,), repair)
         _measured(self, (len(self.observables),))
 

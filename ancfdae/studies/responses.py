@@ -349,5 +349,5 @@ def _scale(scale: object, n_b: int) -> Array:
     given = require_array("scale", scale)
     if given.shape not in ((), (n_b,)) or not np.all(given > 0):
         rule = f"must be positive, one number or one for each of {n_b} design variables"
-        raise InvalidInput("scale", rule, repr(scale), "For example system.b.")
+        raise InvalidInput("scale", rule, repr(scale), "For example np.abs(system.b).")
     return np.broadcast_to(given, n_b)

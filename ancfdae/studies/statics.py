@@ -272,5 +272,7 @@ def static_gradient(
     chosen = cheapest(system.n_b, 1) if method is None else method
     require_kind("method", chosen, (GradientMethod,), "For example Adjoint() or Direct().")
     if isinstance(chosen, ContinuousAdjoint):
-        raise InvalidInput("method", "must be one for an equilibrium", repr(chosen), "Use Adjoint.")
+        raise InvalidInput(
+            "method", "must be Adjoint, Direct or a perturbation method", repr(chosen)
+        )
     return chosen.gradients(Run(system, 0.0, Static(max_steps)), [objective])[0]

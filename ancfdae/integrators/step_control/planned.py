@@ -198,4 +198,5 @@ class StepPlan(Controller):
 def require_square(where: str, value: float) -> None:
     """Refuse times whose square, or its inverse, is no number of full precision."""
     if not sys.float_info.min < value * value < math.inf:
-        raise InvalidInput(where, "must have a square that is a number", value, "Change units.")
+        repair = "Choose units of time in which the run takes 1e-6 to 1e6."
+        raise InvalidInput(where, "must have a square that is a number", value, repair)

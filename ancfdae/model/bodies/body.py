@@ -231,7 +231,7 @@ class BeamBody(Placed):
                 where,
                 f"{parameter} is a property of the whole beam",
                 f"[{element}]",
-                f"Use {self.name}.{parameter}.",
+                f"Write {self.name}.{parameter}, without an index.",
             )
 
     def _section(self) -> Section:
@@ -285,11 +285,13 @@ class BeamBody(Placed):
             require_finite(where, fraction)
             require_fraction(where, fraction)
             if not self.inner_nodes([fraction]):
-                rule, repair = "must lie at nodes between elements", "Choose other elements."
+                rule = "must lie at nodes between elements"
+                repair = "Choose the number of elements so that there is a node at each kink."
                 raise InvalidInput(where, rule, fraction, repair)
         if kinks and not self.element.can_kink:
-            rule = f"the slope along a beam of {self.element.name} resists bending"
-            raise InvalidInput(where, rule, kinks, "Leave them out.")
+            name = self.element.name
+            rule = f"must be empty for {name}, whose slope along the beam resists bending"
+            raise InvalidInput(where, rule, kinks, "Join two beams instead, by a Pin or a Weld.")
         object.__setattr__(self, "kinks", kinks)
 
     def _check_part(self, part: object, kind: type) -> None:
@@ -323,8 +325,8 @@ class BeamBody(Placed):
             object.__setattr__(self, "energy", default)
             return
         if default is None:
-            rule, repair = f"{self.element.name} has a law of its own", "Leave it out."
-            raise InvalidInput(where, rule, repr(given), repair)
+            rule = f"must be left out for {self.element.name}, which has its own strain energy"
+            raise InvalidInput(where, rule, repr(given))
         require_kind(where, given, (StrainEnergy,), "For example EnhancedContinuum().")
         assert isinstance(given, StrainEnergy)
         if self.dimension not in given.dimensions:

@@ -289,7 +289,8 @@ class BeamElement(abc.ABC):
         """Refuse an element whose declarations do not fit each other."""
         require_text(f"{where}, name", self.name)
         if self.quantities[:2] != (Quantity.POSITION, Quantity.SLOPE_X):
-            rule, repair = "must be a position and the slope along the beam first", "Declare them."
+            rule = "must begin with a position and the slope along the beam"
+            repair = "Begin with Quantity.POSITION, Quantity.SLOPE_X."
             raise InvalidInput(f"{where}, quantities", rule, self.quantities, repair)
         for quantity in self.quantities:
             given: object = self.vector_weights(quantity, 0.5, 0.0, 0.0)
@@ -307,7 +308,7 @@ class BeamElement(abc.ABC):
         """Refuse a vector that a point, offset in the section by y and z, does not have."""
         if Quantity.SLOPE_Y not in self.quantities and (y != 0 or z != 0):
             raise InvalidInput(
-                where, "the element has no section to be off", f"y = {y}, z = {z}", "Leave it out."
+                where, "y and z must be 0: the element has no section", f"y = {y}, z = {z}"
             )
         if quantity not in self.quantities:
             raise InvalidInput(

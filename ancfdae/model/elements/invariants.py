@@ -58,7 +58,10 @@ def _invariants(
 ) -> Invariants:
     """Multiply the integrals by powers of the length; the product rule."""
     integrals = element.integrals(batch, owners)
-    where, repair = f"integrals of the element {element.name}", "Return an `Integrals`."
+    where, repair = (
+        f"integrals of the element {element.name}",
+        "Return an object of the class `Integrals`.",
+    )
     require_kind(where, integrals, (Integrals,), repair)
     lengths = [batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]

@@ -119,12 +119,14 @@ class Joint(Part):
         """Return the coefficients; InvalidInput if their arrays do not fit their vectors."""
         where, (n, d) = f"coefficients of joint {self.name!r}", reference.shape
         c: object = self.coefficients(p, reference)
-        require_kind(where, c, (Equations,), "Begin with `empty_coefficients`.")
+        require_kind(where, c, (Equations,), "Fill in the arrays of `empty_coefficients`.")
         assert isinstance(c, Equations)
         rows, shapes = len(c.offset), (c.linear.shape, c.bilinear.shape, c.offset.shape)
         if shapes != ((rows, n, d), (rows, n, n), (rows,)):
             rule = f"{rows} equations in {n} vectors need ({rows}, {n}, {d}), ({rows}, {n}, {n})"
-            raise InvalidInput(where, rule, shapes[:2], "Begin with `empty_coefficients`.")
+            raise InvalidInput(
+                where, rule, shapes[:2], "Fill in the arrays of `empty_coefficients`."
+            )
         return c
 
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:

@@ -55,7 +55,7 @@ class Spline(Law):
             raise InvalidInput("Spline, times", "must ascend", list(self.times), repair)
         if len(self.values) != len(self.times):
             got = f"{len(self.values)} values at {len(self.times)} times"
-            raise InvalidInput("Spline, values", "must be one per time", got, "Give as many.")
+            raise InvalidInput("Spline, values", "must be one per time", got)
         if self.period is None:
             return
         require_positive("Spline, period", self.period)

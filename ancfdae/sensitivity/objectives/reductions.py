@@ -235,7 +235,10 @@ class AtTimes(AtInstants):
             require_finite("AtTimes, times", time)
         if not times or min(times) < 0:
             raise InvalidInput(
-                "AtTimes, times", "must be one or more times from 0 on", times, "Give such times."
+                "AtTimes, times",
+                "must contain at least one time, none below 0",
+                times,
+                "For example times=np.linspace(0, t_end, 101).",
             )
         object.__setattr__(self, "times", tuple(float(time) for time in times))
 

@@ -123,9 +123,9 @@ class MassIntegral(Leaf):
             if axis is not None and axis >= layout.d:
                 raise InvalidInput(
                     "observable of mass",
-                    "in the plane axes are 0 and 1, and moments are about axis 2",
+                    "axes in the plane must be 0 or 1; moments are about axis 2",
                     axis,
-                    "Use these.",
+                    "For example inertia(), about axis 2.",
                 )
 
     def leaf_value(self, system: Named, states: States) -> Array:

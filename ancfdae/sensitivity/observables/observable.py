@@ -138,7 +138,10 @@ class Observable(Expression["Observable"]):
         """
         if any(np.iscomplexobj(x) for x in values.values()):
             raise InvalidInput(
-                "partials", "need real states and design values", "complex", "Use `value`."
+                "partials",
+                "need real states and design values",
+                "complex ones",
+                "`value` takes complex ones.",
             )
         _require_derivatives(values)
         parts: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))

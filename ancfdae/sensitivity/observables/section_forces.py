@@ -91,7 +91,7 @@ class SectionForce(Leaf):
                 "section force, point",
                 "must lie on the axis of the beam: forces belong to the whole section",
                 f"y = {self.point.y}, z = {self.point.z}",
-                "Leave them out.",
+                "For example rod.at(0.5), without y and z.",
             )
 
     def check_leaf(self, system: Named) -> None:

@@ -60,9 +60,9 @@ def known_naming(system: Named) -> SceneNaming:
     if not isinstance(system.naming, SceneNaming):
         raise InvalidInput(
             "observable of a named point or joint",
-            "needs an ANCF scene",
+            "needs an assembled scene",
             "a system of another kind",
-            "Use custom(function, name).",
+            "Use custom(function, name) for a system of your own.",
         )
     return system.naming
 

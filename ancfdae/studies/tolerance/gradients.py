@@ -83,7 +83,7 @@ def require_tolerance(tolerance: float) -> None:
     """Refuse a tolerance that means nothing or that round-off is above."""
     require_positive("tolerance", tolerance)
     if not 1e-11 <= tolerance <= 0.1:
-        raise InvalidInput("tolerance", "must lie in [1e-11, 0.1]", tolerance, "Try 1e-4.")
+        raise InvalidInput("tolerance", "must lie in [1e-11, 0.1]", tolerance, "For example 1e-3.")
 
 
 def _method(integrator: Integrator, variables: int) -> GradientMethod:
