@@ -149,10 +149,10 @@ class Assembly:
         raise InconsistentStart(
             "assembly",
             "rigid motions of the bodies must close all joints",
-            f"no convergence in {_ITERATIONS} iterations, nor from {_RESTARTS} other starts; as "
-            f"declared, joint {joint!r} is open by {gap:.3g} of the mechanism's size",
-            "Change the design less, or declare the bodies nearer to where they fit together: "
-            "turn them with turn=..., so that joints nearly meet.",
+            f"no convergence in {_ITERATIONS} iterations, nor from {_RESTARTS} random starts; as "
+            f"declared, joint {joint!r} is open by {gap:.3g} of the size of the mechanism",
+            "The joints may not close at that position. Change the design less, or rotate a body "
+            "with turn=..., so that joints nearly meet.",
         )
 
     def _from_elsewhere(self) -> list[Unknowns]:
@@ -322,10 +322,10 @@ class Assembly:
             raise InconsistentStart(
                 "assembly",
                 "rigid motions of the bodies must close all joints",
-                f"joint {joint!r} stays open by {gap:.3g} of the mechanism's size",
-                f"Neither did {_RESTARTS} other starts. Declare the bodies nearer to where they "
-                "fit (turn=... turns one), correct the design, or set project_start=True to "
-                "strain them.",
+                f"joint {joint!r} that stays open by {gap:.3g} of the size of the mechanism",
+                f"No start of {_RESTARTS} random ones closes it: the joints may not close at that "
+                "position. Rotate a body with turn=..., correct the design, or set "
+                "project_start=True to strain bodies.",
             )
 
     def follows(self, moved: Declared, q_b: Array, value: float) -> str | None:

@@ -38,6 +38,7 @@ from ancfdae.errors.kinds import (
     StabilityWarning,
     ToleranceMissed,
     UnknownName,
+    UnlikelyValue,
 )
 from ancfdae.errors.outcomes import (
     Interrupted,

@@ -106,5 +106,13 @@ class FailedDesign(UserWarning):
 
 
 @final
+class UnlikelyValue(UserWarning):
+    """A value that is admissible but looks like another quantity; the message says which.
+
+    ``warnings.simplefilter("ignore", UnlikelyValue)`` silences it.
+    """
+
+
+@final
 class ToleranceMissed(UserWarning):
     """A tolerance is out of reach; the message says what was got and what more would cost."""

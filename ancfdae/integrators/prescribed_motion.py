@@ -171,8 +171,11 @@ def _turned(system: MechanicalSystem, rows: Rows) -> Array:
 
 
 def locks(t: float) -> str:
-    """Return in words that joints lock."""
-    return f"The joints lock at t = {t:.6g}: from there they leave no motion that their laws ask."
+    """Return the sentence that joints lock at time t, s."""
+    return (
+        f"The joints lock at t = {t:.6g}: they cannot be closed at the positions that their laws "
+        "prescribe beyond it, whatever the step. Change a length or a law."
+    )
 
 
 def lock(system: MechanicalSystem, t: float, q: Array, end: float) -> str:

@@ -355,10 +355,10 @@ class Balance:
         return solve(factors, self.held_back(q), -float(self.closes) * self.Phi_0)
 
     def refuse_motion(self) -> None:
-        """Refuse joints that drive a motion at this instant: the forces that it needs would lack.
+        """Raise InvalidInput if joints drive a motion at time t, whose inertia forces would lack.
 
-        InvalidInput if M v^2/|q|, v the motion that the joints prescribe, is more than the
-        round-off of forces.
+        They do if M v^2/|q|, v the velocities that the joints prescribe, is more than the round-off
+        of forces.
         """
         system, q = self.system, self.q_0.real
         nu = velocity_side(system, self.t, q).real
@@ -371,10 +371,10 @@ class Balance:
             driven = sorted({system.constraint_names[int(i)] for i in np.flatnonzero(nu)})
             raise InvalidInput(
                 "equilibrium",
-                "needs joints that stand still: nothing is at rest that a joint drives",
-                f"joints {', '.join(map(repr, driven))} that move at t = {self.t:.6g}",
-                "Give their laws no rate there, or simulate; a steady rotation is at rest in a "
-                "scene that is declared in a TurningFrame.",
+                f"driven joints must have zero velocity at t = {self.t:.6g}",
+                f"a nonzero rate of {', '.join(map(repr, driven))}",
+                "Start their laws at zero rate, or call simulate; declare a steady rotation in a "
+                "TurningFrame.",
             )
 
     # -- natural sizes -------------------------------------------------------------------------

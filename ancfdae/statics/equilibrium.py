@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
@@ -111,6 +111,8 @@ def find_equilibrium(
     balance = Balance.of(system, 0.0, q, lam, follows=not near)
     balance.refuse_motion()
     end, derivatives = search(balance, max_steps), None
+    if end.outcome.stable_to is not None and balance.gyroscopic:
+        end = replace(end, outcome=replace(end.outcome, gyroscopic=True))
     if sensitivities and end.outcome.success:
         balance.work.factorisations += 1
         derivatives = Tangent(system, 0.0, end.q, end.lam).sensitivities()

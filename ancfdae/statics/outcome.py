@@ -12,6 +12,8 @@ from ancfdae.errors import InvalidInput, Outcome, Verdict
 from ancfdae.errors.text import listed
 from ancfdae.numerics.arrays import Array
 
+_GYROSCOPIC = "it is unstable unless gyroscopic forces hold it, which modes(scene, at=...) shows"
+
 
 @final
 class FreeMechanism(InvalidInput):
@@ -61,6 +63,8 @@ class LoadOutcome:
     downhill : bool
         Whether the system settled under the full load, since no path of loads begins where it
         starts (a mechanism, a slack cable) or it could not be followed.
+    gyroscopic : bool
+        Whether gyroscopic forces, as in a turning frame, may hold it against a negative stiffness.
     folded : str
         Elements that are folded, of a state in balance that no body can have; else empty.
     """
@@ -71,6 +75,7 @@ class LoadOutcome:
     residual: float
     stable_to: float | None = None
     downhill: bool = False
+    gyroscopic: bool = False
     folded: str = ""
 
     @property
@@ -105,5 +110,6 @@ class LoadOutcome:
             )
         if self.stable_to is not None:
             above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""
-            text += f"; unless it turns, it is unstable (buckled), with a negative stiffness{above}"
+            text += f"; its stiffness is negative{above}: "
+            text += _GYROSCOPIC if self.gyroscopic else "it is unstable (buckled)"
         return f"{text}."

@@ -308,7 +308,7 @@ def adjoint_error(
     steps = len(solution.t) - 1
     if steps < _LEAST_STEPS:
         periods = advice(system, 0.0, solution.q[0], solution.lam[0])
-        repair = f"Use a smaller step. {periods}".rstrip()
+        repair = f"Use a step of {t_end / 8:.3g} or less. {periods}".rstrip()
         raise InvalidInput("adjoint_error", "needs four steps", steps, repair)
     states = states_of(solution)
     partials = objective.partials(system, states)
