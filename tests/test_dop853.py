@@ -28,7 +28,7 @@ START = np.array([[[0.3, -0.7], [0.2, 0.4]], [[0.9, 0.1], [-0.5, 0.6]]])
 
 
 def accelerations(t, state):
-    """Of two oscillators with two rows each, by positions, velocities and time."""
+    """Accelerations of two coupled oscillators, from time and state (positions, velocities)."""
     y, u = state
     return -np.sin(3 * y) - 0.3 * u * np.abs(u) ** 2 + np.cos(5 * t) * y[::-1]
 

@@ -102,7 +102,10 @@ def _distinct(
     wanted: tuple[ElementParameter, ...],
     parameters: Array,
 ) -> tuple[Invariants, Array]:
-    """Return the invariants of elements that differ, and which of them each element has."""
+    """Return the invariants of distinct elements, and for each element the index of its own.
+
+    Elements are equal if parameters, relative node vectors and kind agree to the last digit.
+    """
     kinds, kind = _kinds(beams)
     Y_unit = np.zeros((len(parameters), element.n_y, element.d))
     first = np.cumsum([0, *(beam.element_count for beam in beams)])

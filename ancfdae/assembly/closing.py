@@ -71,7 +71,7 @@ class Closing:
 
     @cached_property
     def _freedom(self) -> scipy.sparse.csr_array:
-        """Free motions in their units, as columns of all."""
+        """Matrix that maps the free motions, each over its unit, to the motions of all bodies."""
         place = self._places, np.arange(len(self._places))
         shape = self.motions.none.size, len(self._places)
         return scipy.sparse.csr_array((self._units, place), shape=shape)
@@ -88,7 +88,7 @@ class Closing:
         return np.where(is_length, 1.0 / self.size, 1.0)
 
     def start(self, soft: bool) -> Unknowns:
-        """Return no motion, without multipliers where joints may stay open."""
+        """Return the unknowns at zero motion; if `soft`, without multipliers: joints may open."""
         rows = np.zeros(0 if soft else self.rows)
         return np.zeros(len(self._places)), rows, rows
 

@@ -47,7 +47,7 @@ class JointFactors:
         return factors
 
     def over(self, t: Array, orders: int = 1) -> Array:
-        """Return the factors at many instants."""
+        """Return the factors and their rates at times t, s; one row if no joint is driven."""
         if not self.driven:
             return self._still[:orders]
         each = [[slot.item.factors(t, order).T for order in range(orders)] for slot in self._slots]
@@ -56,7 +56,7 @@ class JointFactors:
         return np.concatenate([still, *(np.array(x) for x in each)], axis=2)
 
     def spread(self, t: Array, orders: int = 1) -> Array:
-        """Return the factors with a row for every instant."""
+        """Return the factors and rates at times t with one row per time, shape (orders, k, n)."""
         factors = self.over(t, orders)
         return factors if self.driven else np.repeat(factors, len(t), axis=1)
 

@@ -96,9 +96,9 @@ class RigidNodes:
 @final
 @dataclass(frozen=True)
 class BeamLayout:
-    """A beam: its element, the number of its first one, arc-length fractions of nodes.
+    """A beam: its kind of element, index of the first element, arc-length fractions of nodes.
 
-    `rigid` is what makes it so.
+    `rigid` holds the nodes of a rigid beam in its own axes; None for a beam that deforms.
     """
 
     name: str

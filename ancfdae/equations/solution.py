@@ -46,7 +46,9 @@ class Solution:
     t : array, shape (n_t,)
         Times; a run that failed holds what was reached.
     q, v, a : array, shape (n_t, n_q)
+        Coordinates, velocities and accelerations; m, m/s and m/s^2, slopes without m.
     lam : array, shape (n_t, n_lam)
+        Lagrange multipliers; J per unit of the constraint, so N for a constraint in m.
     statistics : Statistics
     outcome : Outcome
     naming : Naming or None

@@ -75,6 +75,7 @@ class Statistics:
         Steps of `HHT` that Newton's method solved by way of shorter ones only, which the counts
         above contain.
     wall_seconds : float
+        Elapsed time of the run; s.
     """
 
     steps: int

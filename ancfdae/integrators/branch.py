@@ -88,7 +88,7 @@ class Form:
 
 @final
 class Place:
-    """A place c of the motion: Phi_q there, (nnz,), and P."""
+    """A reference state c of the motion: Phi_q there, (nnz,), and its right inverse P."""
 
     def __init__(self, form: Form, values: Array) -> None:
         self._form, self._values = form, values

@@ -84,7 +84,7 @@ class Dop853:
     Attributes
     ----------
     t, end : float
-        Where the step begins and ends.
+        Times at which the step begins and ends; s.
     states, accelerations : array, shape (16, 2, ...) and (16, ...)
         Those at the stages, before the step first, after it, and where only `between` needs them.
     """

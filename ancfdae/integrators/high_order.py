@@ -121,7 +121,7 @@ class HighOrder(QuadratureIntegrator):
     Parameters
     ----------
     rtol : float
-        Relative tolerance per step.
+        Relative tolerance per step; dimensionless.
     intervals : int
         Equal intervals of the run; each has nine Gauss-Lobatto instants, ends included. They
         say where the trajectory is reported, nothing else.

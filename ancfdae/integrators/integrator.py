@@ -58,6 +58,7 @@ class Integrator(abc.ABC):
         ----------
         system : MechanicalSystem
         t_end : float
+            End time; s.
         sensitivities : bool
             Whether the design derivatives are integrated along (direct differentiation).
         progress : bool

@@ -73,8 +73,8 @@ class NodeState:
         Position and slopes of every node, or of both ends of every element as `Solution.ends`
         returns them, where the slope along the beam differs on both sides of a node (`Beam`,
         kinks).
-    velocities : array, shape as that of either, optional
-        Zero by default.
+    velocities : array, optional
+        Their rates, in the same shape; m/s, slopes in 1/s. Zero by default.
     """
 
     body: str

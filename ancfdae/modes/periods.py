@@ -23,12 +23,13 @@ class StepSuggestion:
     Attributes
     ----------
     step : float
-        Step that takes `per_period` steps in the period `resolved`.
+        Suggested step, `resolved` / `per_period`; s.
     fastest, slowest : float
         Shortest and longest period, 2 pi / |s|, of motions that vibrate or grow.
     resolved : float
-        Period of the fastest motion that counts.
+        Period of the fastest mode that the step resolves; s.
     per_period : float
+        Number of steps in the period `resolved`; dimensionless.
     """
 
     step: float

@@ -60,7 +60,7 @@ class Modes:
         x with x^H M x = 1; the largest entry (in the norm of the weights) is real and positive.
         Complex with damping.
     multipliers : array, shape (n_lam, count)
-        Reactions mu that belong to the shapes.
+        Multipliers mu of the shapes, in their unit; columns as those of `shapes`.
     kinds : tuple of MotionKind
     coincide : tuple of tuple of int
         Modes that round-off does not separate, in groups of two or more.

@@ -64,7 +64,7 @@ class ContinuousAdjoint(GradientMethod):
     Parameters
     ----------
     hht_alpha : float
-        Numerical damping of the integration backward, as of `HHT`.
+        Numerical damping of the backward integration, as in `HHT`; dimensionless.
     """
 
     hht_alpha: float = -0.3

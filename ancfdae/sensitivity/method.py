@@ -54,6 +54,7 @@ class Searched(abc.ABC):
     Attributes
     ----------
     tolerance : float
+        The tolerance that was asked for; relative.
     reached : bool
         Whether all bars are within it.
     integrator : Integrator
@@ -96,6 +97,7 @@ class Accuracy(Searched):
     Attributes
     ----------
     value_bar : float
+        Estimated bound of the error of the value; unit of the objective.
     gradient_bar : array, shape (n_b,)
         Estimated bounds of the errors; no proofs: docs/reports/tolerance says how often they hold.
     """
@@ -124,8 +126,10 @@ class Gradient:
     Attributes
     ----------
     value : float
+        Value of the objective, in its unit.
     gradient : array, shape (n_b,)
-        Total derivatives with respect to the design variables.
+        Total derivatives with respect to the design variables; unit of the objective over that of
+        the variable.
     names : tuple of str
         Names of the design variables.
     method : GradientMethod

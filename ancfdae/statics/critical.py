@@ -75,17 +75,18 @@ class CriticalLoad:
     name : str
         The parameter.
     value : float
-        Its critical value.
+        Critical value of the parameter, in its unit.
     kind : str
         ``"limit point"``: no equilibrium near beyond it; ``"bifurcation"``: paths cross.
     motion : array, shape (n_q,)
-        The motion that meets no stiffness, of the size of the system, its largest entry positive.
+        Motion without stiffness, scaled to the size of the system, its largest entry positive;
+        m, slopes dimensionless.
     equilibrium : Equilibrium
         The state there.
     names : tuple of str
         Design variables.
     gradient : array, shape (n_b,)
-        Derivatives of the value with respect to them.
+        Derivatives of `value` with respect to the variables `names`; its unit over theirs.
     """
 
     name: str

@@ -35,9 +35,9 @@ class Equilibrium:
     Attributes
     ----------
     q : array, shape (n_q,)
-        Coordinates.
+        Coordinates at equilibrium; m, slopes dimensionless.
     lam : array, shape (n_lam,)
-        Multipliers.
+        Lagrange multipliers of the joints; in N for constraints in m.
     outcome : LoadOutcome
         How the search ended; `success` only if this is an equilibrium under the full load.
     solution : Solution

@@ -49,8 +49,8 @@ class LoadOutcome:
     verdict : Verdict
         The kind of ending.
     fraction : float
-        Part of the load that what was found is in balance with: one for an equilibrium. The load
-        is what was unbalanced at the start (docs/theory/11-statics.md).
+        Load factor of the state found, dimensionless: one for an equilibrium. The load is the
+        unbalanced force at the start (docs/theory/11-statics.md).
     step : int
         Steps that converged, of the load or downhill.
     residual : float

@@ -72,8 +72,9 @@ class ErrorBars:
     names : tuple of str
         Names of the design variables.
     value : float
+        Value of the objective on the finest run, in its unit.
     gradient : array, shape (n_b,)
-        Of the finest run.
+        Gradient of the finest run; unit of the objective over that of the variable.
     parts : dict of str to array, shape (1 + n_b,)
         Estimated bounds of the errors of value and gradient by ``"step"`` and, where meshes were
         compared, by ``"mesh"``; not proofs: docs/reports/error-bars says how often they hold.
@@ -84,7 +85,7 @@ class ErrorBars:
     orders : array, shape (1 + n_b,)
         Observed orders of the value and the gradient; nan where they cannot be observed.
     mesh_orders : array, shape (1 + n_b,)
-        Those of the mesh.
+        Observed orders of the value and of the derivatives in the element length; dimensionless.
     runs : tuple of Gradient
         From the coarsest to the finest.
     resolved : bool or None

@@ -35,7 +35,7 @@ class Fit(abc.ABC):
     design_names : tuple of str
         Of the design values, in their order.
     start : array, shape (n_b,)
-        Design values of the model.
+        Design values of the model, each in its own unit.
     bounds : pair of arrays, shape (n_b,)
         Lower and upper bounds of the design values; infinite where there are none.
     """

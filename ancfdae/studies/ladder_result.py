@@ -37,9 +37,9 @@ class RungRun:
         Number of steps times the number of coordinates and multipliers. Choices compare it: it is
         the same in every call, unlike the time that a run takes.
     seconds : float
-        Measured processor time.
+        Measured processor time; s.
     numbers : array, shape (1 + n_b,)
-        The value and the derivatives times their variables.
+        The value and the derivatives times their variables; unit of the objective.
     """
 
     step: float
@@ -72,7 +72,7 @@ class Rung:
     runs : tuple of RungRun
         From the longest step to the shortest.
     bar : array, shape (1 + n_b,)
-        Estimated error of the last run by its step.
+        Estimated error of the last run by its step, of each of `numbers`; unit of the objective.
     """
 
     name: str
@@ -147,9 +147,10 @@ class ModelLadder:
     names : tuple of str
         Of the design variables.
     tolerance : float
+        Largest relative error that was asked for; dimensionless.
     mesh_bar, mesh_orders : array, shape (1 + n_b,)
-        Estimated error of the richest model by its mesh, and the orders observed in its meshes,
-        nan where there are only two.
+        Estimated error of the richest model by its mesh, unit of the objective, and the orders
+        observed in its meshes, nan if there are only two.
     """
 
     rungs: tuple[Rung, ...]
@@ -178,6 +179,7 @@ class ModelLadder:
         Parameters
         ----------
         tolerance : float
+            Largest relative error that was asked for; dimensionless.
             Largest relative error, the sum of the parts.
         of : {"objective", "gradient"}, optional
             What must be within the tolerance; by default both the value and the gradient. The

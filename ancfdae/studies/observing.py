@@ -37,7 +37,7 @@ class Observations:
     t : array, shape (n,)
         Instants; of a run that ended early those that it reached.
     values : array, shape (n, n_observables)
-        With a file a view of it.
+        Values of the observables at `t`, each in its unit; a view of the file if there is one.
     steps : int
     outcome : Outcome
     """

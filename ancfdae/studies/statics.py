@@ -118,7 +118,8 @@ def critical_load(
         A design target such as ``"load.force_y"``, or a variable that drives several; of a
         mechanical system one of its `design_names`.
     to : float
-        Where the search ends. Its sense is that of the load.
+        Value of the parameter at which the search ends, in its unit; above or below its value in
+        the model.
     design : sequence of str or DesignVariable, optional
         As in `equilibrium`: what to differentiate the critical value in. A mechanical system is
         differentiated in its other design variables.

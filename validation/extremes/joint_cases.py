@@ -20,7 +20,7 @@ _SECTION, _SOFT = Rectangle(0.05, 0.05), Material(2770.0, 1e8, 0.3)
 
 
 def redundant(quick: bool) -> list[Case]:
-    """Hold what is held already."""
+    """Return cases with redundant joints, which hold motions that other joints hold already."""
     return [
         Case("pin twice at one point", _two_pins, _STEP, 16),
         Case("clamp and pin at one point", _clamped_pin, _STEP, 16),

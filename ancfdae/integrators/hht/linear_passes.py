@@ -335,7 +335,7 @@ def _predicted(c: Coefficients, start: NodeSensitivity) -> Array:
 
 
 def start_covectors(c: Coefficients, on: Array) -> NodeSensitivity:
-    """Transpose of `_predicted`, added to covectors on q_b and v_b themselves."""
+    """Return adjoint vectors of the start: those of q_b and v_b plus `_predicted`^T of `on[3:]`."""
     units = NodeSensitivity(*(x[None].T for x in np.eye(4)[[0, 1, 2, 2, 3]]))
     q, v, a, A = _predicted(c, units)[:, 0].T @ on[3:]
     return NodeSensitivity(on[0] + q, on[1] + v, a, np.zeros(0), A)

@@ -129,7 +129,7 @@ class ControlledSteps(StepControl):
         return _Filter(method, first, t_end, self.max_steps)
 
     def sizes(self, t: Array) -> Array:
-        """Return the distances of the instants."""
+        """Return the step sizes between times t, shape (n - 1,); s."""
         return np.diff(t)
 
     def frozen(self, t: Array) -> StepControl:

@@ -41,7 +41,7 @@ class CurvedBeam(BeamBody):
     section, material, element, energy, rigid, kinks, initial_strain
         As in `Beam`.
     turn : float or sequence of float, optional
-        Rotation of the whole beam about its first node, as in `Beam`.
+        Rotation of the whole beam about its first node, as in `Beam`; rad.
 
     Raises
     ------

@@ -107,7 +107,10 @@ class ContinuumBeam(BeamElement):
         return ContinuumSectionLaw(batch, A, place)
 
     def stress_law(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
-        """C times strains, shears and radial stresses spread as the section says."""
+        """Return the law of stresses at xi and places of the section: C times the strains.
+
+        Shear and radial stresses are distributed over the section by `Section.shares`.
+        """
         return ContinuumStressLaw(batch, xi, places)
 
 

@@ -109,7 +109,7 @@ class PointOnLine(Joint):
     ----------
     point : Point
     direction : sequence of float
-        Not zero.
+        Direction of the line, not zero; its length has no effect (dimensionless).
     through : sequence of float, optional
         A point of the line; by default where `point` is in the reference configuration.
     """

@@ -51,6 +51,7 @@ class Ramp(Law):
     Parameters
     ----------
     initial, final : float
+        Values before and after the passage; the unit of what the law drives.
     duration : float
         Positive; s.
     begin : float, optional
@@ -91,9 +92,11 @@ class RunUp(Law):
     Parameters
     ----------
     rate : float
+        Rate after the run-up; the unit of what the law drives per s.
     duration : float
         Of the run-up, positive; s.
     initial : float, optional
+        Value before the run-up; the unit of what the law drives.
     begin : float, optional
         s.
     """

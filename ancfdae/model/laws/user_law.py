@@ -36,7 +36,7 @@ class UserLaw(Law):
     ----------
     function : callable
     values : sequence of float, optional
-        What the function takes after the time.
+        Further arguments of the function, after the time, each in a unit of your choice.
     """
 
     function: Callable[..., Any]

@@ -37,7 +37,7 @@ class SpringDamper(Load):
         l_0; m.
     other : Point, optional
     ground : sequence of float, optional
-        Just one of `other` and `ground` must be given.
+        Place on the ground; m. Give either `other` or `ground`.
     """
 
     point: Point

@@ -94,6 +94,7 @@ class Section(abc.ABC):
         Parameters
         ----------
         sizes : array, shape (n, n_sizes)
+            Sizes of n sections in the order of `sizes`, each in its unit (m, m^2, m^4).
         fine : bool
             Whether the integrand is no polynomial (curved beams), so that more points are needed.
         """
@@ -140,8 +141,9 @@ class Section(abc.ABC):
         Parameters
         ----------
         sizes : array, shape (n, n_sizes)
+            Sizes of n sections in the order of `sizes`, each in its unit (m, m^2, m^4).
         y, z : array, shape (n, n_f)
-            Places within the section.
+            Coordinates of points of the section along height and width; m.
 
         Raises
         ------

@@ -48,6 +48,7 @@ class Observed(Searched):
     Attributes
     ----------
     t : array, shape (n,)
+        Times of the values; s.
     values, bars : array, shape (n, n_observables)
         The bars are estimated bounds of the errors, no proofs. Values may be extrapolated from
         several runs; they are then better than those of the solution.
