@@ -215,11 +215,11 @@ class ComplexStepSystem(MechanicalSystem):
 
     @abc.abstractmethod
     def mass_matrix(self, q: Array) -> Array:
-        """Return M, shape (n_q, n_q)."""
+        """Return the mass matrix M, shape (n_q, n_q); to be written."""
 
     @abc.abstractmethod
     def position_constraint(self, t: float, q: Array) -> Array:
-        """Return Phi, shape (n_lam,)."""
+        """Return the constraints Phi(t, q), shape (n_lam,); to be written."""
 
     def coordinate_weights(self) -> Array:
         """Return `weights`; by default the diagonal of M at the start."""
@@ -240,11 +240,11 @@ class ComplexStepSystem(MechanicalSystem):
 
     @final
     def mass(self, q: Array) -> Array:
-        """Return the entries of M row by row."""
+        """Return the entries of M row by row, shape (n_q n_q,)."""
         return self.mass_matrix(q).ravel()
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """Differentiate M along dq."""
+        """Return M_q dq, its entries row by row, by complex steps of `mass_matrix`."""
         m = self._d.motion(q, dq)
         return self._d.value(_mass_at, m, (self._d.reach.time(m),)).ravel()
 

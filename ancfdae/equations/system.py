@@ -170,11 +170,11 @@ class MechanicalSystem(ComplexSteps):
 
     @abc.abstractmethod
     def mass(self, q: Array) -> Array:
-        """Return the values of M on `pattern`."""
+        """Return the values of M on `pattern`, shape (nnz,)."""
 
     @abc.abstractmethod
     def force(self, t: float, q: Array, v: Array) -> Array:
-        """Return Q, shape (n_q,)."""
+        """Return the force Q(t, q, v), shape (n_q,): all forces but M a; to be written."""
 
     @abc.abstractmethod
     def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:

@@ -28,7 +28,7 @@ class Direct(Method):
     """
 
     def differentiate(self, run: Run) -> Solution:
-        """Integrate motion and sensitivities."""
+        """Return the motion with its design derivatives."""
         return run.solution(sensitivities=True)
 
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:

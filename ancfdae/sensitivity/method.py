@@ -148,7 +148,7 @@ class Gradient:
 
     @property
     def pair(self) -> tuple[float, Array]:
-        """Value and gradient, as ``scipy.optimize.minimize(jac=True)`` wants them."""
+        """Value and gradient, shape (n_b,), as ``scipy.optimize.minimize(jac=True)`` wants them."""
         return self.value, self.gradient
 
     def to_dataframe(self) -> Any:

@@ -45,7 +45,7 @@ class Fit(abc.ABC):
     @property
     @abc.abstractmethod
     def design_names(self) -> tuple[str, ...]:
-        """Names of the design values."""
+        """Names of the design variables that are fitted."""
 
     @property
     @abc.abstractmethod

@@ -49,7 +49,7 @@ class RungRun:
 
     @property
     def integrator(self) -> HHT:
-        """What ran."""
+        """The integrator of the run, HHT with its step."""
         return HHT(self.step)
 
 
@@ -85,12 +85,12 @@ class Rung:
 
     @property
     def numbers(self) -> Array:
-        """Value and derivatives times their variables, of the finest run."""
+        """Value and derivatives times their variables, of the finest run, shape (1 + n_b,)."""
         return self.runs[-1].numbers
 
     @property
     def elements(self) -> int:
-        """Number of elements that deform."""
+        """Number of elements of the model that deform."""
         beams = () if self.scene is None else self.scene.beams
         return sum(beam.element_count for beam in beams if not beam.rigid)
 
@@ -110,7 +110,7 @@ class Choice:
 
     @property
     def error(self) -> float:
-        """Sum of the parts."""
+        """Estimated relative error of the chosen model: the sum of `parts`."""
         return sum(self.parts.values())
 
     def __repr__(self) -> str:
@@ -165,7 +165,7 @@ class ModelLadder:
 
     @property
     def richest(self) -> Rung:
-        """What all are measured against."""
+        """Runs of the richest model, against which all others are measured."""
         return self.rungs[-1]
 
     @property

@@ -127,7 +127,7 @@ class RunFit(MeasuredFit[tuple[Run, Solution]]):
 
     @property
     def count(self) -> int:
-        """Number of measurements."""
+        """Number of measurements, which is that of residuals."""
         return int(np.count_nonzero(~np.isnan(self.misfit.data)))
 
     def computed(

@@ -44,7 +44,7 @@ class SweepRow:
 
     @property
     def finished(self) -> bool:
-        """Whether there is a result."""
+        """Whether the row has a result rather than an error."""
         return not self.error
 
 

@@ -137,7 +137,7 @@ class ControlledSteps(StepControl):
         return GivenSteps(tuple(t.tolist())) if len(t) > 1 else replace(self, sensitivities=False)
 
     def refined(self, t: Array) -> StepControl:
-        """Halve the distances."""
+        """Return steps that halve each step of a run with times t."""
         return GivenSteps(tuple(t.tolist())).refined(t)
 
 

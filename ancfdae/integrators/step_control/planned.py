@@ -95,7 +95,7 @@ class FixedSteps(_KnownSteps):
         return np.full(len(t) - 1, self._size(t))
 
     def refined(self, t: Array) -> StepControl:
-        """Halve the step."""
+        """Return a fixed step of half the size."""
         return FixedSteps(self._size(t) / 2)
 
     def _size(self, t: Array) -> float:
@@ -153,7 +153,7 @@ class GivenSteps(_KnownSteps):
         return len(self.times) - 1
 
     def instants(self, t_end: float) -> Array:
-        """Return those given."""
+        """Return the given times, shape (n + 1,), s; InvalidInput if the run ends elsewhere."""
         self.count(t_end)
         return np.array(self.times)
 
@@ -162,7 +162,7 @@ class GivenSteps(_KnownSteps):
         return np.diff(t)
 
     def refined(self, t: Array) -> StepControl:
-        """Halve the distances."""
+        """Return steps that halve each step of a run with times t."""
         halves = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])]))
         return GivenSteps(tuple(halves.tolist()))
 

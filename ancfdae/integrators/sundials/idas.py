@@ -36,7 +36,7 @@ class IDAS(SundialsIntegrator, AdjointIntegrator):
     """
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
-        """Set up IDAS."""
+        """Set up a run by IDAS from the start of the system."""
         return _IdasMarch(Bindings.load(), self, problem, t_end, quadrature)
 
     def pull_back(

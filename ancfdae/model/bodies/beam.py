@@ -114,26 +114,26 @@ class Beam(BeamBody):
 
     @property
     def element_count(self) -> int:
-        """Number of elements."""
+        """Number of elements of the beam."""
         return int(self.elements)
 
     @property
     def dimension(self) -> int:
-        """Dimension of space."""
+        """Dimension of space, 2 or 3."""
         return len(tuple(self.end))
 
     @property
     def place(self) -> Sequence[float] | Point:
-        """Start of the centre line."""
+        """Start of the centre line, shape (d,); m."""
         return self.start
 
     @property
     def length(self) -> float:
-        """Length of the centre line."""
+        """Length of the centre line in the reference configuration; m."""
         return float(np.linalg.norm(self._span))
 
     def reference(self) -> ReferenceShape:
-        """Return the straight reference configuration."""
+        """Return the straight reference configuration: nodes, directions and fractions."""
         n, frame = self.element_count, self._frame()
         return ReferenceShape(
             lengths=np.full(n, self.length / n),

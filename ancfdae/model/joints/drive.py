@@ -100,7 +100,7 @@ class Drive(DrivenJoint):
         return np.array([-sine, cosine])
 
     def turn_rate(self, p: Array, t: Array) -> Array:
-        """Rate of the law."""
+        """Rate of the prescribed angle at times t; rad/s."""
         return self.angle.derivative(self.split(p)[0], t, 1)
 
     def factors(self, p: Array, t: Array, order: int) -> Array:

@@ -135,15 +135,15 @@ class MovingBase(Travelling):
     holds_position = True
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return those of a clamp."""
+        """Return the vectors of a `Clamp` at the point."""
         return Clamp(self.point).vectors(elements)
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
-        """Return those of a clamp."""
+        """Return the coefficients of a `Clamp` at the point."""
         return Clamp(self.point).coefficients(p[:0], reference)
 
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
-        """Return the direction."""
+        """Return the coefficients that go with the law: the direction of the travel."""
         still = self.coefficients(p, reference)
         c = empty_coefficients(len(still.offset), p, reference)
         c.offset[: reference.shape[1]] = unit(self.split(p)[0])

@@ -124,7 +124,7 @@ class PointOnLine(Joint):
     design_fields = (("direction", require_direction), ("through", require_vector))
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
-        """n_j . (r - through)."""
+        """Return the coefficients of n_j . (r - through) = 0, one row per direction across."""
         c = empty_coefficients(reference.shape[1] - 1, p, reference)
         direction, through = self.split(p)
         c.linear[:, 0] = across(direction)

@@ -41,7 +41,7 @@ class Law(Designable, abc.ABC):
 
     @final
     def over_time(self, p: Array, t: Array) -> list[Array]:
-        """Return the value itself."""
+        """Return the law at times t, shape of t, as a list of one array."""
         return [self.derivative(p, t, 0)]
 
     @final

@@ -118,7 +118,7 @@ class RunUp(Law):
         return passage(begin, duration)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Integral of the ramp."""
+        """Time derivative of a given order of the integral of the smooth step in the rate."""
         rate, duration, initial, begin = p
         x: Array = rate * smooth_step(t, begin, duration, order - 1)
         return initial + x if order == 0 else x
@@ -167,7 +167,7 @@ class Change(Law):
         return *super().breakpoints(p), *passage(begin, duration)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Leibniz' rule."""
+        """Time derivative of a given order, in the unit of what the law drives: Leibniz' rule."""
         before, after, duration, begin = self.split(p)
         x = self.before.derivative(before, t, order)
         for k in range(order + 1):

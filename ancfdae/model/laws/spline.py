@@ -70,7 +70,7 @@ class Spline(Law):
         return () if self.period is not None else (float(self.times[0]), float(self.times[-1]))
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Sum of the control values times their basis functions."""
+        """Time derivative of a given order: the sum of control values times basis functions."""
         s = (np.asarray(t) - self.times[0]) / self._unit
         last = self._basis.t[-_DEGREE - 1]
         # The basis of a periodic one repeats by itself.

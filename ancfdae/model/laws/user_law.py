@@ -46,7 +46,7 @@ class UserLaw(Law):
     indexed_fields: ClassVar[Mapping[str, str]] = {"values": "value"}
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Taylor arithmetic of the function."""
+        """Time derivative of a given order, by Taylor arithmetic of the function."""
         t = np.asarray(t)
         x = self.function(Jet(t, np.ones_like(t), *(0 * t for _ in range(order - 1))), *p)
         # A jet of order zero would take another way through the function.

@@ -59,7 +59,7 @@ class SpringDamper(Load):
     needs_other_end = True
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Positions of the points."""
+        """Return the vectors that the force acts on: the positions of the points."""
         return tuple((point, Quantity.POSITION) for point in self.points)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:

@@ -91,7 +91,7 @@ class Torque(SectionLoad):
     refers = True
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """T theta_U."""
+        """Return T theta_U: the torque times the gradient of the angle in the slopes."""
         torque, axis, _ = self.split(p)
         return (torque * turn(U, U_o, unit_axes(axis))[1])[..., 0, :, :]
 

@@ -93,7 +93,7 @@ class Circle(_Round):
     """
 
     def inner(self, sizes: Array) -> Array:
-        """No hole."""
+        """Return the radius of the hole: none, zero; m."""
         return 0.0 * sizes[:, 0]
 
 
@@ -123,5 +123,5 @@ class Tube(_Round):
         require_smaller("Tube.thickness", self.thickness, self.radius, rule)
 
     def inner(self, sizes: Array) -> Array:
-        """Return what the wall leaves."""
+        """Return the radius of the hole, radius less wall thickness; m."""
         return np.asarray(sizes[:, 0] - sizes[:, 1])

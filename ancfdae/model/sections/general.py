@@ -122,12 +122,12 @@ class PointSection(Section):
 
     @property
     def half_extents(self) -> tuple[float, float]:
-        """Distance of the farthest point."""
+        """Largest |y| and |z| of the points; m."""
         y, z = np.max(np.abs(self.places), axis=0)
         return float(self.height_factor * y), float(self.width_factor * z)
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Stretch the points."""
+        """Return the quadrature points, y and z times the factors, and the areas; m, m^2."""
         (y, z), f = np.transpose(self.places), sizes[:, :, None]
         return f[:, 0] * y, f[:, 1] * z, f[:, 0] * f[:, 1] * np.asarray(self.areas)
 
@@ -137,12 +137,12 @@ class PointSection(Section):
         return y, z
 
     def twist_centre(self, sizes: Array, centroid: Array) -> Array:
-        """As declared, stretched."""
+        """Shear centre as declared, times the factors; m."""
         if self.shear_centre is None:
             return centroid
         return np.asarray(sizes[:, None] * np.asarray(self.shear_centre))
 
     def torsion(self, sizes: Array) -> Array:
-        """Polar moment."""
+        """Polar moments of the points about the centroid, shape (n,); m^4."""
         _, moments = central_moments(*self.points(sizes, False))
         return moments.sum(axis=1)

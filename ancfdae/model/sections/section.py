@@ -127,7 +127,7 @@ class Section(abc.ABC):
 
     @abc.abstractmethod
     def torsion(self, sizes: Array) -> Array:
-        """Torsion constants J, shape (n,)."""
+        """Torsion constants J of n sections, shape (n,); m^4."""
 
     def twist_centre(self, sizes: Array, centroid: Array) -> Array:
         """Return y and z of the shear centre, shape (n, 1, 2): the centroid, (n, 1, 2), here."""

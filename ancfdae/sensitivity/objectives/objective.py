@@ -88,7 +88,7 @@ class Objective(Expression["Objective"]):
     """
 
     def of(self, function: Function, operands: tuple[object, ...]) -> Objective:
-        """Return a function of objectives."""
+        """Return a function of objectives as an objective."""
         return Combination(function, operands)
 
     def accepts(self, other: object) -> bool:

@@ -184,15 +184,15 @@ class Integral(OverTime):
     observable: Observable
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the sum."""
+        """Return the integral: the sum of weights times values."""
         return np.asarray(w @ x)
 
     def factor(self, duration: float) -> float:
-        """One."""
+        """Factor of the quadrature weights: one, for a plain integral."""
         return 1.0
 
     def integrand(self, x: Array, near: float) -> Array:
-        """Return x."""
+        """Return the integrand: the values x themselves."""
         return x
 
 
@@ -204,7 +204,7 @@ class Terminal(AtInstants):
     observable: Observable
 
     def instants(self, t_end: float) -> tuple[float, ...]:
-        """Return the end."""
+        """Return the end time of the run, s."""
         return (t_end,)
 
 
@@ -243,7 +243,7 @@ class AtTimes(AtInstants):
         object.__setattr__(self, "times", tuple(float(time) for time in times))
 
     def instants(self, t_end: float) -> tuple[float, ...]:
-        """Return the times."""
+        """Return the times of the objective, s; InvalidInput if the run ends before."""
         times = cast("tuple[float, ...]", self.times)
         if max(times) > t_end * (1 + 1e-12):
             rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
@@ -286,7 +286,7 @@ class SmoothMaximum(_Maximum, OverTime):
     """
 
     def factor(self, duration: float) -> float:
-        """One over the duration."""
+        """Factor of the quadrature weights: one over the duration, for a mean over time."""
         return 1.0 / duration
 
     def integrand(self, x: Array, near: float) -> Array:
@@ -313,10 +313,10 @@ class UpperMaximum(_Maximum):
     """
 
     def check_times(self, t_end: float) -> None:
-        """Accept every run."""
+        """Accept every run: the bound has no times of its own."""
 
     def weights(self, grid: TimeGrid) -> Array:
-        """One for every instant."""
+        """Weight one for every time point, shape (n_t,): the bound is a plain sum."""
         return np.ones(len(grid.t))
 
     def slopes(self, x: Array, w: Array) -> Array:

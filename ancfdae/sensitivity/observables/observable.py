@@ -94,7 +94,7 @@ class Observable(Expression["Observable"]):
     """
 
     def of(self, function: Function, operands: tuple[object, ...]) -> Observable:
-        """Return a function of observables."""
+        """Return a function of observables as an observable."""
         return Composite(function, operands)
 
     def accepts(self, other: object) -> bool:
@@ -107,7 +107,7 @@ class Observable(Expression["Observable"]):
             leaf.check_leaf(system)
 
     def leaves(self) -> list[Leaf]:
-        """Return the distinct leaves."""
+        """Return the distinct observables at the ends of the expression, without operations."""
         return cast("list[Leaf]", leaves(self))
 
     @property
