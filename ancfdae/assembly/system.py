@@ -258,7 +258,7 @@ class AncfSystem(PlannedSystem):
         return self._folds.coarse(q)
 
     def constraint(self, t: float, *motion: Array) -> Array:
-        """Constraints Phi or a time derivative, shape (n_lam,); its order is the number of rates."""
+        """Constraints Phi or a time derivative, shape (n_lam,), by the number of rates given."""
         return self._constraints.constraint(t, *motion)
 
     def constraint_q(self, t: float, *motion: Array) -> Array:

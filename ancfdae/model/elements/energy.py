@@ -68,7 +68,7 @@ class SaintVenantKirchhoff(StrainEnergy):
     """
 
     def stress_across(self, d: int, nu: Array) -> Array:
-        """Return nu, (n,): the stress across the plane over the sum of those in it; zero in space."""
+        """Return nu, (n,): the stress across the plane over S_xx + S_yy; zero in space."""
         return nu if d == 2 else 0 * nu
 
     def stiffness(self, d: int, E: Array, nu: Array) -> tuple[Array, ...]:
