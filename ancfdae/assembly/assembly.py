@@ -82,14 +82,14 @@ class Assembly:
 
     @cached_property
     def q(self) -> Array:
-        """Coordinates, shape (n_q,)."""
+        """Coordinates of the assembled start, shape (n_q,); m, slopes dimensionless."""
         if self._stands:
             return self._declared.Z.ravel()
         return self.closing.placed(self._declared, self._positions[0])
 
     @cached_property
     def v(self) -> Array:
-        """Velocities, shape (n_q,)."""
+        """Velocities of the assembled start, shape (n_q,); m/s, slopes 1/s."""
         if self._stands:
             return self._declared.velocities(self.q, self._motions.none)
         motion = self.closing.motion(self._positions[0])

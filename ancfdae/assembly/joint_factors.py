@@ -119,7 +119,7 @@ class JointPartials:
         return np.flatnonzero(np.diff(self.arrays[0])).tolist()
 
     def _reached(self, i: int) -> list[tuple[int, tuple[Array, Array, Array]]]:
-        """Return numbers of joints that a variable changes, with parts, entries and values."""
+        """Return the joints that variable i changes: index, with parts, entries and values."""
         structure, reached = self.structure, []
         vectors = structure.vectors
         chosen = vectors.variable == i

@@ -109,7 +109,7 @@ class BeamLayout:
 
     @property
     def element_count(self) -> int:
-        """Number of elements."""
+        """Number of elements of the beam."""
         return len(self.fractions) - 1
 
     @property

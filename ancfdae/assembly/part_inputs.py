@@ -36,7 +36,7 @@ class Rigidity(Joint):
     kind = "rigid"
 
     def vectors(self, elements: Elements) -> Names:
-        """Return the directions."""
+        """Return the directions of the axes of the rigid body."""
         return tuple(FrameDirection(self.beam, k + 1) for k in range(elements.d))
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
@@ -83,7 +83,7 @@ class PartInputs:
         return known.with_numbers(inputs, self._vectors(points))
 
     def loads(self) -> list[LoadInput]:
-        """Return all loads."""
+        """Return the inputs of all loads of the scene."""
         return [self.load(load) for load in self.scene.loads]
 
     def joint(self, joint: Joint) -> tuple[JointInput, Vectors]:
@@ -92,7 +92,7 @@ class PartInputs:
         return item, self._vectors(points)
 
     def load(self, load: Load) -> LoadInput:
-        """Return one load."""
+        """Return the input of one load: its vectors, parameters and reference, with derivatives."""
         points, p, p_b = self._part(load)
         vectors = self._vectors(points)
         reference, reference_b = self._in_reference(vectors)

@@ -29,7 +29,7 @@ _UNDETERMINED = frozenset({"centred", "coarse", "folded", "off_root", "over_time
 
 
 def members() -> dict[str, FunctionType]:
-    """Return the methods of the protocol that the values of a system determine."""
+    """Return the methods of `MechanicalSystem` that follow from the values of a system."""
     methods = vars(MechanicalSystem).items()
     named = {name: f for name, f in methods if isfunction(f) and not name.startswith("_")}
     return {name: f for name, f in named.items() if name not in _UNDETERMINED}
@@ -98,7 +98,7 @@ class Related(Derived):
     """The values that others determine."""
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """M_q dq."""
+        """M_q dq from `mass` by differences, values on the pattern."""
         return self._by_number(lambda e: self.system.mass(q + e * dq))
 
     def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:

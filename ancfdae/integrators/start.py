@@ -130,7 +130,7 @@ class Covectors(NamedTuple):
     b: Array
 
     def plus(self, other: Covectors) -> Covectors:
-        """Add."""
+        """Return the sum with other adjoint vectors."""
         return Covectors(*(x + y for x, y in zip(self, other, strict=True)))
 
 

@@ -21,7 +21,7 @@ class Watch:
         self._right = max(recorder.instants, 1)
 
     def missed(self, all_of_them: bool = False) -> str:
-        """Check many instants, or all that there are; return in words what is wrong, or nothing.
+        """Check recorded states, in groups or `all_of_them`; return what is wrong as text, or "".
 
         The recorder then forgets the step in which that happened and all after it.
         """

@@ -107,7 +107,7 @@ class Part(Designable, abc.ABC):
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        """Name and validate."""
+        """Give the part a name if it has none, and check its fields."""
         self._check_declared()
         name, where = self.name, f"{self.role} {self.kind!r}, name"
         require_kind(where, name, (str,), "Give a name.")

@@ -45,7 +45,7 @@ class SceneDesign(Designable):
 
     @property
     def dimension(self) -> int:
-        """Dimension of space."""
+        """Dimension of space, 2 or 3."""
         return self.members[0].dimension
 
     @property

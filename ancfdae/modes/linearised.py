@@ -115,13 +115,13 @@ class Linearised:
     # -- the pencil ----------------------------------------------------------------------------
 
     def matrix(self, z: complex) -> Array:
-        """Values of F(z)."""
+        """Values of F(z) on the pattern, shape (nnz,)."""
         if self.D is None:
             return self.K - z * self.M
         return z * z * self.M + z * self.D + self.K
 
     def slope(self, z: complex) -> Array:
-        """Values of F'(z)."""
+        """Values of F'(z) on the pattern, shape (nnz,)."""
         return -self.M if self.D is None else 2 * z * self.M + self.D
 
     def slope_times(self, z: complex, x: Array) -> Array:

@@ -34,7 +34,7 @@ class Field(abc.ABC):
     @property
     @abc.abstractmethod
     def label(self) -> str:
-        """Quantity and unit."""
+        """Quantity with its unit, for the colour bar."""
 
     @abc.abstractmethod
     def values(self, mesh: Mesh, motion: Solution) -> Array:
@@ -60,7 +60,7 @@ class _OfBeams(Field):
 
     @abc.abstractmethod
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
-        """Return the values, shape (k, n elements, n stations, n fibres) or broadcast to it."""
+        """Return the field, shape (k, n elements, n stations, n fibres) or broadcast to it."""
 
 
 @final
@@ -109,7 +109,7 @@ class _SectionForce(_OfBeams):
     @property
     @abc.abstractmethod
     def component(self) -> int:
-        """Which one."""
+        """Index of the component in the vector of section forces."""
 
     @final
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
@@ -147,7 +147,7 @@ class BendingMoment(_SectionForce):
 
     @property
     def component(self) -> int:
-        """M_y or M_z."""
+        """Index of M_y or M_z in the vector of section forces."""
         return _TORQUE + self.about
 
     label = "bending moment [N m]"
@@ -183,7 +183,7 @@ class Sensitivity(Field):
 
     @property
     def label(self) -> str:
-        """Quantity and unit."""
+        """Quantity with its unit, for the colour bar."""
         return f"|dr/db|, b = {self.variable} [m per unit of b]"
 
     def values(self, mesh: Mesh, motion: Solution) -> Array:

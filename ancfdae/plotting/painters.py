@@ -63,7 +63,7 @@ class Painter(abc.ABC):
 
     @abc.abstractmethod
     def _mark(self, sign: Sign, x: Array) -> list[Artist]:
-        """Paint a sign."""
+        """Paint a marker of a joint or load at the place x; return its artists."""
 
     @abc.abstractmethod
     def _quiver(self, x: Array, F: Array) -> Artist:

@@ -207,7 +207,7 @@ class Run:
         return advised(self.system, run)
 
     def solution(self, *, sensitivities: bool = False) -> Solution:
-        """Integrate."""
+        """Integrate the motion, from `after` if given, with design derivatives if asked for."""
         settings = {"sensitivities": sensitivities, "progress": self.progress}
         if self.after is not None:
             run = self.integrator.resume(self.system, self.t_end, self.after, **settings)
@@ -252,7 +252,7 @@ class Run:
         return solution, np.array([each.value(self.system, states, totals) for each in objectives])
 
     def at(self, b: Array) -> Run:
-        """Return the run at other design values."""
+        """Return the same run at other design values b."""
         return replace(self, system=at_values(self.system, b), after=None)
 
     def repeating(self, solution: Solution) -> Run:

@@ -145,7 +145,7 @@ class Balance:
 
     @cached_property
     def matrices(self) -> SaddlePoint:
-        """Saddle-point matrices."""
+        """Saddle-point matrices of K and Phi_q, with scales from the start."""
         return saddle_point(self.system, self.t, self.q_0)
 
     def Phi_q(self, q: Array) -> Array:
@@ -153,7 +153,7 @@ class Balance:
         return self.system.constraint_q(self.t, q)
 
     def reactions(self, Phi_q: Array, lam: Array) -> Array:
-        """Return Phi_q^T lam."""
+        """Return Phi_q^T lam from values of Phi_q, shape (n_q,)."""
         return self.system.constraint_pattern.dot_transposed(Phi_q, lam)
 
     def unbalanced(self, q: Array, lam: Array, Phi_q: Array | None = None) -> Array:
@@ -192,7 +192,7 @@ class Balance:
         return CompiledRest.of(self.system, self.matrices, self.t, known)
 
     def begun(self) -> Balanced | Unsolved:
-        """Return the start, which solves the equations at s = 0, with its path."""
+        """Return the start as a solution at load factor 0, with the derivatives of its path."""
         q, lam = self.q_0, self.lam_0
         if self._compiled:
             gap = 1.0, float(self.closes)

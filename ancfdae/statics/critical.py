@@ -238,7 +238,7 @@ class _Place:
 
     @property
     def p(self) -> float:
-        """The parameter."""
+        """Value of the parameter at this place of the path."""
         return float(self.system.b[self.k])
 
     @staticmethod

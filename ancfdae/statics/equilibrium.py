@@ -202,7 +202,7 @@ class RestingStart:
 
     @property
     def q(self) -> Array:
-        """Coordinates, shape (n_q,)."""
+        """Coordinates at the equilibrium, shape (n_q,)."""
         return self.equilibrium.q
 
     @cached_property

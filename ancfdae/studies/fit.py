@@ -173,7 +173,7 @@ class MeasuredFit(Fit, Generic[R]):
     @property
     @abc.abstractmethod
     def count(self) -> int:
-        """Number of measurements."""
+        """Number of measurements, which is that of residuals."""
 
     @abc.abstractmethod
     def computed(self, b: Array, derivatives: bool, result: R | None) -> tuple[Array, Array, R]:
@@ -211,7 +211,7 @@ class MeasuredFit(Fit, Generic[R]):
 
     @final
     def result(self, b: Array) -> R:
-        """Return what was computed at a design; raises the error of one that has nothing."""
+        """Return what was computed at a design; raise the error of a design without a result."""
         return self._designs.result(require_array("design values", b, (len(self.design_names),)))
 
     @cached_property

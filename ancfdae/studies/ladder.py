@@ -68,7 +68,7 @@ class Question:
         return numbers * self.scale
 
     def is_small(self, difference: Array, at: Array, richest: Rung | None) -> bool:
-        """Whether an error is small beside the tolerance, or what the model neglects there."""
+        """Whether an error is small against the tolerance, or against the error of the model."""
         exact = at if richest is None else richest.numbers
         return all(
             error(difference, exact, of)

@@ -160,7 +160,7 @@ class ModelLadder:
     mesh_orders: Array
 
     def __repr__(self) -> str:
-        """Return the table."""
+        """Return the table of all models, runs and errors."""
         return self.table()
 
     @property

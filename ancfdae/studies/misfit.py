@@ -192,7 +192,7 @@ class StaticMisfit:
     weights: Array | float = 1.0
 
     def __post_init__(self) -> None:
-        """Validate."""
+        """Check the fields; store data and weights as arrays."""
         repair = "For example position(rod.at_end, 1)."
         require_each("StaticMisfit.observables", self.observables, (Observable,), repair)
         _measured(self, (len(self.observables),))
@@ -235,7 +235,7 @@ class FrequencyMisfit:
     under_load: bool = False
 
     def __post_init__(self) -> None:
-        """Validate."""
+        """Check the fields; store data and weights as arrays."""
         require_flag("FrequencyMisfit.under_load", self.under_load)
         _measured(self, (-1,))
 
@@ -259,7 +259,7 @@ class FrequencyFit(MeasuredFit[Modes]):
 
     @property
     def count(self) -> int:
-        """Number of measurements."""
+        """Number of measured frequencies, without NaN."""
         return int(np.count_nonzero(~np.isnan(self.misfit.data)))
 
     def computed(

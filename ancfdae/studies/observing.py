@@ -107,7 +107,7 @@ class _Seen:
         self._past: dict[object, float] = {}
 
     def values(self, part: Solution, some: Solution) -> Array:
-        """Return the values at some of the instants within a part."""
+        """Return the values of the observables at some of the times of a part of the run."""
         if not self._observable.remembers_any:
             there = len(some.t) > 0
             return self._observable.value(self._system, states_of(some)) if there else some.t

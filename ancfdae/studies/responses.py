@@ -291,7 +291,7 @@ class Responses:
     def _computed(
         self, b: Array, derivatives: bool, ran: tuple[Run, Solution] | None
     ) -> tuple[Array, Array | None, tuple[Run, Solution]]:
-        """Run a design, or differentiate the run that is there."""
+        """Return values and derivatives at a design, by a new run or by the given one."""
         self._asked = self._asked or derivatives
         run, solution = ran or (self._run.at(b), None)
         functions = list(self._functions.values())

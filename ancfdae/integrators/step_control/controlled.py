@@ -104,7 +104,7 @@ class ControlledSteps(StepControl):
         return replace(self, rtol=max(self.rtol, _ROUGH), atol=None, sensitivities=False)
 
     def count(self, t_end: float) -> int:
-        """Return a guess."""
+        """Return a guess of the number of rows to reserve: the steps are not known."""
         require_positive("t_end", t_end)
         require_square("t_end", float(t_end))
         return _ROWS
@@ -168,7 +168,7 @@ class _Filter(Controller):
             self._taken, self._remaining = int(taken), int(remaining)
 
     def state(self) -> tuple[float, ...]:
-        """Return all that changes."""
+        """Return the numbers of the filter that change in a run, to continue it."""
         sizes = self._h, self._start, self._last_wish, self._last_ratio, self._memory
         return *sizes, self._last_h, float(self._taken), float(self._remaining)
 

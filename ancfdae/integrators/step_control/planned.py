@@ -38,13 +38,13 @@ class _KnownSteps(StepControl):
 
     @abc.abstractmethod
     def instants(self, t_end: float) -> Array:
-        """Return the instants of a run to `t_end`; refuse one that they cannot end at."""
+        """Return the times of a run to `t_end`, s; InvalidInput if no step ends there."""
 
     @final
     def controller(
         self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
     ) -> Controller:
-        """Return the plan."""
+        """Return the controller that takes the prescribed steps."""
         t = self.instants(t_end)
         return StepPlan(self.sizes(t), t[1:])
 

@@ -51,7 +51,7 @@ class IDAS(SundialsIntegrator, AdjointIntegrator):
 
 @final
 class _IdasMarch(March):
-    """One forward run."""
+    """One forward run of IDAS."""
 
     def __init__(
         self,

@@ -94,7 +94,7 @@ class Beam(BeamBody):
     initial_strain: float = 0.0
 
     def __post_init__(self) -> None:
-        """Validate."""
+        """Check the fields; raise InvalidInput."""
         where = f"beam {self.name!r}"
         if isinstance(self.start, Point):
             require_vector(f"{where}, end", self.end)

@@ -80,7 +80,7 @@ class BeamBody(Placed):
     @property
     @abc.abstractmethod
     def element_count(self) -> int:
-        """Number of elements."""
+        """Number of elements of the beam."""
 
     @abc.abstractmethod
     def reference(self) -> ReferenceShape:

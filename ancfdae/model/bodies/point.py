@@ -88,7 +88,7 @@ def require_point(where: str, point: object, dimension: int = 3) -> None:
 
 
 def require_fraction(where: str, fraction: float | None) -> float:
-    """Return a fraction along a beam; refuse none, and one outside [0, 1]."""
+    """Return a fraction along a beam; InvalidInput if it is None or outside [0, 1]."""
     if fraction is None or not 0.0 <= fraction <= 1.0:
         raise InvalidInput(
             where,

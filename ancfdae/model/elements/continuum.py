@@ -88,7 +88,7 @@ class ContinuumBeam(BeamElement):
     def vector_weights(
         self, quantity: Quantity, xi: float, y: float, z: float
     ) -> tuple[Array, Array]:
-        """Return `shape_weights`."""
+        """Return the weights of the node vectors in a position or slope; see `shape_weights`."""
         powers = np.zeros((2, self.n_s), dtype=int)
         if quantity is Quantity.POSITION:
             powers[:, 1] = 1

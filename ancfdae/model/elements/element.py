@@ -58,7 +58,7 @@ class ElementParameter(IntEnum):
 @final
 @dataclass(frozen=True)
 class ElementType:
-    """What elements share that differ in numbers only."""
+    """Type of an element: what is equal in a batch, whose elements differ in numbers only."""
 
     section: Section  # one of theirs; its sizes do not count
     energy: StrainEnergy | None  # None for elements with a law of their own
@@ -88,7 +88,7 @@ class Batch:
 
     @property
     def d(self) -> int:
-        """Dimension of space."""
+        """Dimension of space, 2 or 3."""
         return int(self.Y_unit.shape[2])
 
     @property

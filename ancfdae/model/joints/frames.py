@@ -65,12 +65,12 @@ class Carrier(abc.ABC):
 
 @final
 class Ground(Carrier):
-    """Directions that stay."""
+    """Directions fixed in space, to which joints to ground refer."""
 
     def meet(
         self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
-        """Linear entries."""
+        """Add factor times (direction . sum of weights times vectors) to a row: linear entries."""
         c.linear[row] += factor * np.outer(weights, direction)
 
 
@@ -100,7 +100,7 @@ class SectionFrame(Carrier):
     def meet(
         self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
-        """Bilinear entries."""
+        """Add the same with the direction carried by the section: bilinear entries."""
         product = factor * np.outer(weights, self.carried(direction))
         c.bilinear[row] += product + product.T
 

@@ -166,7 +166,7 @@ class DrivenJoint(Joint):
 
     @abc.abstractmethod
     def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Return the factors."""
+        """Return the factors of the moving coefficients at t, or their time derivatives."""
 
     @abc.abstractmethod
     def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
@@ -189,7 +189,7 @@ class Travelling(DrivenJoint):
         return True
 
     def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Return the travel."""
+        """Return the prescribed travel, m, or its time derivative of an order."""
         return self.travel.derivative(self.split(p)[1], t, order)[None]
 
 

@@ -13,7 +13,7 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class Constant(Law):
-    """x = value."""
+    """The constant law x = value."""
 
     value: float
 

@@ -66,7 +66,7 @@ def _basis(U: Any) -> Any:
 
 
 def _on_slopes(U: Any, G: Any) -> Any:
-    """Return the gradient in the slopes of something with the gradient G in their basis."""
+    """Return the gradient in the slopes U of a function whose gradient in their basis is G."""
     if U.shape[-1] == 2:
         return G[..., 1:, :] - G[..., :1, :] @ QUARTER_TURN
     r_y, r_z = U[..., :1, :], U[..., 1:, :]

@@ -28,7 +28,7 @@ class _Round(Section):
 
     @property
     def half_extents(self) -> tuple[float, float]:
-        """The outer radius."""
+        """Half height and half width, the outer radius; m."""
         return self.radius, self.radius
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
@@ -75,7 +75,7 @@ class _Round(Section):
         return height * (whole - y**2), height * (whole - z**2)
 
     def holds(self, y: float, z: float) -> bool:
-        """Between the circles."""
+        """Whether the point (y, z) lies between hole and outer circle."""
         inner = float(self.inner(np.array([self.sizes()]))[0])
         r = float(np.hypot(y, z))
         return inner <= r * ROUND_UP and r <= self.radius * ROUND_UP

@@ -159,7 +159,7 @@ class Section(abc.ABC):
         )
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Return how much of the mean shear along y, and along z, there is at places (n, n_f).
+        """Return local over mean shear stress along y and along z, (n, n_f) each; 1 by default.
 
         The mean of a share over the section is 1, which is all that a section knows by default.
         Radial stress in curved beams spreads alike.

@@ -69,7 +69,7 @@ class Integrated(abc.ABC):
 
     @abc.abstractmethod
     def value(self) -> float:
-        """As `Objective.value`."""
+        """Return the value of the integral over the run; see `Objective.value`."""
 
     @abc.abstractmethod
     def partials(self) -> ObjectivePartials:

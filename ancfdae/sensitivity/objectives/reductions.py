@@ -62,7 +62,7 @@ class Reduction(Objective):
         self.check_times(t_end)
 
     def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
-        """Reduce the observable."""
+        """Return the objective of states, by the observable at their times."""
         if self in totals:
             return totals[self].value()
         return self.of_values(self.observable.value(system, states), states.grid).item()
@@ -131,11 +131,11 @@ class AtInstants(Reduction):
         return w
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the sum."""
+        """Return the sum of values x with weights w."""
         return np.asarray(w @ x)
 
     def slopes(self, x: Array, w: Array) -> Array:
-        """Return the weights."""
+        """Return the derivative of the sum in each value: the weights w."""
         return w
 
 
@@ -146,7 +146,7 @@ class OverTime(Reduction):
     """
 
     def check_times(self, t_end: float) -> None:
-        """Accept every run."""
+        """Accept every run: an integral has no times of its own."""
 
     def weights(self, grid: TimeGrid) -> Array:
         """Quadrature weights times the factor; one for a single instant."""

@@ -129,7 +129,7 @@ class MassIntegral(Leaf):
                 )
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """a^T M b."""
+        """Return a^T M b for states, shape (n_t,): one factor per axis."""
         scene = known_scene(system)
         a, b = self._factors(scene, states)
         value = np.sum(a * scene.energies.momenta(b, self.beam), axis=1)

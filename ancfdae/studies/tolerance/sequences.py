@@ -85,7 +85,7 @@ class _Steps(Runs):
         return self._work(self.count) if self.count * row < _MEMORY else math.inf
 
     def take(self, sample: Sample) -> None:
-        """Add a run."""
+        """Add a run and note its number of steps."""
         self._taken = self.count
         super().take(sample)
 
@@ -210,7 +210,7 @@ class Second(_Steps):
 
     @property
     def setting(self) -> Integrator:
-        """A fixed step."""
+        """HHT at the fixed step of the next run."""
         return HHT(self._t_end / self.count, hht_alpha=_ALPHA)
 
     @property
@@ -320,7 +320,7 @@ class Fifth(_Steps):
 
     @property
     def setting(self) -> Integrator:
-        """A fixed step."""
+        """Radau at the fixed step of the next run."""
         return Radau(self._t_end / self.count)
 
     @property
@@ -387,7 +387,7 @@ class Eighth(Runs):
 
     @property
     def setting(self) -> Integrator:
-        """A tolerance."""
+        """Explicit at the tolerance of the next run."""
         most = math.ceil(3 * self._foreseen) + 20
         stops = self._wanted.features.stops
         # Interpolation between instants is an error too: each run has twice as many.
