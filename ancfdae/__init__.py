@@ -25,12 +25,29 @@ __all__ = [*_MODULES, "__version__"]
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name, and keep it for the next time."""
+    """Return a public name, and store it for the next use.
+
+    An unknown name raises AttributeError with the call or page that serves, or with near names;
+    `from ancfdae import` of it raises ImportError with the same text.
+    """
     if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        raise _unknown(name)
     value = getattr(importlib.import_module(_MODULES[name]), name)
     globals()[name] = value
     return value
+
+
+def _unknown(name: str) -> Exception:
+    """Return the error for a name that the package does not have, with an answer to it."""
+    here = Path(__file__).parent
+    if name.startswith("_") or (here / name).is_dir() or list(here.glob(f"{name}.*")):
+        return AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from ancfdae.errors.unknown_names import answer
+
+    # The import system asks for names by `hasattr` first, and would replace the text by its own.
+    importing = sys._getframe(2).f_code.co_name == "_handle_fromlist"
+    kind = ImportError if importing else AttributeError
+    return kind(answer(name, _MODULES))
 
 
 def __dir__() -> list[str]:

@@ -29,6 +29,7 @@ from ancfdae.errors import (
     StabilityWarning,
     ToleranceMissed,
     UnknownName,
+    UnlikelyValue,
     Verdict,
 )
 from ancfdae.integrators.explicit import Explicit
@@ -321,6 +322,7 @@ __all__ = [
     "Uniform",
     "Universal",
     "UnknownName",
+    "UnlikelyValue",
     "UpperMaximum",
     "UserLaw",
     "Verdict",

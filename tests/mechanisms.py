@@ -90,7 +90,7 @@ class WhirlingPendulum(CartesianPendulum):
 
 
 class NeverRight(CartesianPendulum):
-    """Its force is a number at the start only."""
+    """A pendulum whose force is NaN after the start."""
 
     def with_values(self, b):
         return NeverRight(self.angle, self.spin, b)
@@ -191,7 +191,7 @@ class GuidedDoublePendulum(FormulaSystem):
 
 
 class HeldDoublePendulum(GuidedDoublePendulum):
-    """Its line stands still."""
+    """A `GuidedDoublePendulum` whose guiding line does not move."""
 
     w = 0.0
 

@@ -1,6 +1,6 @@
 """End conditions of the continuous adjoint at t_2 (eqs. 38-41), against exact rates.
 
-The gradient hardly sees them: whatever is wrong with mu' in the directions of the constraints, the
+The gradient does not check them: an error of mu' in the directions of the constraints is what the
 first step backward puts right with an impulse of zeta, and the order stays two. So the end itself
 is compared with what `docs/theory/08-adjoint.md` says of it.
 """

@@ -133,7 +133,7 @@ def test_loads_at_nodes_are_carried_by_every_section(d, section, energy, taper, 
 
 
 def beyond(scene, section, rates, f, states, point):
-    """Force and moment about a section of what is spread beyond it: f, weight and inertia."""
+    """Force and moment about a section of the loads f, weight and inertia beyond it."""
     (rod,), system, g = scene.beams, assemble(scene), spatial(scene.gravity)
     y, z, dA = (x[0] for x in section.points(np.array([section.sizes()]), True))
 

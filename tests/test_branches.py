@@ -101,7 +101,7 @@ def test_no_success_on_the_other_side_of_a_dead_point(integrator, distance, hang
 
 
 def test_the_step_that_an_outcome_names_is_right():
-    """It was tried, and its run is checked like any other; here against the closed form."""
+    """An outcome names HHT(step=0.00125); its run agrees with the closed form to 1e-12 m."""
     begin = R + L - 1e-6 - STROKE
     crank, scene = pushed(begin, Harmonic(STROKE, RATE))
     advice = simulate(scene, 0.25, HHT(0.01)).outcome.advice

@@ -245,7 +245,7 @@ def test_complex_steps_repeat_a_run_without_a_step_too():
 
 def test_complex_systems_are_refused():
     system = CartesianPendulum(b=(1.0 + 1e-40j, 9.81))
-    with pytest.raises(InvalidInput, match="a complex system"):
+    with pytest.raises(InvalidInput, match="needs real design values; got complex ones"):
         simulate(system, 1.0, HHT(both(1e-3)))
 
 

@@ -290,7 +290,7 @@ def test_many_instants_print_in_short():
 
 
 class Exploding(CartesianPendulum):
-    """Its force is not a number from some time on."""
+    """A pendulum whose force is NaN after t = 0.3 s."""
 
     def force(self, t, q, v):
         return super().force(t, q, v) * (np.nan if t > 0.3 else 1.0)

@@ -28,7 +28,7 @@ START = np.array([[[0.3, -0.7], [0.2, 0.4]], [[0.9, 0.1], [-0.5, 0.6]]])
 
 
 def accelerations(t, state):
-    """Of two oscillators with two rows each, by positions, velocities and time."""
+    """Accelerations of two coupled oscillators, from time and state (positions, velocities)."""
     y, u = state
     return -np.sin(3 * y) - 0.3 * u * np.abs(u) ** 2 + np.cos(5 * t) * y[::-1]
 
@@ -147,7 +147,7 @@ def test_states_move_to_the_nearest_on_constant_constraints():
         B, Phi_q = system.constraint_pattern, system.constraint_q(0.0, first.q)
         assert np.max(np.abs(system.constraint(0.0, moved[0, 0]))) < 1e-15
         assert np.max(np.abs(B.dot(Phi_q, moved.reshape(6, -1)[1:].T))) < 1e-15
-        # M dx + Phi_q^T sigma = 0: no inertia along motions that the constraints allow, but for the
+        # M dx + Phi_q^T sigma = 0: no inertia along motions that the constraints allow, up to the
         # round-off of solving with M, whose condition number is 1e4.
         free = scipy.linalg.null_space(B.dense(Phi_q))
         change = system.mass_times(first.q, (moved - rows).reshape(6, -1).T)

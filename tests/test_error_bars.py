@@ -59,7 +59,7 @@ def test_bars_hold_and_are_not_wasteful(name, controlled, levels):
     error = np.abs(numbers(found.value, found.gradient) - exact)
     bar = numbers(found.value_bar, found.gradient_bar)
     assert np.all(error <= bar), (error, bar)
-    # Three levels see the order: the bar is then 1.25 times the error and a little.
+    # Three levels see the order: the bar is then 1.25 times the error up to terms of higher order.
     assert np.all(bar <= (6 if levels == 2 else 3) * error + 1e-3 * bar), (error, bar)
     better = np.abs(numbers(found.extrapolated_value, found.extrapolated_gradient) - exact)
     assert np.linalg.norm(better) < 0.3 * np.linalg.norm(error)
@@ -123,7 +123,7 @@ def test_adjoint_weighted_estimate_is_the_error(name, controlled):
     exact = exact_of(name)[0]
     integrator = HHT(rtol=0.1 * rtol) if controlled else HHT(0.5 * step)
     found = adjoint_error(build(), objective, t_end, integrator)
-    # The estimate is the error but for terms of the next order.
+    # The estimate is the error up to terms of the next order.
     assert found.error == pytest.approx(exact - found.value, rel=0.15)
     assert abs(found.extrapolated_value - exact) < 0.15 * abs(found.value - exact)
 

@@ -573,7 +573,7 @@ class Balance:
         return np.array([observe(observable(i, owner), self.rates, self.system)[0] for i in axes])
 
     def take(self, name, force, place, moment=0.0):
-        """Take a force out of what is left of the rates of a beam."""
+        """Subtract a force from the residuals of the momentum balances of a beam or body."""
         self.left[name][0] = self.left[name][0] - force
         self.left[name][1] = self.left[name][1] - turning(place, force) - moment
 
@@ -768,7 +768,7 @@ def best_turn(R, axis):
 
 
 def test_a_bushing_gives_back_what_its_springs_hold():
-    """Its power is minus the rate of 1/2 k x^2 + 1/2 k theta^2, less what its dampers take."""
+    """Power of a bushing: minus the rate of 1/2 k x^2 + 1/2 k theta^2, less that of its dampers."""
     k, k_turn = np.array([30.0, 50.0, 20.0]), np.array([3.0, 1.0, 2.0])
     c, c_turn = np.array([0.3, 0.2, 0.5]), np.array([0.1, 0.3, 0.2])
     one = RigidBody("one", (0.1, 0.2, 0.3), mass=2.0, inertia=(0.1, 0.2, 0.25))
@@ -926,7 +926,7 @@ def test_mass_properties_of_a_curved_tapered_beam_are_integrals_over_its_volume(
     spread = second - m * np.outer(centre, centre)
     tensor = np.trace(spread) * np.eye(d) - spread if d == 3 else [[np.trace(spread)]]
     found = mass_properties(Scene([one]))
-    # Both rules are exact in x, y, z but for round-off: the integrand is a polynomial.
+    # Both rules are exact in x, y, z to round-off: the integrand is a polynomial.
     assert np.isclose(found.mass, m, rtol=1e-12)
     assert np.allclose(found.centre, centre, rtol=1e-12)
     assert np.allclose(found.inertia, tensor, rtol=1e-9, atol=1e-12 * np.max(np.abs(tensor)))

@@ -96,7 +96,7 @@ def test_solutions_are_those_of_dense_lu(nodes, spread):
     # Refined: a few units of round-off of |A| |x| + |b| in each entry, and the same once more from
     # the product that makes the residual.
     assert np.all(residual <= 50 * EPS * (np.abs(found) @ np.abs(matrix)).max(axis=1)[:, None])
-    # Errors are no larger than those of LAPACK with exchanges, but for a factor of ten.
+    # Errors are at most ten times as large as those of LAPACK with exchanges.
     lapack = np.linalg.solve(matrix, right.T).T
     assert np.abs(found - x).max() <= 10 * np.abs(lapack - x).max() + 100 * EPS * np.abs(x).max()
 

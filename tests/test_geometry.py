@@ -551,7 +551,7 @@ def test_targets_that_cannot_move_both_ways_are_refused():
     for target, words in (
         ("end.point_fraction", "inside an element"),
         ("middle.point_fraction", "kink at a node"),
-        ("end.point_z", "no such axis"),
+        ("end.point_z", "points of 'rod' move along y only"),
     ):
         with pytest.raises(InvalidInput, match=words):
             assemble(scene, [target])
@@ -613,7 +613,7 @@ def test_a_body_that_leads_may_turn_by_its_drive():
 
 
 def chain(count, turned=False, attached=True):
-    """Beams of length one, each a little steeper than the one before, joined by pins."""
+    """Beams of length one, each steeper by 0.02 rad than the one before, joined by pins."""
     beams, place = list[Beam](), np.zeros(2)
     for k in range(count):
         angle = 0.02 * k

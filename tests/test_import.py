@@ -42,7 +42,7 @@ def test_all_public_names_load_numpy_and_scipy_and_no_part_of_scipy() -> None:
 
 
 def test_a_first_assembly_and_step_load_no_other_package_either() -> None:
-    """They take as long as what they load: some hundredths of a second, not tenths."""
+    """A first assembly and step load nothing new: they take hundredths of a second, not tenths."""
     scene = "Scene([rod], [Pin(rod.at_start)], (0, -9.81))"
     rod = "Beam('rod', (0, 0), (1.2, 0), 6, Rectangle(0.02, 0.02), Material(5540, 1e7, 0.3))"
     run = f"rod = {rod}\nsimulate(assemble({scene}), 1e-3, HHT(1e-3))"

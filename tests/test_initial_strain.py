@@ -200,7 +200,7 @@ def test_heat_buckles_a_clamped_column(element):
     places = critical * np.array([0.97, 0.99])
     scenes = (taut(element, -place, 16)[0] for place in places)
     squares = [modes(scene, 1).frequencies[0] ** 2 for scene in scenes]
-    # It is linear in the strain but for the shape, by (1 - share)^2: 1e-4 of 0.01.
+    # The square of a frequency is linear in the strain, except by its shape: (1 - share)^2 = 1e-4.
     found = places[1] + squares[1] * np.diff(places)[0] / (squares[0] - squares[1])
     assert found == pytest.approx(critical, rel=1e-3)
 

@@ -77,8 +77,8 @@ def deflection_of(scene, point, force):
 @pytest.mark.parametrize("elements", [1, 4, 16])
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_welded_frame_bends_as_theory_says_on_every_mesh(d, elements):
-    # Force along the first leg: bending of both, stretch and shear. Out of the plane: bending of
-    # both, shear of both, and torsion of the first.
+    # Force along the first leg: bending of both legs, stretch and shear. Out of the plane: bending
+    # and shear of both legs, and torsion of the first.
     h = 0.05
     section, EA, EI, _, GA = section_of(h, h)
     z = (0.0,) * (d - 2)
@@ -224,7 +224,7 @@ def test_a_universal_joint_fluctuates_as_it_must():
     turn = np.unwrap(np.arctan2(arm[:, 2], arm @ cross))
     theta = speed * solution.t
     expected = np.unwrap(np.arctan2(np.cos(bend) * np.sin(theta), np.cos(theta)))
-    # Held by constraints alone, but for round-off of a thousand steps.
+    # Held by constraints alone, to the round-off of a thousand steps.
     assert np.max(np.abs(turn - expected)) <= 1e-10
     ratio = np.cos(bend) / (1 - (np.sin(bend) * np.sin(theta)) ** 2)
     assert np.ptp(ratio) > 0.3
@@ -243,7 +243,7 @@ def test_a_prismatic_joint_on_an_incline_lets_a_mass_fall():
         solution = run(scene)
         travel = (solution.position(block.origin) - solution.position(block.origin)[0])[:, :2]
         expected = 0.5 * g * np.sin(slope) * solution.t**2
-        # Constant acceleration: the scheme is exact but for Newton's tolerance.
+        # Constant acceleration: the scheme is exact to the tolerance of Newton's method.
         assert np.max(np.abs(travel @ way - expected)) <= 1e-9
         assert np.max(np.abs(travel @ np.array([-way[1], way[0]]))) <= 1e-12
 

@@ -730,7 +730,7 @@ def test_spatial_pendulum_on_a_hinge_is_the_planar_one_on_a_pin():
 )
 def test_spatial_joints_are_refused_in_the_plane(joint):
     rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, BAR, SOFT)
-    with pytest.raises(InvalidInput, match="is spatial"):
+    with pytest.raises(InvalidInput, match="needs a scene in space"):
         Scene([rod], [joint(rod.at_start)])
 
 

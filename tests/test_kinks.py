@@ -196,7 +196,7 @@ def test_springs_masses_and_bushings_push_as_forces_do():
         load = PointForce(place, (0.0, 1.0), name="push")
         state = at_rest(Scene([rod], [Clamp(rod.at_start)], loads=[holder, load]))
         V = sides(state, lambda before: rod.at(0.5, before=before), shear_force)
-        # Of the force the beam takes what its stiffness 1/v is beside that of the holder.
+        # The beam and the holder share the force in proportion to stiffness, 1/v and `stiffness`.
         np.testing.assert_allclose(V, (1 / (1 + stiffness * v), 0.0), atol=SMALL)
     light = Material(density=1e-9, youngs_modulus=E, poisson_ratio=NU)
     rod = straight(8, material=light)

@@ -93,7 +93,7 @@ def test_cable_of_the_elements_stretches_by_saint_venant_kirchhoff():
 def test_polynomials_reproduce_the_frequencies_of_the_rotating_beam():
     printed = rotating.PUBLISHED
     found = np.array([rotating._reference(speed) for speed in printed[:, 0]])
-    # Half of the last printed digit, and a little where the print is rounded twice.
+    # Half of the last printed digit, and as much again where the print is rounded twice.
     np.testing.assert_allclose(found, printed[:, 1:], rtol=0, atol=1e-4)
 
 

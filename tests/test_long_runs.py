@@ -132,7 +132,7 @@ def test_an_interrupt_between_parts_keeps_the_rows_so_far(monkeypatch):
         ({"keep": True}, "keep: must be a positive integer"),
         ({"keep": "all"}, "keep"),
         ({"keep": None}, "keep"),
-        ({"keep": [0.2, 0.1]}, "keep: must be instants that ascend"),
+        ({"keep": [0.2, 0.1]}, "keep: must be ascending times"),
         ({"keep": [0.0, 1.0]}, "keep: must lie in"),
         ({"integrator": IDA(1e-6)}, "keep, integrator: needs"),
         ({"integrator": HHT(rtol=1e-3)}, r"HHT\.steps: needs steps that are known"),
@@ -147,5 +147,5 @@ def test_bad_input_is_refused(change, match):
 
 
 def test_a_run_that_goes_on_is_not_thinned(whole):
-    with pytest.raises(InvalidInput, match="keep: cannot be thinned"):
+    with pytest.raises(InvalidInput, match="keep: a run that continues another must keep all"):
         simulate(SCENE, T_END, HHT(STEP), after=whole, keep=2)

@@ -62,7 +62,7 @@ def whole(integrator):
 
 
 def bytes_for(rows):
-    """Return the memory of which half is for three copies of so many instants."""
+    """Return the bytes of which half hold three copies of the states at `rows` times."""
     return 1.001 * 2 * 3 * 8 * (3 * SYSTEM.n_q + SYSTEM.n_lam + 1) * rows
 
 
@@ -142,7 +142,7 @@ def test_a_run_that_ends_early_is_told():
         ({"memory": -1.0}, "memory: must be positive"),
         ({"memory": "0 MB"}, "memory: must be a size"),
         ({"memory": 1.0}, r"memory: must be .* MB or more for 12 coordinates"),
-        ({"method": Direct()}, "memory: is a limit of the adjoint"),
+        ({"method": Direct()}, "memory: limits the adjoint method only"),
         ({"integrator": IDA(1e-6)}, "Adjoint: needs an integrator with an adjoint"),
         ({"integrator": HHT(rtol=1e-3)}, r"HHT\.steps: needs steps that are known"),
     ],

@@ -43,7 +43,7 @@ def solution():
 
 CALLS = {
     "observe text": (lambda s: observe("x", s), "observe, observable: must be of type Observable"),
-    "observe an objective": (lambda s: observe(Integral(TIP), s), "before Integral or Terminal"),
+    "observe an objective": (lambda s: observe(Integral(TIP), s), "without Integral or Terminal"),
     "observe of a scene": (lambda s: observe(TIP, SCENE), "observe, solution: must be of type"),
     "observe with a scene": (
         lambda s: observe(TIP, s, SCENE),

@@ -79,7 +79,7 @@ def test_the_recommended_call_finds_a_modulus_in_pascal():
     stopped = least_squares(*call, x_scale="jac")
     found = least_squares(*call, x_scale="jac", gtol=None)
     assert stopped.nfev == 1, "gtol=None is no longer needed: say so in the documents"
-    # What xtol leaves, and round-off of a run in which the rod hardly bends.
+    # The tolerance xtol, and round-off of a run in which the rod bends by small angles.
     assert found.x == pytest.approx([2.1e11], rel=1e-4)
 
 

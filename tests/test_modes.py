@@ -139,7 +139,7 @@ def test_a_dashpot_on_a_hinged_rod_is_seen_beside_its_stiff_damping(tau, c):
     try:
         found = modes(Scene([beam], [Pin(beam.at_start)], loads=[dashpot]), 40)
     except NoModes:
-        assert tau > 1.0 or c < 1.0  # Next to the round-off of what is damped beside.
+        assert tau > 1.0 or c < 1.0  # Lost in the round-off of strongly damped motions.
         return
     # It may come to rest at any angle. It bends by (s/omega)^2 = 3e-4 with omega = 232 rad/s.
     assert found.kinds.count(MotionKind.RIGID) == 1
@@ -298,7 +298,7 @@ def test_large_systems_find_their_growing_motions(monkeypatch):
     upright = hanging(direction=1)
     found = modes(upright, 1, at=equilibrium(upright))
     assert found.kinds == (MotionKind.GROWING,)
-    # As the rigid rod, but for its stretch of 1e-5.
+    # The rate of the rigid rod, up to the stretch of this one, 1e-5.
     assert found.exponents[0] == pytest.approx(np.sqrt(9.81 * 1.5), rel=1e-3)
 
 
@@ -545,7 +545,7 @@ def test_shapes_keep_the_joints_and_have_unit_mass_and_a_sign():
     gram = found.shapes.T @ small.times(small.M, found.shapes)
     np.testing.assert_allclose(gram, np.eye(4), atol=1e-10)
     scaled = np.sqrt(small.system.weights)[:, None] * found.shapes
-    # The largest is positive; of two that are equal but for 1e-3 the first.
+    # The largest entry is positive; among entries equal to 1e-3 the first one.
     assert np.all(np.max(scaled, axis=0) > 0.998 * np.max(np.abs(scaled), axis=0))
     # The shapes solve the equations, reactions included.
     for j, s in enumerate(found.exponents):

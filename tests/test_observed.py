@@ -136,17 +136,17 @@ def test_wrong_input_is_refused_before_a_run(monkeypatch):
     for each in (HHT, Radau, Explicit):
         assert issubclass(each, Integrator)
         monkeypatch.setattr(each, "integrate", None)
-    refused("tolerance: chooses its own runs", integrator=HHT(0.1))
-    refused("keep too", keep=10)
+    refused("tolerance: must be given without `integrator`", integrator=HHT(0.1))
+    refused("without `keep`", keep=10)
     refused("tolerance", tolerance=1.0)
     refused("observables", observables=None)
     refused("observables", observables=[Integral(centre)])
     refused("gone", UnknownName, observables=[reaction("gone", 0)])
-    refused("at: must be instants that ascend", at=[0.5, 0.2])
+    refused("at: must be ascending times", at=[0.5, 0.2])
     refused("at: must lie in", at=[0.5, 2.0])
-    with pytest.raises(InvalidInput, match="observables, at: are for a tolerance"):
+    with pytest.raises(InvalidInput, match="observables, at: need `tolerance`"):
         simulate(scene, 1.0, HHT(0.1), observables=[centre])
-    with pytest.raises(InvalidInput, match="integrator: is needed"):
+    with pytest.raises(InvalidInput, match="integrator: must be an Integrator"):
         simulate(scene, 1.0)
     with pytest.raises(InvalidInput, match="t_end"):
         simulate(scene, -1.0, **good)

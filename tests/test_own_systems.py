@@ -431,7 +431,7 @@ class ForgetfulPendulum(CartesianPendulum):
 
 
 def test_values_that_are_forgotten_are_told():
-    """They were an endless recursion, or derivatives of zero."""
+    """`with_values` that drops the values was an endless recursion, or gave zero derivatives."""
     for call in (
         lambda: Forgetful(1.0),
         lambda: gradient(

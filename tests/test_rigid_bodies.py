@@ -774,7 +774,7 @@ REFUSED = {
     "off the plane": (
         lambda: Scene(joints=[Pin(BODY.at(0.1, 0.1, 0.1))], bodies=[BODY]),
         "pin(body(0.1, 0.1, 0.1))",
-        "no z axis",
+        "z must be 0",
     ),
     "two dimensions": (lambda: Scene(bodies=[BODY, SOLID]), "Scene", "planar"),
     "beam and body": (lambda: Scene([ROD], bodies=[SOLID]), "Scene", "planar"),

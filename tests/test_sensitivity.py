@@ -258,5 +258,5 @@ def test_complex_step_is_refused_by_integrators_in_real_numbers(kind):
 
 def test_complex_design_values_are_refused_by_integrators_in_real_numbers():
     system = CartesianPendulum(b=np.array([1.0 + 1e-40j, 9.81]))
-    with pytest.raises(InvalidInput, match=r"real numbers.*a complex system"):
+    with pytest.raises(InvalidInput, match=r"needs real coordinates.*complex ones"):
         simulate(system, 1.0, Explicit())

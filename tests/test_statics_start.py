@@ -161,7 +161,7 @@ def test_other_integrators_and_step_control_start_there_too():
         gradient(scene, integral, 0.125, HHT(2.0**-9), design=design, method=method).gradient
         for method in (ContinuousAdjoint(), Adjoint())
     )
-    # Second order in the step, which hardly resolves the waves.
+    # Second order in the step, which resolves the waves by few points only.
     assert continuous == pytest.approx(discrete, rel=0.02)
 
 

@@ -143,7 +143,7 @@ def test_a_rejection_near_the_start_begins_anew(monkeypatch):
 
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_sizes_are_the_formula_of_the_filter(order):
-    # Of an error k h^p the largest e/h^p is that of every step, and the memory has no part.
+    # For an error k h^p the ratio e/h^p is equal in all steps, so that the memory has no effect.
     steps, k, t_end = ControlledSteps(1e-3), 3e4, 10.0
     method = NumbersOnly(order, k)
     controller, t, last_x, ratio = steps.controller(t_end, method), 0.0, 1.0, 1.0
@@ -202,7 +202,7 @@ def test_a_run_that_goes_on_within_its_last_steps_meets_the_end_alike(taken):
 
 @pytest.mark.parametrize("taken", [0, 2])
 def test_a_step_rejected_within_the_last_ones_becomes_smaller(taken):
-    """Its factor is 1/2: e = 2 is four times what control aims at, and the order is 2."""
+    """Error estimate 2, four times the target 1/2, halves the step: (1/4)^(1/2) at order 2."""
     steps, method, t_end = ControlledSteps(1e-3), NumbersOnly(2, 3e4), 1.0
     controller, n, t, h, t_next = stepped_to_its_last_steps(steps, t_end, method)
     for _ in range(taken):

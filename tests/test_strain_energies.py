@@ -126,7 +126,7 @@ def test_torsion_constants_of_rectangles():
 
 def test_a_section_off_its_axis_bends_and_twists_about_its_centroid():
     # A quarter circle, phi = 0.2 per element: the same error of fourth order wherever the axis is,
-    # but for the finite strain of the axis, the square of 0.03. Then the declared torsion constant
+    # up to the finite strain of the axis, the square of 0.03. Then the declared torsion constant
     # under a small torque.
     grid = 0.005 * np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)])
     weights = np.array([(a, b) for a in (1, 4, 1) for b in (1, 4, 1)]).prod(axis=1) / 36

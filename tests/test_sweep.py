@@ -119,7 +119,7 @@ def test_every_error_arrives_from_a_worker_process(kind, pool):
 
 
 def test_an_error_about_a_function_arrives_too():
-    error = InvalidInput("where", "rule", lambda x: x, "Repair.")
+    error = InvalidInput("where", "rule", lambda x: x, "Pass a number instead.")
     again = pickle.loads(pickle.dumps(error))
     assert str(again) == str(error)
     assert "lambda" in again.got
@@ -190,7 +190,7 @@ def test_rows_of_values_mappings_and_variables_mean_the_same():
         ({"designs": [[0.1]]}, "design"),
         ({"designs": [[0.1, 0.2]], "design": [HEIGHT]}, r"designs\[0\]: must have 1 values"),
         ({"designs": [{HEIGHT: 1.0}, [0.1]], "design": [HEIGHT]}, r"designs\[0\]"),
-        ({"design": [HEIGHT]}, "mappings name their variables"),
+        ({"design": [HEIGHT]}, "must be left out where designs are mappings"),
         ({"what": DROP}, "what"),
         ({"executor": 2}, "executor"),
     ],
@@ -502,7 +502,7 @@ def assemble_only(scene):
 
 
 def test_what_a_file_cannot_hold_is_told_at_the_first_row(tmp_path):
-    with pytest.raises(InvalidInput, match="what, file: must return numbers"):
+    with pytest.raises(InvalidInput, match="what, file: results must be numbers"):
         sweep(SCENE, DESIGNS, counted_set, file=tmp_path / "rows.jsonl")
 
 

@@ -100,7 +100,7 @@ def test_a_damped_wave_has_the_amplitude_and_frequency_that_it_began_with():
     system = assemble(scene, ["m.stiffness"])
     run = simulate(system, 0.5, HHT(0.5 / 128, -0.05))
     wave = wave_of(system, run, run.a)
-    # omega = sqrt(STIFF (1/HEAVY + 1/LIGHT)), but for the soft motion that second differences also
+    # omega = sqrt(STIFF (1/HEAVY + 1/LIGHT)), less the soft motion that second differences also
     # hold, less than 1 % of them.
     assert wave.speed == pytest.approx(math.sqrt(STIFF * (1 / HEAVY + 1 / LIGHT)), rel=0.01)
     # The light mass moves by STRETCH HEAVY / (HEAVY + LIGHT). Twice what second differences say is

@@ -24,7 +24,7 @@ def test_the_check_sees_what_does_not_hold():
     found, system = equilibrium(scene), assemble(scene)
     exact = exact_forces(system, found.q)
     ours = system.force(0.0, found.q, 0 * found.q)
-    # Forces in double are those in long double, to the round-off of what is summed.
+    # Forces in double are those in long double, to the round-off of the summed terms.
     blur = np.max(system.pattern.dot(np.abs(_K(system, found)), np.abs(found.q)))
     assert np.max(np.abs(ours - exact)) <= 8 * np.finfo(float).eps * blur
     assert unbalanced(scene, found) == ""

@@ -86,7 +86,7 @@ WRONG = {
     "an element without slopes": (
         with_element,
         {"quantities": (Quantity.POSITION,)},
-        "quantities: must be a position and the slope",
+        "quantities: must begin with a position and the slope",
     ),
     "no weights": (with_element, {"vector_weights": answering(None)}, "vector_weights.*None"),
     "too few weights": (

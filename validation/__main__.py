@@ -27,7 +27,7 @@ def main(
     Returns
     -------
     int
-        Exit code: 0 done, 1 the report could not be made, 2 there is no such report. Wrong usage
+        Exit code: 0 done, 1 the report could not be made, 2 no report has this name. Wrong usage
         leaves through ``SystemExit`` with code 2, as argparse does it.
     """
     chosen = _parser().parse_args(arguments)

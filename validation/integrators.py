@@ -402,7 +402,7 @@ ratios, to a third. Digits are -log10 of a relative error.
 """
 
 _TABLE_NOTES = """
-Drift: the pendulum's constraints are linear in q, so every method keeps them but for round-off; IDA
+Drift: the pendulum's constraints are linear in q, so every method keeps them to round-off; IDA
 and IDAS with GGL add the error of their Newton iteration. Energy: only HHT-I3 loses a visible part;
 it is what it takes out of waves that it cannot resolve. Multipliers follow the axial waves
 and converge last.

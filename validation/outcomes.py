@@ -2,7 +2,7 @@
 
     python -m validation.outcomes 500
 
-draws so many scenes from seeds 0, 1, ... and prints those whose outcome does not hold. A success
+draws 500 scenes from seeds 0, 1, ... and prints those whose outcome does not hold. A success
 must have forces in balance as NumPy's long doubles form them from the stationarity of the energy,
 no element turned inside out, and as many negative eigenvalues of the stiffness, on the motions that
 keep the constraints, as the outcome says: none if it is stable, one at least if not.

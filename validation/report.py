@@ -83,7 +83,7 @@ class Report:
     def heading(self, text: str, level: int = 2) -> None:
         """Start a section; `level` is 2 to 4, as 1 is the title of the report."""
         if not 2 <= level <= 4:
-            raise InvalidInput("Report.heading", "level must be 2, 3 or 4", level, "Choose one.")
+            raise InvalidInput("Report.heading", "level must be 2, 3 or 4", level)
         self._body.append(f"{'#' * level} {text}")
         self._bar.update()
 
@@ -123,7 +123,7 @@ class Report:
                 "Report.figure",
                 "a name must be new and consist of letters, digits, '_', '.' and '-'",
                 repr(name),
-                "Choose another name.",
+                "Choose another name, for example motion_2.",
             )
         self._figures[name] = float(value)
         return self._figures[name]
@@ -148,7 +148,7 @@ class Report:
                 "Report.plot",
                 "a name must be new and consist of letters, digits, '_', '.' and '-'",
                 repr(name),
-                "Choose another name.",
+                "Choose another name, for example motion_2.",
             )
         self._plots[name] = plotting.draw(panels, columns, title)
         self._body.append(f"![{title or panels[0].title}]({name}.svg)")

@@ -199,7 +199,7 @@ slide, against the equation of Greenhill (critical torque 8.987 E I/L); a clampe
 = 0.001 under a load and a thousandth of it across, against Euler's elastica. What counts is the
 turn and the twist of an element in its *reference* (helix) or by the load (a shaft at its
 critical torque is twisted by 11.7 rad): their squares shift stiffness and critical loads, and
-near a critical load deflections grow by the inverse of what is left. *None found*: `equilibrium`
+near a critical load deflections grow by the inverse of the distance. *None found*: `equilibrium`
 ends without success, since the mesh has its critical load before.
 """
 

@@ -310,7 +310,7 @@ where fast motion should die out: multipliers of the stiff damped pendulum are r
 -0.3, to 4e-3 at -0.05, and at 0 they are 7e-3 off, oscillating, as the warning of that setting
 says; the gradient is not affected in these short runs. Coarse steps show the reverse: at -0.3 a
 start that is not resolved excites the beam more strongly (damped stiff pendulum at 2⁻⁹ s: gradient
-wrong by 4, at -0.05 by 3e-4). With error control hht_alpha hardly matters, but 0 takes up to five
+wrong by 4, at -0.05 by 3e-4). With error control hht_alpha matters little, but 0 takes up to five
 times the steps. So: -0.05 for gradients at fixed steps, -0.3 where multipliers of stiff scenes are
 wanted, 0 never.
 """

@@ -118,7 +118,11 @@ class AssembledStart:
         return Declared(joints, reference.Z, reference.velocities)
 
     def _follow(self, i: int) -> tuple[Array, Array]:
-        """Differentiate the assembly in design variable i; refuse what no rigid motion follows."""
+        """Differentiate the assembled q and v with respect to design variable i; (n_q,) each.
+
+        Raises InconsistentStart if rigid motions cannot keep all joints closed, unless
+        `project_start` lets bodies strain.
+        """
         declared = self._declared(i)
         along = self._assembly.along(declared)
         joint = self._assembly.follows(declared, along[0], float(self.b[i].real))

@@ -39,7 +39,7 @@ _LONGEST_TURN = 0.3
 # Other starts where the declared one does not lead to closed joints, and the Gibbs vectors of their
 # turns: up to 90 degrees about each axis; and damped steps before Newton's method.
 _RESTARTS, _FARTHEST, _DAMPED_STEPS = 12, 2.0, 15
-# Of a motion that is fixed but for round-off nothing is left in the null space.
+# A motion counts as fixed if no more than this part of it lies in the null space: round-off only.
 _FREE = 1e-6
 # Joints count as closed at this distance over the size of the mechanism: far above round-off of
 # Newton's method, far below what a declared start may violate.
@@ -47,7 +47,7 @@ _CLOSED = 1e-11
 # Round-off of a derivative times the value of the variable, dimensionless.
 _NOISE = 1e-12
 # Parts of the velocities that rates left open are, and rates of motions over those that they close,
-# beyond which rigid motions do not follow. Neighbours of a design are on the same side of both.
+# beyond which rigid motions do not follow. Neighbouring designs lie on the same side of each limit.
 _OPEN_RATE, _FAST = 1e-3, 10.0
 
 
@@ -81,14 +81,14 @@ class Assembly:
 
     @cached_property
     def q(self) -> Array:
-        """Coordinates, shape (n_q,)."""
+        """Coordinates of the assembled start, shape (n_q,); m, slopes dimensionless."""
         if self._stands:
             return self._declared.Z.ravel()
         return self.closing.placed(self._declared, self._positions[0])
 
     @cached_property
     def v(self) -> Array:
-        """Velocities, shape (n_q,)."""
+        """Velocities of the assembled start, shape (n_q,); m/s, slopes 1/s."""
         if self._stands:
             return self._declared.velocities(self.q, self._motions.none)
         motion = self.closing.motion(self._positions[0])
@@ -148,10 +148,10 @@ class Assembly:
         raise InconsistentStart(
             "assembly",
             "rigid motions of the bodies must close all joints",
-            f"no convergence in {_ITERATIONS} iterations, nor from {_RESTARTS} other starts; as "
-            f"declared, joint {joint!r} is open by {gap:.3g} of the mechanism's size",
-            "Change the design less, or declare the bodies nearer to where they fit together: "
-            "turn them with turn=..., so that joints nearly meet.",
+            f"no convergence in {_ITERATIONS} iterations, nor from {_RESTARTS} random starts; as "
+            f"declared, joint {joint!r} is open by {gap:.3g} of the size of the mechanism",
+            "The joints may not close at that position. Change the design less, or rotate a body "
+            "with turn=..., so that joints nearly meet.",
         )
 
     def _from_elsewhere(self) -> list[Unknowns]:
@@ -320,10 +320,10 @@ class Assembly:
             raise InconsistentStart(
                 "assembly",
                 "rigid motions of the bodies must close all joints",
-                f"joint {joint!r} stays open by {gap:.3g} of the mechanism's size",
-                f"Neither did {_RESTARTS} other starts. Declare the bodies nearer to where they "
-                "fit (turn=... turns one), correct the design, or set project_start=True to "
-                "strain them.",
+                f"joint {joint!r} that stays open by {gap:.3g} of the size of the mechanism",
+                f"No start of {_RESTARTS} random ones closes it: the joints may not close at that "
+                "position. Rotate a body with turn=..., correct the design, or set "
+                "project_start=True to strain bodies.",
             )
 
     def follows(self, moved: Declared, q_b: Array, value: float) -> str | None:

@@ -1,4 +1,4 @@
-"""Elements of one beam of a scene, for what is asked of its sections."""
+"""Elements of one beam of a scene, for section forces and stresses."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -80,9 +80,10 @@ class BeamElements:
         return np.concatenate([-chord, on_Y[..., 1:n_s, :], chord, on_Y[..., n_s:, :]], axis=-2)
 
     def moved(self, law_at: Callable[[Batch], _Law]) -> list[tuple[_Law, Array, Array, Array]]:
-        """Return laws at moved parameters, the imaginary step, and who drives them.
+        """Return laws at moved parameters, one tuple for each parameter that a variable drives.
 
-        The latter as pairs of element and design variable, shape (2, n_pairs), with their weights.
+        A tuple holds the law, the imaginary step, the pairs of element and design variable that
+        drive the parameter, shape (2, n_pairs), and the weight of each pair, shape (n_pairs,).
         """
         mapping, laws = self._mapping, []
         for which in mapping.driven():

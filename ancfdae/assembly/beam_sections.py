@@ -24,7 +24,7 @@ _STRESS_PLACES = np.array([0.0, 0.5, 1.0])
 
 @final
 class BeamSections:
-    """What observables ask of the sections of a scene's beams."""
+    """Section forces and stresses of all beams of a scene, for observables."""
 
     def __init__(
         self, scene: Scene, layout: Layout, numbering: Numbering, mapping: ParameterMap, b: Array

@@ -103,17 +103,17 @@ class Closing:
         B = constraints.constraint_q(0.0, Z.ravel()).real
         T = self.motions.tangent(Z, self.motions.none)
         by_shifts, by_any = self.motions.reach(constraints.structure.pattern, B, T).T
-        # Of a slope that is long in its own units nothing but round-off moves with the body.
+        # Shifts of a body change equations in slopes by round-off only, whatever their length.
         is_length = by_shifts > 1e-9 * by_any
         return np.where(is_length, 1.0 / self.size, 1.0)
 
     def start(self, soft: bool) -> Unknowns:
-        """Return no motion, without multipliers where joints may stay open."""
+        """Return the unknowns at zero motion; if `soft`, without multipliers: joints may open."""
         rows = np.zeros(0 if soft else self.rows)
         return np.zeros(len(self._places)), rows, rows
 
     def motion(self, x: Array) -> Array:
-        """Return the motion of all bodies, (n_bodies, n_x), from what is free of it."""
+        """Return the motion of all bodies, shape (n_bodies, n_x), from its free components x."""
         none = self.motions.none
         motion = none.astype(x.dtype).ravel()
         motion[self._places] = self._units * x
@@ -138,7 +138,7 @@ class Closing:
         return self.equations(declared, q, T, y, self.left(declared, q))
 
     def equations(self, declared: Declared, q: Array, T: Array, y: Unknowns, left: Array) -> Array:
-        """(F_1, F_2, F_3), with `left` for what is left of the joints' equations."""
+        """(F_1, F_2, F_3), where `left` holds the residuals of the joints' equations."""
 
         def work(multipliers: Array) -> Array:
             force = declared.constraints.reaction(0.0, q, self._spread(multipliers))

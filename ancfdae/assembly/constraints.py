@@ -52,7 +52,7 @@ class JointConstraints:
 
     @cached_property
     def plan(self) -> ConstraintPlan:
-        """What kernels take."""
+        """The constraints as arrays for the compiled kernels."""
         return self.structure.plan(self.curved, self.n_curved)
 
     @cached_property
@@ -141,7 +141,7 @@ class JointConstraints:
         return constraints(self.plan, Constraints.VALUES, factors, None, *motion)
 
     def reaction(self, t: float, q: Array, lam: Array) -> Array:
-        """Phi_q^T lam."""
+        """Return Phi_q^T lam, the forces of the joints times -1, shape (n_q,)."""
         return constraints(self.plan, Constraints.FORCE, self.factors.at(t), lam, q)
 
     def constraint_force_t_q(self, lam: Array, t: float) -> Array:

@@ -219,7 +219,7 @@ class Inertia:
 
     @cached_property
     def gravity_b(self) -> Array:
-        """Its design partials, shape (n_q, n_b)."""
+        """Design partials of the weight, shape (n_q, n_b); N per unit of the variable."""
         Q_b = self.times_b(self._field.ravel())
         if len(self._field_active):
             fields = self._field_b.reshape(len(self._field_b), -1)

@@ -34,7 +34,10 @@ class JointFactors:
         return {int(i) for slot in self._slots for i in np.flatnonzero(np.any(slot.item.p_b, 0))}
 
     def at(self, t: float, orders: int = 1) -> Array:
-        """Return the factors at one instant, of so many orders at least."""
+        """Return the factors at time t (s) and their time derivatives of order 1 to orders - 1.
+
+        Shape (k, 1, n_factors) with k >= `orders`.
+        """
         if not self.driven:
             return self._still
         last, factors = self._last
@@ -45,7 +48,7 @@ class JointFactors:
         return factors
 
     def over(self, t: Array, orders: int = 1) -> Array:
-        """Return the factors at many instants."""
+        """Return the factors and their rates at times t, s; one row if no joint is driven."""
         if not self.driven:
             return self._still[:orders]
         each = [[slot.item.factors(t, order).T for order in range(orders)] for slot in self._slots]
@@ -54,7 +57,7 @@ class JointFactors:
         return np.concatenate([still, *(np.array(x) for x in each)], axis=2)
 
     def spread(self, t: Array, orders: int = 1) -> Array:
-        """Return the factors with a row for every instant."""
+        """Return the factors and rates at times t with one row per time, shape (orders, k, n)."""
         factors = self.over(t, orders)
         return factors if self.driven else np.repeat(factors, len(t), axis=1)
 
@@ -117,7 +120,7 @@ class JointPartials:
         return np.flatnonzero(np.diff(self.arrays[0])).tolist()
 
     def _reached(self, i: int) -> list[tuple[int, tuple[Array, Array, Array]]]:
-        """Return numbers of joints that a variable changes, with parts, entries and values."""
+        """Return the joints that variable i changes: index, with parts, entries and values."""
         structure, reached = self.structure, []
         vectors = structure.vectors
         chosen = vectors.variable == i

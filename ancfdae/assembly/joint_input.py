@@ -121,7 +121,7 @@ class JointInput:
         return replace(self, p=p, reference=reference, alike={})
 
     def structure(self) -> Equations:
-        """Return coefficients that vanish only where they do at all times and parameters."""
+        """Return coefficients whose zeros are structural: zero at all times and parameters."""
         # Generic parameters: a coefficient that is not zero by structure shows.
         p = self.p * (1 + 1j * STEP) + 1j * STEP * np.sqrt(1.0 + np.arange(len(self.p)))
         reference = self.reference + 1j * STEP * sum(self.reference_b.values())

@@ -108,12 +108,12 @@ class JointStructure:
 
     @property
     def n_lam(self) -> int:
-        """Number of equations."""
+        """Number of constraint equations of all joints."""
         return self.pattern.shape[0]
 
     @cached_property
     def parts(self) -> list[Array]:
-        """Coefficients of each joint."""
+        """Coefficients of each joint, one flat array per joint."""
         return [slot.coefficients(slot.item) for slot in self.slots]
 
     def with_numbers(self, inputs: Sequence[JointInput], vectors: Vectors) -> JointStructure | None:

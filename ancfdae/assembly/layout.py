@@ -21,7 +21,7 @@ class BodyLayout:
     """Place of a beam or a rigid body: its vectors, `count` in a row from `first_vector` on.
 
     Every `stride`-th of them is a position, the others are directions: per node of a beam, or of
-    the one frame of what is rigid. `kinks` are the inner nodes where the slope along the beam may
+    the one frame of a rigid body. `kinks` are the inner nodes where the slope along the beam may
     jump: that of the element which ends there comes after all nodes. Vector k has the coordinates
     d k to d k + d - 1. `size` is the length of a beam, the radius of gyration of a body, as
     declared.
@@ -36,14 +36,14 @@ class BodyLayout:
 
     @property
     def vectors(self) -> Array:
-        """Numbers of its vectors."""
+        """Numbers of the vectors of this body, shape (count,)."""
         return self.first_vector + np.arange(self.count)
 
     @property
     def nodes(self) -> Array:
         """Numbers of the vectors of every node, shape (n_nodes, stride).
 
-        Of a kink those of the element that begins there.
+        At a kink the table holds the slope vector of the element that begins there.
         """
         return self.vectors[: self.count - len(self.kinks)].reshape(-1, self.stride)
 
@@ -96,9 +96,9 @@ class RigidNodes:
 @final
 @dataclass(frozen=True)
 class BeamLayout:
-    """A beam: its element, the number of its first one, arc-length fractions of nodes.
+    """A beam: its kind of element, index of the first element, arc-length fractions of nodes.
 
-    `rigid` is what makes it so.
+    `rigid` holds the nodes of a rigid beam in its own axes; None for a beam that deforms.
     """
 
     name: str
@@ -109,12 +109,12 @@ class BeamLayout:
 
     @property
     def element_count(self) -> int:
-        """Number of elements."""
+        """Number of elements of the beam."""
         return len(self.fractions) - 1
 
     @property
     def elements(self) -> slice:
-        """Its elements among those of the scene."""
+        """Slice of the elements of this beam in arrays over all elements of the scene."""
         return slice(self.first_element, self.first_element + self.element_count)
 
     def locate(self, fraction: float | None, before: bool = False) -> tuple[int, float]:

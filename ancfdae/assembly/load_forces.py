@@ -23,7 +23,7 @@ class MovingLoad:
     plan: LoadPlan
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
-        """Return its Q."""
+        """Return the force of this load, shape (n_q,), at time t."""
         return load_forces(self.plan, self.item.factor(t, 0), q, v)
 
     def force_along(

@@ -69,7 +69,10 @@ class LoadInput:
         return LoadPlan(indices, (vectors.value, constants), vectors.n_q, pattern.size)
 
     def _on_vectors(self, F: object, U: Listed) -> Array:
-        """Return the numbers of the forces; refuse what are no forces on the vectors."""
+        """Return the numbers of the forces F, in the shape of the reference vectors.
+
+        Raises InvalidInput if F cannot be brought to that shape.
+        """
         shape = self.reference.shape
         try:
             return np.broadcast_to(U.numbers(F), shape)

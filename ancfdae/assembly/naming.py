@@ -58,7 +58,8 @@ class SceneNaming(Naming):
         `place` has the `Point.numbers`, (3,), and their design derivatives, (3, n_b), where the
         design may move the point.
 
-        Raises UnknownName for its body, InvalidInput if its points have no such vector.
+        Raises UnknownName if the scene has no body of that name, InvalidInput if the points of the
+        body do not have the vector.
         """
         body, beam = self.layout.body(point.beam), self._beam(point.beam)
         numbers, numbers_b = self._place(point) if place is None else place
@@ -106,7 +107,7 @@ class SceneNaming(Naming):
         if not self.layout.joint(joint).holds_position:
             raise InvalidInput(
                 f"reaction of {joint!r}",
-                "is defined for joints that hold a point in all directions",
+                "the joint must hold a point in all directions",
                 "a joint of another kind",
                 "Use `multipliers` and the equations in the joint's documentation.",
             )

@@ -30,8 +30,8 @@ class Numbering:
     # of those that deform one whose nodes have all vectors that the nodes of others have.
     widest: BeamElement
     # of int, (n, n_a): scene-wide numbers of their node vectors; vector k has the coordinates d k
-    # to d k + d - 1. Of elements that have fewer vectors than others a place that they leave out is
-    # filled by their first one.
+    # to d k + d - 1. Rows of elements that have fewer vectors than the widest are filled up with
+    # their first one.
     vectors: Array
     n_q: int  # number of coordinates
     # of int, (n, d + 1): vectors of every node with d slopes, and of everything rigid; each begins

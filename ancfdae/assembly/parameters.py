@@ -49,7 +49,10 @@ class ParameterMap:
         return p, p_b
 
     def holding(self, owner: str, numbers: Sequence[float], count: int) -> ParameterMap:
-        """Return the same map with the first numbers of an owner, so many, held at others."""
+        """Return a copy of the map in which `numbers` replace the first `count` numbers of `owner`.
+
+        No design variable drives the numbers that are put in.
+        """
         moved, kept = len(numbers) - count, (x for x in self.slots.get(owner, []) if x[0] >= count)
         slots = [(place + moved, index, weight, offset) for place, index, weight, offset in kept]
         held = (*numbers, *self.declared[owner][count:])

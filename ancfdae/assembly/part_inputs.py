@@ -41,7 +41,7 @@ class Rigidity(Joint):
         return True
 
     def vectors(self, elements: Elements) -> Names:
-        """Return the directions."""
+        """Return the directions of the axes of the rigid body."""
         return tuple(FrameDirection(self.beam, k + 1) for k in range(elements.d))
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
@@ -82,7 +82,7 @@ class PartInputs:
         return known.with_numbers(inputs, vectors)
 
     def loads(self) -> list[LoadInput]:
-        """Return all loads."""
+        """Return the inputs of all loads of the scene."""
         return [self.load(load) for load in self.scene.loads]
 
     def joint(self, joint: Joint) -> tuple[JointInput, Vectors]:
@@ -91,7 +91,7 @@ class PartInputs:
         return item, vectors
 
     def load(self, load: Load) -> LoadInput:
-        """Return one load."""
+        """Return the input of one load: its vectors, parameters and reference, with derivatives."""
         points, p, p_b = self._part(load)
         vectors = self._vectors(points)
         reference, reference_b = self._in_reference(vectors)

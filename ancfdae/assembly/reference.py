@@ -94,7 +94,7 @@ class Reference:
         return self._naming.layout.body(body.name).of_ends(nodes)
 
     def _positions(self, body: BeamBody | RigidBody) -> Array:
-        """Return the places of positions among the vectors of a body."""
+        """Return the indices of positions among the vectors of a body."""
         layout = self._naming.layout.body(body.name)
         return layout.positions - layout.first_vector
 

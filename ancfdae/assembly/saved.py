@@ -19,11 +19,11 @@ _ELEMENT = "element of a solution file"
 def load_solution(
     path: str | os.PathLike[str], *, elements: Sequence[BeamElement] = ()
 ) -> Solution:
-    """Read a solution written by `Solution.save`; InvalidInput if the file is no such solution.
+    """Read a solution written by `Solution.save`; InvalidInput if the file holds no solution.
 
     A file knows its elements by name; give `elements` of your own.
     """
-    file, repair = require_path("path of a solution", path), "Give [MY_ELEMENT]."
+    file, repair = require_path("path of a solution", path), "For example elements=[MY_ELEMENT]."
     known = require_each("load_solution, elements", elements, (BeamElement,), repair)
 
     def naming(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> SceneNaming:

@@ -32,7 +32,7 @@ class SectionForces:
         return self._of(self._law, q[:, at], v[:, at])
 
     def partials(self, component: int, q: Array, v: Array, n_b: int) -> StatePartials:
-        """Return its partials, by complex steps of the coordinates of the elements."""
+        """Return the partials of a component, by complex steps of the elements' coordinates."""
         elements, at = self._elements, self._elements.coordinates
         X, U, b = q[:, at], v[:, at], np.zeros((len(q), n_b))
         columns = np.unique(at)

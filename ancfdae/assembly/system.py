@@ -74,7 +74,7 @@ class AncfSystem(PlannedSystem):
 
     @cached_property
     def energies(self) -> Energies:
-        """Energies of beams and bodies."""
+        """Kinetic, strain and gravity energies of beams and bodies, for observables."""
         parts = self._elastic, self._inertia, self._numbering, self.naming.layout
         return Energies(*parts, None if self._turning is None else self._turning.potential)
 
@@ -86,13 +86,13 @@ class AncfSystem(PlannedSystem):
 
     @cached_property
     def sections(self) -> BeamSections:
-        """Forces and stresses of beams."""
+        """Section forces and stresses of beams, for observables."""
         where = self.naming.layout, self._numbering
         return BeamSections(self._scene, *where, self._mapping, self.b)
 
     @cached_property
     def works(self) -> Works:
-        """Power of driven joints and of loads."""
+        """Power of driven joints and of loads, for observables."""
         return Works(self._scene, self.inputs, self.naming.layout, self.n_b)
 
     def __repr__(self) -> str:
@@ -160,8 +160,9 @@ class AncfSystem(PlannedSystem):
         """Return the same scene at other design values, real or complex; refuse unfit ones."""
         b = np.asarray(b)
         if b.shape != (self.n_b,):
-            rule = f"must have shape ({self.n_b},)"
-            raise InvalidInput("design values", rule, b.shape, "One per variable.")
+            names = ", ".join(self.design_names[:5]) + (", ..." if self.n_b > 5 else "")
+            rule = f"must have shape ({self.n_b},), one value per design variable ({names})"
+            raise InvalidInput("design values", rule, f"shape {b.shape}")
         scene, design = self._scene, self._structure.design
         if np.any(b.real != self.b.real):
             scene.refuse_values(dict(zip(design, b.real.tolist(), strict=True)))
@@ -191,33 +192,33 @@ class AncfSystem(PlannedSystem):
         return Numbers.first(scene, self._structure.design, mapping, self.b)
 
     def start(self) -> tuple[Array, Array]:
-        """Return the declared start, or the equilibrium."""
+        """Return q and v at t = 0, shape (n_q,) each: as declared, or the equilibrium."""
         if self._rest is not None:
             return self._rest.q, np.zeros_like(self._rest.q)
         return self._start.state
 
     def start_b(self) -> tuple[Array, Array]:
-        """Return the partials of the start."""
+        """Return the design derivatives of q and v at t = 0, shape (n_q, n_b) each."""
         if self._rest is not None:
             return self._rest.q_b, np.zeros_like(self._rest.q_b)
         return self._start.state_b()
 
     def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
-        """Contract over the variables that move the start."""
+        """Return q_b^T on_q + v_b^T on_v at t = 0, shape (n_b,)."""
         if self._rest is not None:
             return self._rest.pull_back(on_q)
         return self._start.pull_back(on_q, on_v)
 
     def mass(self, q: Array) -> Array:
-        """M (eq. 10)."""
+        """Values of the mass matrix M on `pattern`, shape (nnz,) (eq. 10)."""
         return self._inertia.values
 
     def mass_times(self, q: Array, x: Array) -> Array:
-        """M x."""
+        """M x for a vector, shape (n_q,), or columns, shape (n_q, k)."""
         return self._inertia.times(x)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
-        """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
+        """Force Q, shape (n_q,): gravity, elastic and damping forces, loads (eqs. 11-13); N."""
         Q = self._inertia.gravity - self._elastic.internal(q, v)
         if self._turning is not None:
             Q = Q - self._turning.force(q, v)
@@ -226,7 +227,7 @@ class AncfSystem(PlannedSystem):
         return Q
 
     def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
-        """Q_q dq + Q_v dv + Q_t dt."""
+        """Q_q dq + Q_v dv + Q_t dt, shape (n_q,)."""
         dt, *rates = direction
         dQ = self._elastic.force_along((q, v), (rates[0], rates[1]))
         if self._turning is not None:
@@ -237,7 +238,7 @@ class AncfSystem(PlannedSystem):
         return dQ
 
     def force_and_total(self, t: float, q_rows: Array, v_rows: Array) -> Array:
-        """Q and its total design derivatives as rows."""
+        """Q and its total design derivatives as rows, shape (1 + n_b, n_q)."""
         rows = self._inertia.gravity_rows - self._elastic.totals(q_rows, v_rows)
         if self._turning is not None:
             rows = rows - self._turning.rows(q_rows, v_rows)
@@ -248,7 +249,7 @@ class AncfSystem(PlannedSystem):
         return rows
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
-        """Follower forces and moments, and centrifugal forces."""
+        """Follower and centrifugal forces, shape (n_q,), and values of their derivatives in q."""
         P, P_q = self._loads.following(q, np.array([t]))
         if self._turning is None:
             return P, P_q
@@ -274,11 +275,11 @@ class AncfSystem(PlannedSystem):
         return self._folds.coarse(q)
 
     def constraint(self, t: float, *motion: Array) -> Array:
-        """Phi and its time derivatives."""
+        """Constraints Phi or a time derivative, shape (n_lam,), by the number of rates given."""
         return self._constraints.constraint(t, *motion)
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
-        """Phi_q and its time derivatives."""
+        """Values of Phi_q, or of its time derivative, on `constraint_pattern`."""
         return self._constraints.constraint_q(t, *motion)
 
     def constraints_q(self, t: Array, q: Array) -> Array:
@@ -288,7 +289,7 @@ class AncfSystem(PlannedSystem):
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:
-        """Total design derivative of Phi and its time derivatives."""
+        """Total design derivative of Phi or of its time derivatives, shape (n_lam, n_b)."""
         return self._constraints.total(t, motion, motion_b)
 
     @cached_property
@@ -325,7 +326,7 @@ class AncfSystem(PlannedSystem):
         return int(rows[0]), before[-1]
 
     def turn_rate(self, t: Array) -> Array:
-        """Return the rate of the fastest law of an angle."""
+        """Return the largest rate of the prescribed angles at times t; rad/s."""
         return self._constraints.factors.turn_rate(t)
 
     # -- the residual f = M a + Phi_q^T lam - Q ----------------------------------------------------

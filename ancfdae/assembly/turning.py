@@ -96,7 +96,7 @@ class TurningForces:
         return on_b
 
     def _changes(self, value: Callable[[Array], Array]) -> list[tuple[int, Array]]:
-        """Return (variable, design derivative) of a function of p, of what the frame depends on."""
+        """Return (index, derivative of value(p)) for each design variable that moves the frame."""
         steps = ((int(i), self._p.real + 1j * STEP * self._p_b[:, i]) for i in self._active)
         return [(i, np.imag(value(p)) / STEP) for i, p in steps]
 

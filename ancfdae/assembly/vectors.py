@@ -68,7 +68,7 @@ class Vectors:
 
     @property
     def count(self) -> int:
-        """Number of vectors."""
+        """Number of vectors of points."""
         return (len(self.first) - 1) // self.d
 
     @cached_property

@@ -36,7 +36,8 @@ _BESIDE, _BEYOND = 1e-2, (0.4, -0.4)
 class Reach:
     """How far M, Q and Phi may be followed into the complex plane.
 
-    q and v are meant in the norm of the weights; v is infinite for what does not depend on it.
+    Radii of q and v are norms with the weights, that of t is in s; a radius is infinite if M, Q and
+    Phi do not depend on the variable.
     """
 
     q: float
@@ -129,8 +130,8 @@ def _require(system: MechanicalSystem, which: slice) -> None:
                     raise
                 continue  # It is not defined there.
             if value.shape != shape:
-                rule = f"must have shape {shape}"
-                raise InvalidInput(where, rule, value.shape, "Return an array.")
+                rule = f"must return an array of shape {shape}"
+                raise InvalidInput(where, rule, f"shape {value.shape}")
             if refused and (away == _BESIDE or np.all(value.imag == 0)):
                 raise _unsafe(where, "a complex step that differs from the finite difference")
 
@@ -185,10 +186,9 @@ def _probes(
 def _start(system: MechanicalSystem) -> tuple[Array, Array]:
     q, v = (np.asarray(x) for x in system.start())
     if not q.shape == v.shape == (system.n_q,):
-        rule = f"must return q and v of shape ({system.n_q},)"
-        raise InvalidInput(
-            f"{type(system).__name__}.start", rule, f"{q.shape} and {v.shape}", "Return arrays."
-        )
+        rule = f"must return two arrays q and v of shape ({system.n_q},)"
+        got = f"shapes {q.shape} and {v.shape}"
+        raise InvalidInput(f"{type(system).__name__}.start", rule, got)
     return q, v
 
 

@@ -186,14 +186,14 @@ class CalledBack(ListedSystem):
         self.b = np.asarray(b) * 1.0
         where = type(self).__name__
         if self.b.shape != (self.n_b,):
-            rule = f"must have shape ({self.n_b},)"
-            raise InvalidInput(f"{where}.b", rule, self.b.shape, "Name all.")
+            rule = f"must have shape ({self.n_b},), one value per name in `design_names`"
+            raise InvalidInput(f"{where}.b", rule, f"shape {self.b.shape}")
         self.pattern = _full(self.n_q, self.n_q)
         self.constraint_pattern = _full(self.n_lam, self.n_q)
         self._prepare()
         self.weights = self.coordinate_weights()
         if not np.all(self.weights > 0):
-            repair = "Override coordinate_weights."
+            repair = "Override `coordinate_weights` to return positive masses or inertias."
             raise InvalidInput(f"{where}.weights", "must be positive", self.weights, repair)
 
     @abc.abstractmethod
@@ -204,18 +204,18 @@ class CalledBack(ListedSystem):
 
     @abc.abstractmethod
     def mass_matrix(self, q: Array) -> Array:
-        """Return M, shape (n_q, n_q)."""
+        """Return the mass matrix M, shape (n_q, n_q); to be written."""
 
     @abc.abstractmethod
     def position_constraint(self, t: float, q: Array) -> Array:
-        """Return Phi, shape (n_lam,)."""
+        """Return the constraints Phi(t, q), shape (n_lam,); to be written."""
 
     def coordinate_weights(self) -> Array:
         """Return `weights`; by default the diagonal of M at the start."""
         M = np.asarray(self.mass_matrix(self.start()[0]))
         if M.shape != (self.n_q, self.n_q):
             where, rule = f"{type(self).__name__}.mass_matrix", f"must have shape {(self.n_q,) * 2}"
-            raise InvalidInput(where, rule, M.shape, "Return an array.")
+            raise InvalidInput(where, rule, f"shape {M.shape}")
         return np.diagonal(M).real.astype(float)
 
     def _at_step(self, i: int) -> Self:
@@ -232,7 +232,7 @@ class CalledBack(ListedSystem):
         return np.asarray(self.mass_matrix(q)).ravel()
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """Differentiate M along dq."""
+        """Return M_q dq, its entries row by row, by complex steps of `mass_matrix`."""
         m = self._d.motion(q, dq)
         return self._d.value(_mass_at, m, (self._d.reach.time(m),)).ravel()
 

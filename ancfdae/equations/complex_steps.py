@@ -69,9 +69,10 @@ class ComplexSteps(abc.ABC):
         pattern: Pattern,
         *beside: Array | None,
     ) -> Array:
-        """Differentiate with respect to x; what is imaginary already does not count.
+        """Return d value/dx by complex steps, on a pattern.
 
-        `beside` are the other arrays that the value depends on.
+        The imaginary part that x, b or `beside`, the other arguments of the value, have already
+        is subtracted.
         """
         rows = np.array([np.imag(value(y)) for y in x + 1j * STEP * np.eye(self.n_q)])
         if any(y is not None and y.dtype.kind == "c" for y in (self.b, x, *beside)):

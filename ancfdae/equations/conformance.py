@@ -56,7 +56,7 @@ class Conformance:
 
     @property
     def wrong(self) -> tuple[Finding, ...]:
-        """The findings that are not."""
+        """Findings whose error exceeds their tolerance."""
         return tuple(finding for finding in self.findings if not finding.passed)
 
     def raise_if_wrong(self) -> None:

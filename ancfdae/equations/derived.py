@@ -41,7 +41,7 @@ _UNDETERMINED = frozenset(
 
 
 def members() -> dict[str, FunctionType]:
-    """Return the methods of the protocol that the values of a system determine."""
+    """Return the methods of `MechanicalSystem` that follow from the values of a system."""
     methods = vars(MechanicalSystem).items()
     named = {name: f for name, f in methods if isfunction(f) and not name.startswith("_")}
     return {name: f for name, f in named.items() if name not in _UNDETERMINED}
@@ -110,7 +110,7 @@ class Related(Derived):
     """The values that others determine."""
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """M_q dq."""
+        """M_q dq from `mass` by differences, values on the pattern."""
         return self._by_number(lambda e: self.system.mass(q + e * dq))
 
     def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
@@ -137,7 +137,7 @@ class Related(Derived):
 
 
 def moved_on(motion: tuple[Array, ...], s: float) -> list[Array]:
-    """Return a motion a time s later but for its last rate, which is constant."""
+    """Return a motion (q, v, a, ...) a time s later, without its last rate, which is constant."""
     count = len(motion)
     return [
         sum((motion[i + n] * (s**n / factorial(n)) for n in range(count - i)), 0.0 * motion[i])

@@ -38,7 +38,7 @@ def saving(where: str, path: Path) -> Iterator[None]:
 def replacing(where: str, path: Path) -> Iterator[IO[bytes]]:
     """Yield a temporary file that is moved to `path` when it is complete, and removed if not.
 
-    InvalidInput if there is no such folder.
+    InvalidInput if the folder of `path` does not exist.
     """
     require_folder(where, path)
     with replacing_path(where, path) as temporary, temporary.open("x+b") as file:

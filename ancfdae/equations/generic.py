@@ -56,22 +56,22 @@ class Generic(MechanicalSystem):
         return self._sizes.q * self._grown, self._sizes.v * self._grown
 
     def mass(self, q: Array) -> Array:
-        """diag(w) e^s."""
+        """M = diag(w) e^s, values on the pattern."""
         values = np.zeros(self.pattern.size)
         values[self.pattern.diagonal] = self.weights
         return values * (self._grown if self.traits.constant_mass else self._grown_at(q))
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """M s_q dq."""
+        """M_q dq = M s_q dq, values on the pattern."""
         return self.mass(q) * (self._q @ dq)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
-        """F e^s."""
+        """Q = F e^s, shape (n_q,)."""
         along_v = self._v @ (v - self._m.v) if self.traits.velocity_forces else 0.0
         return self._sizes.force * self._grown_at(q, t) * np.exp(along_v)
 
     def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
-        """Q ds."""
+        """Q ds, the derivative of Q along (dt, dq, dv), shape (n_q,)."""
         dt, dq, dv = direction
         along_v = self._v @ dv if self.traits.velocity_forces else 0.0
         return self.force(t, q, v) * (self._q @ dq + along_v + self._t * dt)

@@ -192,7 +192,7 @@ def accepted(evaluate: Callable[[], Any]) -> Any:
 
 
 def _results(member: Callable[..., Any], rows: list[list[Any]]) -> list[Any]:
-    """Return all arrays, with None for what is left out, of a member called with all arguments."""
+    """Return all arrays that a member returns for each row of arguments; None if it omits one."""
     results: list[Any] = []
     for row in rows:
         value = member(*row)

@@ -45,7 +45,9 @@ class Solution:
     t : array, shape (n_t,)
         Times; a run that failed holds what was reached.
     q, v, a : array, shape (n_t, n_q)
+        Coordinates, velocities and accelerations; m, m/s and m/s^2, slopes without m.
     lam : array, shape (n_t, n_lam)
+        Lagrange multipliers; J per unit of the constraint, so N for a constraint in m.
     statistics : Statistics
     outcome : Outcome
     naming : Naming or None
@@ -92,7 +94,8 @@ class Solution:
     def position(self, point: Any) -> Array:
         """Position of a point like ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``, (n_t, d).
 
-        UnknownName if there is no such beam, InvalidInput if its z is not zero in the plane.
+        In m. UnknownName if the scene has no body of that name, InvalidInput if z is not zero in
+        the plane.
         """
         return self._known_naming().position(self.q, point)
 
@@ -223,7 +226,7 @@ class Solution:
                 "sensitivities",
                 "must have been computed",
                 "a solution of `simulate`",
-                "Call `differentiate` instead.",
+                "Call `differentiate`, which returns a solution with design derivatives.",
             )
         return self.sensitivities
 

@@ -76,7 +76,7 @@ def read(path: Path, naming: Unpack) -> dict[str, Any]:
             f"solution file {os.fspath(path)!r}",
             "must be a whole file written by Solution.save",
             f"{type(error).__name__}: {error}",
-            "Choose another file.",
+            "The file is damaged or of another kind.",
         ) from error
 
 

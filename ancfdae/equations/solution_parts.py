@@ -38,8 +38,8 @@ def states_table(
     for name, values in more.items():
         column = require_array(f"to_dataframe, column {name!r}", values, t.shape)
         if name in table:
-            rule, repair = "must have a name of its own", "Rename it."
-            raise InvalidInput("to_dataframe, columns", rule, repr(name), repair)
+            rule = "must differ from the names of all other columns"
+            raise InvalidInput("to_dataframe, columns", rule, repr(name))
         table[name] = column
     pd = pandas()
     return pd.DataFrame(table, index=pd.Index(t, name="t"))
@@ -75,6 +75,7 @@ class Statistics:
         Steps of `HHT` that Newton's method solved by way of shorter ones only, which the counts
         above contain.
     wall_seconds : float
+        Elapsed time of the run; s.
     """
 
     steps: int

@@ -10,10 +10,10 @@ value vectors on a fixed `Pattern`, by default ``matrix.ravel()``.
 
 **Eleven values** say what a system is; they are abstract here, and written in operations that
 accept complex numbers: its sizes, its design variables, `start`, `mass`, `force` and `constraint`,
-and the first derivatives of the latter two, `force_along` and `constraint_q`. A mass that depends
-on q adds `mass_along`. **Everything else** follows by complex steps and products; it may be
-overridden where a formula is faster, and `check_system` compares each override with what it
-overrides.
+and their first derivatives, `force_along` of the force and `constraint_q` of the constraints. A
+mass that depends on q adds `mass_along`. **Everything else** follows by complex steps and products;
+it may be overridden where a formula is faster, and `check_system` compares each override with the
+default that it replaces.
 
 **Rates.** The constraints and their time derivatives are one object by order: a motion
 (q, v, a, j) is given as far as it is needed, and the order is the number of rates in it.
@@ -173,11 +173,11 @@ class MechanicalSystem(ComplexSteps):
 
     @abc.abstractmethod
     def mass(self, q: Array) -> Array:
-        """Return the values of M on `pattern`."""
+        """Return the values of M on `pattern`, shape (nnz,)."""
 
     @abc.abstractmethod
     def force(self, t: float, q: Array, v: Array) -> Array:
-        """Return Q, shape (n_q,)."""
+        """Return the force Q(t, q, v), shape (n_q,): all forces but M a; to be written."""
 
     @abc.abstractmethod
     def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:

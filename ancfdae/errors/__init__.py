@@ -39,6 +39,7 @@ from ancfdae.errors.kinds import (
     StabilityWarning,
     ToleranceMissed,
     UnknownName,
+    UnlikelyValue,
 )
 from ancfdae.errors.outcomes import (
     Interrupted,

@@ -26,14 +26,14 @@ def require_package(where: str, module: str, extra: str) -> Any:
 class _Named(Protocol):
     @property
     def name(self) -> str:
-        """By which it is found."""
+        """The name by which `named` finds an object."""
 
 
 _Thing = TypeVar("_Thing", bound=_Named)
 
 
 def named(where: str, name: str, things: Sequence[_Thing]) -> _Thing:
-    """Return the thing of this name; raise UnknownName where none has it."""
+    """Return the object whose name is `name`; raise UnknownName if none has that name."""
     require_text(where, name)
     for thing in things:
         if thing.name == name:
@@ -42,21 +42,21 @@ def named(where: str, name: str, things: Sequence[_Thing]) -> _Thing:
 
 
 def require_unique(where: str, rule: str, names: Sequence[str], repair: str) -> None:
-    """Raise InvalidInput for names that are there twice."""
+    """Raise InvalidInput if a name occurs twice in `names`."""
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InvalidInput(where, rule, twice, repair)
 
 
 def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:
-    """Raise InvalidInput for an object that is of none of the given classes."""
+    """Raise InvalidInput unless `value` is an object of one of the given classes."""
     if not isinstance(value, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)
         raise InvalidInput(where, f"must be of type {names}", _shown(value), repair)
 
 
 def _shown(value: object) -> str:
-    """Return the beginning of what may be as long as a beam or a solution."""
+    """Return the `repr` of a value, cut after _LONGEST characters."""
     try:
         text = repr(value)
     except ValueError:  # an integer of more than 4,300 digits
@@ -65,12 +65,12 @@ def _shown(value: object) -> str:
 
 
 def require_text(where: str, value: object) -> None:
-    """Raise InvalidInput for what is no text, where a name is expected."""
+    """Raise InvalidInput unless `value` is a string, where a name is expected."""
     require_kind(where, value, (str,), "Give the name, as in rod.name.")
 
 
 def require_path(where: str, value: object) -> Path:
-    """Return the path of a file; raise InvalidInput for what is none, or is a folder."""
+    """Return `value` as a path. Raise InvalidInput unless it is a string or path, not a folder."""
     require_kind(where, value, (str, os.PathLike), "Give the name of a file.")
     path = Path(value)  # type: ignore[arg-type]  # as was just seen
     if path.is_dir():
@@ -87,26 +87,26 @@ def require_folder(where: str, path: Path) -> Path:
 
 
 def require_index(where: str, value: object, count: int, repair: str) -> None:
-    """Raise InvalidInput for what is no whole number from 0 to `count` - 1."""
+    """Raise InvalidInput unless `value` is an integer from 0 to `count` - 1."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or not 0 <= value < count:  # type: ignore[operator]
         raise InvalidInput(where, f"must lie in 0 to {count - 1}", _shown(value), repair)
 
 
 def require_flag(where: str, value: object) -> None:
-    """Raise InvalidInput for what is neither True nor False."""
+    """Raise InvalidInput unless `value` is True or False."""
     if not isinstance(value, bool | np.bool_):
-        raise InvalidInput(where, "must be True or False", _shown(value), "Give one of both.")
+        raise InvalidInput(where, "must be True or False", _shown(value))
 
 
 def require_function(where: str, value: object) -> None:
-    """Raise InvalidInput for what cannot be called."""
+    """Raise InvalidInput unless `value` can be called."""
     if not callable(value):
-        raise InvalidInput(where, "must be a function", _shown(value), "Give its name, uncalled.")
+        raise InvalidInput(where, "must be a function", _shown(value), "Pass f, not f(x).")
 
 
 def require_name(where: str, value: object) -> None:
-    """Raise InvalidInput for what cannot precede the parameter of a design target."""
+    """Raise InvalidInput unless `value` can name a part in design targets like 'rod.height[2]'."""
     if not isinstance(value, str) or not value or "." in value or "[" in value:
         raise InvalidInput(
             where,
@@ -119,7 +119,7 @@ def require_name(where: str, value: object) -> None:
 def require_sequence(
     where: str, value: object, rule: str = "must be a sequence", repair: str = "Put it in a list."
 ) -> tuple[Any, ...]:
-    """Return the entries of a sequence; raise InvalidInput for what has none."""
+    """Return the entries of a sequence; raise InvalidInput if `value` is not a sequence."""
     try:
         # An iterator has no length: it could be read only once.
         return tuple(value) if len(value) else ()  # type: ignore[arg-type]
@@ -130,17 +130,17 @@ def require_sequence(
 def require_each(
     where: str, values: object, kinds: tuple[type, ...], repair: str
 ) -> tuple[Any, ...]:
-    """Return the entries of a sequence, which must be of one of the given classes."""
+    """Return the entries of a sequence; raise InvalidInput if one is of none of the classes."""
     entries = require_sequence(where, values)
     for entry in entries:
         require_kind(where, entry, kinds, repair)
     return entries
 
 
-def require_finite(where: str, value: object, repair: str = "Give a finite number.") -> None:
-    """Raise InvalidInput for what is no finite real number.
+def require_finite(where: str, value: object, repair: str = "") -> None:
+    """Raise InvalidInput unless `value` is a finite real number.
 
-    A truth value is none, nor is an integer that does not fit a float.
+    Booleans and integers too large for a float are rejected.
     """
     try:
         is_number = isinstance(value, int | float | np.integer | np.floating)
@@ -166,18 +166,18 @@ def require_count(where: str, value: object, repair: str, most: int = _LARGEST) 
 
 def require_positive(where: str, value: float) -> None:
     """Raise InvalidInput for a value that is not a finite positive number."""
-    require_finite(where, value, "Give a positive number.")
+    require_finite(where, value)
     if value <= 0:
-        raise InvalidInput(where, "must be positive", _shown(value), "Give a positive number.")
+        raise InvalidInput(where, "must be positive", _shown(value))
 
 
 def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
     """Raise InvalidInput for anything but finite numbers, as many as one of `sizes`."""
     allowed = " or ".join(str(size) for size in sizes)
-    rule, repair = f"must have {allowed} components", f"Give {allowed} numbers."
-    components = require_sequence(where, value, rule, repair)
+    rule = f"must have {allowed} components"
+    components = require_sequence(where, value, rule, "")
     if len(components) not in sizes:
-        raise InvalidInput(where, rule, components, repair)
+        raise InvalidInput(where, rule, components)
     for component in components:
         require_finite(where, component)
 
@@ -186,13 +186,13 @@ def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)
     """Raise InvalidInput for anything but a vector, as in `require_vector`, that is not zero."""
     require_vector(where, value, sizes)
     if not any(value):  # type: ignore[arg-type]  # a sequence, as was just seen
-        raise InvalidInput(where, "must not be zero", value, "Give a direction.")
+        raise InvalidInput(where, "must be a direction, a vector that is not zero", value)
 
 
 def require_axial(where: str, value: object, dimension: int | None = None) -> None:
-    """Raise InvalidInput for what is neither a number, as in the plane, nor three components.
+    """Raise InvalidInput unless `value` is a number (plane) or has three components (space).
 
-    Where the dimension of space is given, for the other one of both, too.
+    If the dimension is given, only the form that belongs to it is accepted.
     """
     is_number = np.ndim(value) == 0  # type: ignore[arg-type]
     if dimension is not None and is_number != (dimension == 2):
@@ -209,7 +209,8 @@ def require_array(
 ) -> np.ndarray[tuple[Any, ...], np.dtype[np.float64]]:
     """Return a copy as an array of floats; raise InvalidInput for what is none.
 
-    So it does if entries are not finite, rows differ in length, or the shape is another.
+    Raises InvalidInput if an entry is not a finite number, rows differ in length, or the shape is
+    not `shape`.
     """
     try:
         array = np.asarray(value)

@@ -42,22 +42,22 @@ class MissingPackage(AncfdaeError, ImportError):
 
 
 class InvalidInput(AncfdaeError, ValueError):
-    """Input that breaks a rule.
+    """Input that does not meet a requirement, with the message "where: rule; got value. repair".
 
     Parameters
     ----------
     where : str
-        The argument or object at fault, as the user wrote it.
+        Name of the argument or object that is not accepted, as the user wrote it.
     rule : str
-        What is required.
+        The requirement.
     got : object
-        The value that came instead.
+        The value found instead.
     repair : str
-        What to change.
+        A remedy that the rule does not say already; empty if there is none.
     """
 
-    def __init__(self, where: str, rule: str, got: object, repair: str) -> None:
-        super().__init__(f"{where}: {rule}; got {got}. {repair}")
+    def __init__(self, where: str, rule: str, got: object, repair: str = "") -> None:
+        super().__init__(f"{where}: {rule}; got {got}. {repair}".rstrip())
         self.where, self.rule, self.got, self.repair = where, rule, got, repair
 
 
@@ -103,6 +103,14 @@ class CoarseMesh(UserWarning):
 @final
 class FailedDesign(UserWarning):
     """A design that an optimiser tried has no values; the message says why."""
+
+
+@final
+class UnlikelyValue(UserWarning):
+    """A value that is admissible but looks like another quantity; the message says which.
+
+    ``warnings.simplefilter("ignore", UnlikelyValue)`` silences it.
+    """
 
 
 @final

@@ -42,6 +42,7 @@ class Outcome:
     ----------
     verdict : Verdict
     time : float
+        Time that the run reached; s.
     step : int
     residual : float
         Size of the last Newton correction relative to the motion, for integrators other than HHT

@@ -3,7 +3,7 @@
 import html
 from collections.abc import Iterable, Sequence
 
-# Entries shown of what has any number of them.
+# Most entries of a list that a message shows.
 _SHOWN = 12
 
 

@@ -92,7 +92,7 @@ class Form:
 
 @final
 class Place:
-    """A place c of the motion: Phi_q there, (nnz,), and P."""
+    """A reference state c of the motion: Phi_q there, (nnz,), and its right inverse P."""
 
     def __init__(self, form: Form, values: Array) -> None:
         self._form, self._values = form, values
@@ -234,7 +234,10 @@ def _settled(form: Form, place: Place, t: float, q: Array, aim: Array) -> Array:
 def _part(
     form: Form, place: Place, begin: tuple[float, Array], end: float, aim: Array
 ) -> tuple[Array, Place] | None:
-    """Return q at `end`, and its place, by Newton's method; None if it is not surely near."""
+    """Return q at `end`, and its place, by Newton's method.
+
+    None if it does not converge, or if q is too far to lie on the branch for certain.
+    """
     (t, q), system = begin, form.system
     side = (end - t) * velocity_side(system, t, q) if end > t else np.zeros(system.n_lam)
     step = place.nearest(side, aim)

@@ -66,7 +66,7 @@ class Completion:
         states: States,
         moved: tuple[Array, Array],
     ) -> Completion:
-        """Linearise."""
+        """Linearise accelerations and multipliers at states; `factors` are those of M and Phi_q."""
         traits, held_q, rates = system.traits, None, None
         if not (traits.constant_mass and traits.linear_constraints):
             held_q = system.linearise(t, states[0], None, *moved).f_q

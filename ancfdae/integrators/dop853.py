@@ -91,7 +91,7 @@ class Dop853:
     Attributes
     ----------
     t, end : float
-        Where the step begins and ends.
+        Times at which the step begins and ends; s.
     states, accelerations : array, shape (16, 2, ...) and (16, ...)
         Those at the stages, before the step first, after it, and where only `between` needs them.
     """
@@ -158,7 +158,7 @@ class Dop853:
         return (E @ self._rows[2 : 2 + STAGES]).reshape(2, *self.states.shape[1:])
 
     def accept(self, state: Array) -> Array:
-        """Take a state for the one after the step, moved a little; return the accelerations."""
+        """Set the state after the step, corrected by projection; return its accelerations."""
         self.states[_AFTER] = state
         after: Array = self.accelerations[_AFTER]
         after[:] = self._evaluated(self.end, self.after)

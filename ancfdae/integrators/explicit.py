@@ -63,7 +63,7 @@ class Explicit(HighOrder):
         self.require_settings(_LEAST_RTOL)
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
-        """Set up DOP853."""
+        """Set up a run by DOP853 from the start of the system."""
         return _ExplicitMarch(self, problem, t_end, quadrature)
 
 

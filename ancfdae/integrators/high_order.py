@@ -125,7 +125,7 @@ class HighOrder(QuadratureIntegrator):
     Parameters
     ----------
     rtol : float
-        Relative tolerance per step.
+        Relative tolerance per step; dimensionless.
     intervals : int
         Equal intervals of the run; each has nine Gauss-Lobatto instants, ends included. They
         say where the trajectory is reported, nothing else.
@@ -187,8 +187,8 @@ class HighOrder(QuadratureIntegrator):
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, integrals beside the motion."""
         if any(np.iscomplexobj(x) for x in (system.b, *system.start())):
-            rule, got = "computes in real numbers", "a complex system"
-            raise InvalidInput(type(self).__name__, rule, got, "Use HHT.")
+            rule, got = "needs real coordinates and design values", "complex ones"
+            raise InvalidInput(type(self).__name__, rule, got, "Only HHT takes complex steps.")
         with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
             problem = Problem.of(system, t_end)
             problem = problem.differentiated() if sensitivities else problem

@@ -58,6 +58,7 @@ class Integrator(abc.ABC):
         ----------
         system : MechanicalSystem
         t_end : float
+            End time; s.
         sensitivities : bool
             Whether the design derivatives are integrated along (direct differentiation).
         progress : bool
@@ -210,4 +211,5 @@ def require_rtol(where: str, rtol: float, least: float) -> None:
     """Refuse a relative tolerance outside the range that makes sense."""
     require_positive(where, rtol)
     if not least <= rtol <= 1e-2:
-        raise InvalidInput(where, f"must lie in [{least:.0e}, 1e-2]", rtol, "Try 1e-8.")
+        repair = "For example 1e-6, or 1e-8 for gradients."
+        raise InvalidInput(where, f"must lie in [{least:.0e}, 1e-2]", rtol, repair)

@@ -110,7 +110,10 @@ class Branch:
         return None
 
     def _changed(self, rows: Rows) -> Array:
-        """Return which steps change Phi_q by half of what may be another branch, shape (k,)."""
+        """Return which steps change Phi_q by more than CHANGED, shape (k,).
+
+        Twice that change may lead to another branch of the constraints.
+        """
         values = self._system.constraints_q(rows.t, rows.q)
         form = self._form = self._form or Form(self._system, values[0])
         changed, k, at = np.zeros(len(rows.t) - 1, dtype=bool), 0, -1
@@ -190,8 +193,11 @@ def _turned(system: MechanicalSystem, rows: Rows) -> Array:
 
 
 def locks(t: float) -> str:
-    """Return in words that joints lock."""
-    return f"The joints lock at t = {t:.6g}: from there they leave no motion that their laws ask."
+    """Return the sentence that joints lock at time t, s."""
+    return (
+        f"The joints lock at t = {t:.6g}: they cannot be closed at the positions that their laws "
+        "prescribe beyond it, whatever the step. Change a length or a law."
+    )
 
 
 def lock(system: MechanicalSystem, t: float, q: Array, end: float) -> str:

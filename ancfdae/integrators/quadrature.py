@@ -63,7 +63,7 @@ class Multipliers:
         self._following, self._smooth = steps, False
 
     def at(self, motion: Trajectory) -> Array:
-        """Return the multipliers at instants of the part."""
+        """Return lam and lam_b at the times of a part of the run, shape (k, n_lam, 1 + n_b)."""
         if self._following is not None:
             left = self._take_in(self._following)
             self._smooth = len(self._t) >= _NODES and self._is_smooth(motion, left)

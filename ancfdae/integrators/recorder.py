@@ -1,4 +1,4 @@
-"""Collects nodes of a run into a solution."""
+"""Collects states and counters of a run, and makes a `Solution` of them."""
 
 import time
 from typing import TypeAlias, final

@@ -67,7 +67,8 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
     """
     q, v = system.start()
     if not (finite(q) and finite(v)):
-        raise InvalidInput("start", "must be finite", "NaN or infinity", "Check the start.")
+        repair = "Check the values that `start` returns."
+        raise InvalidInput("start", "q and v must be finite", "NaN or infinity", repair)
     if not system.traits.project_start:
         _refuse_inconsistent(system, q, v, t)
     # Forces that are not finite at the start are refused here, not warned about.
@@ -129,7 +130,7 @@ class Covectors(NamedTuple):
     b: Array
 
     def plus(self, other: Covectors) -> Covectors:
-        """Add."""
+        """Return the sum with other adjoint vectors."""
         return Covectors(*(x + y for x, y in zip(self, other, strict=True)))
 
 

@@ -28,8 +28,9 @@ class Static(AdjointIntegrator):
     max_steps: int = MAX_STEPS
 
     def refined(self, solution: Solution) -> Integrator:
-        """Refuse: an equilibrium has no error of discretisation in time."""
-        raise InvalidInput("Static", "has no better setting", repr(self), "Use more elements.")
+        """Raise InvalidInput: an equilibrium has no error of discretisation in time."""
+        rule = "an equilibrium must have no error bar in time"
+        raise InvalidInput("Static", rule, repr(self), "Compare meshes: error_bars(meshes=2).")
 
     def integrate(
         self,
@@ -47,7 +48,7 @@ class Static(AdjointIntegrator):
     def pull_back(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
     ) -> Array:
-        """One transposed solve."""
+        """Return the gradient, shape (n_b,), by one transposed solve at the equilibrium."""
         q, lam, t = solution.q[0], solution.lam[0], float(solution.t[0])
         on_q = np.zeros_like(q) if seeds.q is None else seeds.q[0]
         on_lam = np.zeros_like(lam) if seeds.lam is None else seeds.lam[0]

@@ -165,9 +165,10 @@ class SteppedIntegrator(AdjointIntegrator):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Go on with a run; as `Integrator.resume`."""
+        """Return the run `after` continued to `t_end`; see `Integrator.resume`."""
         if self._derivatives_along(system):
-            rule, repair = "cannot go on with derivatives along", "Run again from t = 0."
+            rule = "a run that controls the error of its derivatives cannot be continued"
+            repair = "Run again from t = 0."
             raise InvalidInput("after", rule, repr(self.steps), repair)
         return self._integrate(system, t_end, after, sensitivities, progress)
 
@@ -223,9 +224,9 @@ class SteppedIntegrator(AdjointIntegrator):
         if np.iscomplexobj(system.b):
             raise InvalidInput(
                 "ControlledSteps.sensitivities",
-                "computes derivatives in real numbers",
-                "a complex system",
-                "Repeat the steps of a run at real values: frozen.",
+                "needs real design values",
+                "complex ones",
+                "Repeat the steps of a run at real values: HHT(...).frozen(solution).",
             )
         return system.n_b > 0
 
@@ -247,8 +248,8 @@ class SteppedIntegrator(AdjointIntegrator):
     def differentiate(self, system: MechanicalSystem, solution: Solution) -> Solution:
         """Add the design derivatives of a run of this integrator (eqs. 22-25).
 
-        If a matrix is singular or the pass is interrupted, the solution is cut to what has
-        derivatives and its outcome says so.
+        If a matrix is singular or the pass is interrupted, the solution is cut after the last state
+        that has derivatives, and its outcome says so.
         """
         return self._differentiate(Problem.of(system, float(solution.t[-1]) or 1.0), solution)
 

@@ -1,4 +1,4 @@
-"""Checks what a run has recorded, some instants at a time, and cuts it back to what is right."""
+"""Checks recorded states of a run in groups, and cuts the run back to the last correct state."""
 
 from typing import final
 

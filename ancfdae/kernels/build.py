@@ -23,7 +23,7 @@ class BuildKernels(build_ext):
     """The usual command, which finds NumPy where the package is built."""
 
     def finalize_options(self) -> None:
-        """Add the headers."""
+        """Add the headers of NumPy to the include path."""
         super().finalize_options()
         self.include_dirs.append(np.get_include())
 

@@ -59,7 +59,7 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "constraint_plan.h"
 #include "load_plan.h"
 
-/* The angle of (x, y); of complex numbers too that are real but for a tiny step. */
+/* The angle of (x, y), rad; complex numbers must be real except for a tiny imaginary step. */
 static double angle_of_real(double y, double x)
 {
     return atan2(y, x);
@@ -159,7 +159,7 @@ static int wrong(const char *what)
     return 0;
 }
 
-/* An array of a type, in one piece, with so many axes at least. */
+/* A contiguous array of a type, with at least `axes` axes. */
 static int taken(PyObject *object, int type, int axes, PyArrayObject **array)
 {
     *array = NULL;
@@ -187,7 +187,7 @@ static int taken_number(PyObject *object, npy_intp most, npy_intp *number)
     return (*number >= 0 && *number <= most) || wrong("a number is negative or too large");
 }
 
-/* An item of a tuple with so many of them. */
+/* Item i of a tuple that must have `size` items. */
 static PyObject *item(PyObject *tuple, Py_ssize_t size, Py_ssize_t i)
 {
     if (!tuple || !PyTuple_Check(tuple) || PyTuple_Size(tuple) != size)

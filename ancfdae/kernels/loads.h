@@ -33,7 +33,7 @@ INLINE T NAME(operation)(npy_int32 op, T a, T b, T *on_a, T *on_b)
     return y;
 }
 
-/* How many numbers of work a load takes, with derivatives in so many directions at once. */
+/* Numbers of work space that a load needs, with derivatives in `lanes` directions at once. */
 INLINE npy_intp NAME(load_work)(const load_plan *p, npy_intp lanes)
 {
     return p->n_numbers * (1 + lanes) + 2 * p->n_operations;

@@ -492,7 +492,7 @@ static PyObject *py_pull_back_steps(PyObject *const *args)
 
 /* rest(prepared, state, known, factors, rules): Newton's method from a state (q, lam, q_s, lam_s),
  * written in place, with (q_0, anchor or None, r_0, Phi_0); why it ends, iterations, the size of the
- * last correction, and whether K is surely positive definite there. */
+ * last correction, and whether K is known to be positive definite there. */
 static PyObject *py_rest(PyObject *const *args)
 {
     enum { STATE, KNOWN = 4, FACTORS = 8, ALL = 11 };

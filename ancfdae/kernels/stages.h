@@ -246,7 +246,7 @@ static const npy_int64 *indices_in_place(PyObject *object, npy_intp size, npy_in
     return PyArray_DATA(x);
 }
 
-/* (order, scale, half, flat, factors, places) of the coupled matrix, of which K has so many values. */
+/* (order, scale, half, flat, factors, places) of the coupled matrix; sets `size_K`. */
 static int coupled_taken(PyObject *t, stage_step *s)
 {
     const plan_real *p = s->plan;

@@ -1,7 +1,7 @@
 /* Forces of a block with their total design derivatives, for one scalar type. */
 
-/* What design variables change in the law of elements, pair by pair of the two. Of element e these
- * are pairs[first[e]] to pairs[first[e + 1] - 1] in the order of their variables: one below n_stiff
+/* What design variables change in the law of elements, for pairs of element and variable. Element e
+ * has pairs[first[e]] to pairs[first[e + 1] - 1] in the order of their variables: one below n_stiff
  * changes A by A_b and, side by side in rest_b, g_o and bending; one above changes tau by tau_b. */
 typedef struct {
     npy_intp n_stiff;

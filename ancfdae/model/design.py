@@ -92,7 +92,7 @@ class Designable:
         Parameters
         ----------
         p : array, shape (n_p,)
-            Values of all `parameters`.
+            Values of all `parameters`, each in its own unit.
         """
         values = zip(self._design_values(), self.split(p), strict=True)
         inner = ((x, its) for (_, x), its in values if isinstance(x, Designable))
@@ -104,7 +104,7 @@ class Designable:
         Parameters
         ----------
         p : array, shape (n_p,)
-            Values of all `parameters`.
+            Values of all `parameters`, each in its own unit.
         """
         values = zip(self._design_values(), self.split(p), strict=True)
         inner = ((x, its) for (_, x), its in values if isinstance(x, Designable))

@@ -1,9 +1,14 @@
-"""What a beam is made of."""
+"""The material of beams: density, elastic constants and damping."""
 
+import warnings
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.errors import InvalidInput, require_finite, require_positive
+from ancfdae.errors import InvalidInput, UnlikelyValue, require_finite, require_positive
+
+# A density above _DENSE and _HEAVY times the modulus is taken for a modulus: with the numbers of
+# steel exchanged it is 3e7 times; soft rubber, declared in kg and km, has 1,000 times.
+_DENSE, _HEAVY = 1e5, 2e3
 
 
 @final
@@ -27,6 +32,11 @@ class Material:
     ------
     InvalidInput
         If density or modulus is not finite and positive, or nu lies outside (-1, 0.5).
+
+    Warns
+    -----
+    UnlikelyValue
+        If the density looks like a modulus: it is above 1e5 and 2,000 times the modulus.
     """
 
     density: float
@@ -37,6 +47,14 @@ class Material:
     def __post_init__(self) -> None:
         require_positive("Material.density", self.density)
         require_positive("Material.youngs_modulus", self.youngs_modulus)
+        if self.density > _DENSE and self.density > _HEAVY * self.youngs_modulus:
+            warnings.warn(
+                f"Material: the density, {self.density:g}, looks like a modulus and Young's "
+                f"modulus, {self.youngs_modulus:g}, like a density. The order is Material(density, "
+                "youngs_modulus, poisson_ratio).",
+                UnlikelyValue,
+                stacklevel=3,
+            )
         require_finite("Material.poisson_ratio", self.poisson_ratio)
         if not -1.0 < self.poisson_ratio < 0.5:
             raise InvalidInput(

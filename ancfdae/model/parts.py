@@ -108,7 +108,7 @@ class Part(Designable, abc.ABC):
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        """Name and validate."""
+        """Give the part a name if it has none, and check its fields."""
         self._check_declared()
         name, where = self.name, f"{self.role} {self.kind!r}, name"
         require_kind(where, name, (str,), "Give a name.")
@@ -194,7 +194,7 @@ class Part(Designable, abc.ABC):
         where, d = f"{self.role} {self.name!r}", elements.d
         if self.spatial and d != 3:
             raise InvalidInput(
-                where, "is spatial", f"a scene in {d} dimensions", "Use a planar one, such as Pin."
+                where, "needs a scene in space", f"one in {d} dimensions", "In the plane use Pin."
             )
         for vector in self._known_vectors(elements):
             if isinstance(vector, tuple) and vector[0].fraction is not None:
@@ -204,9 +204,9 @@ class Part(Designable, abc.ABC):
         if d == 2 and axis is not None and not self._needs("axis"):
             raise InvalidInput(
                 f"{where}, axis",
-                "is a choice of spatial scenes only",
+                "must be left out in the plane",
                 axis,
-                "Leave it out: in the plane it is z.",
+                "The axis of a planar part is z.",
             )
         for name, rule_of_value in self.design_fields:
             value = getattr(self, name)
@@ -224,7 +224,10 @@ class Part(Designable, abc.ABC):
                 raise InvalidInput(where, rule, f"no field {name!r}", repair)
 
     def _known_vectors(self, elements: Elements) -> Vectors:
-        """Return the vectors that it names; refuse what are none."""
+        """Return the vectors declared by `vectors`.
+
+        Raises InvalidInput unless they are a non-empty tuple of vectors of points.
+        """
         vectors: object = self.vectors(elements)
         if not isinstance(vectors, tuple) or not vectors or not all(map(_is_vector, vectors)):
             raise InvalidInput(
@@ -253,9 +256,9 @@ class Part(Designable, abc.ABC):
         if ends == 2 or (ends == 0 and self.needs_other_end):
             raise InvalidInput(
                 where,
-                "goes from a point either to another one or to the ground",
+                "needs either `other`, a second point, or `ground`, a place",
                 "both" if ends else "neither",
-                "Give one of `other` and `ground`.",
+                "For example ground=(0.0, 1.0), or other=rod.at_end.",
             )
 
 

@@ -32,5 +32,5 @@ class PointMass(Part):
     design_fields = (("mass", require_positive),)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return the position."""
+        """Return the vector that the mass acts on: the position of the point."""
         return ((self.point, Quantity.POSITION),)

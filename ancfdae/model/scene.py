@@ -130,15 +130,15 @@ class Scene(SceneDesign):
         )
 
     def _freeze(self, name: str, kinds: tuple[type, ...], repair: str) -> None:
-        """Turn a sequence of parts into a tuple and refuse what is none of them."""
+        """Store a field as a tuple; raise InvalidInput for parts of none of the given classes."""
         parts = require_sequence(f"Scene.{name}", getattr(self, name))
         for part in parts:
             require_kind(f"Scene.{name}", part, kinds, repair)
         object.__setattr__(self, name, parts)
 
     def _check_names(self) -> None:
-        """Refuse names that stand for two parts, and beams that start twice."""
-        rule, repair = "every part needs a name of its own", "Rename one."
+        """Raise InvalidInput if two parts have one name, or a beam has two starts."""
+        rule, repair = "every part needs a name of its own", "Rename one of the two parts."
         require_unique("Scene.beams", rule, [beam.name for beam in self.beams], repair)
         require_unique("Scene.bodies", rule, [body.name for body in self.bodies], repair)
         require_unique("Scene.joints", rule, [joint.name for joint in self.joints], repair)

@@ -45,7 +45,7 @@ class SceneDesign(Designable):
 
     @property
     def dimension(self) -> int:
-        """Dimension of space."""
+        """Dimension of space, 2 or 3."""
         return self.members[0].dimension
 
     @cached_property
@@ -322,7 +322,8 @@ class SceneDesign(Designable):
     def _single(self, text: str) -> float:
         held = self._held(text)
         if _differ(held):
-            rule, repair = "must hold one value to move by a factor", "Name its elements."
+            rule = "elements that one variable changes must have one value"
+            repair = "Name the elements, as in 'rod.height[2]', or use `distribution`."
             raise InvalidInput(f"design target {text}", rule, sorted(set(held)), repair)
         return held[0]
 
@@ -374,8 +375,8 @@ class SceneDesign(Designable):
         if point.fraction is None or coordinate != "fraction":
             axes = "xyz"[: element.d] if point.fraction is None else "yz"[: element.n_s - 2]
             if coordinate not in axes:
-                rule = f"{point.beam!r} has no such axis"
-                raise InvalidInput(where, rule, coordinate, "Leave it out.")
+                rule = f"points of {point.beam!r} move along {' and '.join(axes) or 'it'} only"
+                raise InvalidInput(where, rule, coordinate, "Remove this variable from `design`.")
             return
         nodes = self.beam(point.beam).reference().fractions
         at_node = bool(np.any(np.abs(nodes - point.fraction) < 1e-9))

@@ -73,8 +73,8 @@ class NodeState:
         Position and slopes of every node, or of both ends of every element as `Solution.ends`
         returns them, where the slope along the beam differs on both sides of a node (`Beam`,
         kinks).
-    velocities : array, shape as that of either, optional
-        Zero by default.
+    velocities : array, optional
+        Their rates, in the same shape; m/s, slopes in 1/s. Zero by default.
     """
 
     body: str
@@ -159,7 +159,7 @@ def _of_nodes(where: str, given: Array, beam: BeamBody, kinks: tuple[int, ...]) 
     if np.any(differ):
         raise InvalidInput(
             where,
-            "elements must meet with the same vectors, but for the slope along the beam at kinks",
+            "elements must meet with the same vectors, except the slope along the beam at kinks",
             f"others at node {1 + int(np.argmax(np.any(differ, axis=1)))}",
             "Declare Beam(..., kinks=[...]) where it jumps.",
         )

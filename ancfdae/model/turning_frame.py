@@ -58,7 +58,7 @@ class TurningFrame(Designable):
         if self.axis is not None:
             require_vector("TurningFrame.axis, which is for space", self.axis, (3,))
             if dimension == 2:
-                rule, repair = "is for space: a plane turns in itself", "Leave it out."
+                rule, repair = "must be left out in the plane", "A plane turns about z."
                 raise InvalidInput("TurningFrame.axis", rule, self.axis, repair)
         if self.through is not None:
             require_vector("TurningFrame.through", self.through, (dimension,))
@@ -83,5 +83,5 @@ class TurningFrame(Designable):
 
 
 def require_frame(where: str, value: object) -> None:
-    """Raise InvalidInput for what is no turning frame."""
+    """Raise InvalidInput unless `value` is a `TurningFrame`."""
     require_kind(where, value, (TurningFrame,), "For example TurningFrame(rate=10).")

@@ -62,11 +62,11 @@ class Transposed:
         return self._held(y, x, np.zeros(self.small.system.n_lam))
 
     def _joints(self, x: Array, mu: Array) -> Array:
-        """Pull back x^T Phi_q^T mu."""
+        """Return the gradient of x^T Phi_q^T mu in q, lam and b, at fixed x and mu."""
         return self._held(x, np.zeros(self.small.system.n_q), mu)
 
     def _held(self, y: Array, a: Array, lam: Array) -> Array:
-        """Pull back y^T (M a + Phi_q^T lam)."""
+        """Return the gradient of y^T (M a + Phi_q^T lam) in q, lam and b, at fixed y, a and lam."""
         system, at = self.small.system, self.small.at
         on_b = held_pull_back(system, at.t, at.q, a, lam, y)
         on_q = system.pattern.dot_transposed(held_q(system, at.t, at.q, a, lam), y)

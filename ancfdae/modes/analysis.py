@@ -68,7 +68,7 @@ def exponents(small: Linearised, z: Array) -> Array:
 
 
 def _exponents_b(small: Linearised, s: Array, z_b: Array) -> Array:
-    """Return s_b; a rigid motion of a design stays one."""
+    """Return the design derivatives s_b, shape (count, n_b); zero for rigid motions."""
     if small.D is not None:
         return z_b
     s, infinite = s[:, None], np.isinf(z_b)

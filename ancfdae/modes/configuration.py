@@ -18,12 +18,13 @@ class Configuration:
     Attributes
     ----------
     q : array, shape (n_q,)
+        Coordinates; m, slopes dimensionless.
     lam : array, shape (n_lam,)
-        Multipliers: their reactions pre-stress the joints.
+        Multipliers, whose reactions pre-stress the joints; in N for constraints in m.
     q_b, lam_b : array, shape (n_q, n_b) and (n_lam, n_b), or None
-        Design derivatives of both; None where q and lam stay as the design changes.
+        Design derivatives of q and lam; None if q and lam do not depend on the design.
     t : float
-        Time at which prescribed motions are evaluated.
+        Time at which prescribed motions are evaluated; s.
     v : array, shape (n_q,), or None
         Velocities there, which must be small; None for rest.
     """
@@ -52,7 +53,7 @@ class Configuration:
         Raises
         ------
         InvalidInput
-            If the run has no such instant.
+            If the run has fewer than `instant` + 1 states.
         """
         count = len(solution.t)
         if not -count <= instant < count:

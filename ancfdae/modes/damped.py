@@ -107,7 +107,7 @@ def _disproportion(small: Linearised, tau: float, pairs: Eigenpairs) -> Array:
 
 
 def _unsolved(small: Linearised, pairs: Eigenpairs) -> Array:
-    """Return a bound of the error of each exponent from what is left of its equations, (count,).
+    """Return a bound of the error of each exponent, (count,); 1/s, from residuals r of the modes.
 
     r = F(s) x + Phi_q^T mu is measured in A = |s|^2 M + |s| D + K: where M, D and K are positive
     definite, e with e^2 = r^H A^-1 r / x^H A x is the least change of the matrices, relative to

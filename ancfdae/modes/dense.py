@@ -131,7 +131,7 @@ def _reduced(small: Linearised, values: Array) -> tuple[Array, Array]:
 
 
 def _complement(R: Array) -> Array:
-    """Return an orthonormal basis of what is orthogonal to orthonormal columns."""
+    """Return an orthonormal basis, as columns, of the complement of the orthonormal columns R."""
     if R.shape[1] == 0:
         return np.eye(len(R))
     full: Array = scipy.linalg.qr(R)[0]

@@ -115,13 +115,13 @@ class Linearised:
     # -- the pencil ----------------------------------------------------------------------------
 
     def matrix(self, z: complex) -> Array:
-        """Values of F(z)."""
+        """Values of F(z) on the pattern, shape (nnz,)."""
         if self.D is None:
             return self.K - z * self.M
         return z * z * self.M + z * self.D + self.K
 
     def slope(self, z: complex) -> Array:
-        """Values of F'(z)."""
+        """Values of F'(z) on the pattern, shape (nnz,)."""
         return -self.M if self.D is None else 2 * z * self.M + self.D
 
     def slope_times(self, z: complex, x: Array) -> Array:
@@ -181,7 +181,7 @@ class Linearised:
         """Return x of a saddle-point solve that keeps Phi_q x = 0; vector or columns."""
         n, none = len(force), np.zeros((self.system.n_lam, *force.shape[1:]))
         x = factors.solve(np.concatenate([force, none]))[:n]
-        # Of stiff bodies round-off of the forces is left in the constraints.
+        # Round-off of the forces of stiff bodies leaves a violation of the constraints.
         left = self.system.constraint_pattern.dot(self.Phi_q, x)
         return np.asarray(x - factors.solve(np.concatenate([0 * force, left]))[:n])
 

@@ -12,7 +12,7 @@ from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.modes.rigid import floor
 from ancfdae.numerics.arrays import Array
 
-# Round-off may be so many times what another rounding changes.
+# Round-off is estimated as _MARGIN times the change of a value under other rounding.
 _MARGIN, _TINY = 4.0, float(np.finfo(float).tiny)
 
 

@@ -23,12 +23,13 @@ class StepSuggestion:
     Attributes
     ----------
     step : float
-        Step that takes `per_period` steps in the period `resolved`.
+        Suggested step, `resolved` / `per_period`; s.
     fastest, slowest : float
         Shortest and longest period, 2 pi / |s|, of motions that vibrate or grow.
     resolved : float
-        Period of the fastest motion that counts.
+        Period of the fastest mode that the step resolves; s.
     per_period : float
+        Number of steps in the period `resolved`; dimensionless.
     """
 
     step: float
@@ -81,7 +82,8 @@ _CURED_BY_STEP = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.STEP_LIMIT
 def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
     """Return the periods of small motions about a state as text; empty if there are none.
 
-    Larger systems get no such words: a message must not take longer than the run that it ends.
+    Systems of more than _QUICK coordinates get an empty text: a message must not take longer than
+    the run that it ends.
     """
     if system.n_q > _QUICK:
         return ""

@@ -31,7 +31,7 @@ from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.statics.balance import Balance
 
 # Round-off of z, twice that of a frequency, above which products with the matrix do not do, and
-# above which modes are refused. The bound that decides of the former is 50 times what it bounds.
+# above which modes are rejected. The bound that decides on products is 50 times what it bounds.
 ALLOWED = 2e-6
 # Vectors beside those asked for; with them a sweep gains a digit or more in a beam.
 _GUARDS, _SWEEPS = 8, 60
@@ -41,10 +41,10 @@ _SETTLED = 1e-7
 _SHIFT, _TRACE = 1e-14, 1e-8
 # What is stiff: axial forces, 1/n^2 of the diagonal, and neither bending nor rigid motions.
 _STIFF = 1e-10
-# Rigid motions searched for at first, and so many times as many as long as all of them are; and
-# sweeps.
+# Rigid motions searched for at first; their number is multiplied by _MORE as long as all motions
+# found are rigid; and sweeps.
 _FIRST, _MORE, _CLEANED = 8, 4, 3
-# Round-off may be so many times what other roundings change, of which so many are tried.
+# Round-off is estimated as _MARGIN times the largest change under _ROUNDINGS other roundings.
 _MARGIN, _ROUNDINGS = 4.0, 3
 # As in `statics.derivatives`.
 _MAGNIFIED = 2.0**17

@@ -5,8 +5,8 @@ The shapes are the undamped ones. A natural frequency omega, z = omega^2, has th
     s^2 + tau z s + z = 0
 
 Where tau omega > 2 both are real: one near -1/tau, where those of all stiff motions crowd, and one
-near -tau omega^2. No method that starts from the matrices of s tells the former apart; the natural
-frequencies do.
+near -tau omega^2. No method that starts from the matrices of s separates the exponents near -1/tau;
+the natural frequencies do.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def exponents(tau: float, z: Array, noise: Array) -> tuple[Array, Array, Array]:
     left = half**2 - z
     vibrates = left < 0
     root = np.sqrt(np.abs(left))
-    # Of real ones the larger has no cancellation, and the product of both is z.
+    # The larger of two real exponents has no cancellation, and their product is z.
     far = -half - np.copysign(root, half)
     near = z / np.where(far == 0, 1.0, far)
     first = np.where(vibrates, -half + 1j * root, near)

@@ -60,7 +60,7 @@ class Modes:
         x with x^H M x = 1; the largest entry (in the norm of the weights) is real and positive.
         Complex with damping.
     multipliers : array, shape (n_lam, count)
-        Reactions mu that belong to the shapes.
+        Multipliers mu of the shapes, in their unit; columns as those of `shapes`.
     kinds : tuple of MotionKind
     coincide : tuple of tuple of int
         Modes that round-off does not separate, in groups of two or more.
@@ -94,7 +94,7 @@ class Modes:
 
     @property
     def natural_frequencies(self) -> Array:
-        """|s|, shape (count,); rad/s. Without damping the frequencies."""
+        """|s|, shape (count,); rad/s. Equal to `frequencies` if nothing damps the modes."""
         return np.abs(self.exponents)
 
     @property
@@ -116,7 +116,10 @@ class Modes:
 
     @property
     def natural_frequencies_b(self) -> Array:
-        """Design derivatives of `natural_frequencies`, shape (count, n_b); as `frequencies_b`."""
+        """Design derivatives of `natural_frequencies`, shape (count, n_b).
+
+        In rad/s per unit of the variable. Raises InvalidInput if there are no design variables.
+        """
         s, size = self.exponents[:, None], np.abs(self.exponents)[:, None]
         change = np.real(np.conj(s) * self._known().exponents_b)
         return np.asarray(change / np.where(size == 0, 1.0, size))

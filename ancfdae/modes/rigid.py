@@ -18,7 +18,7 @@ from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
 
-# Motions searched for at first, and so many times as many as long as all of them are rigid.
+# Motions searched for at first; multiplied by _MORE as long as all motions found are rigid.
 _FIRST, _MORE = 4, 4
 _SWEEPS, _CLEANED = 3, 3
 # Squares of the parts of a block that are more than round-off of others, and of motions that keep
@@ -27,7 +27,7 @@ _DISTINCT, _KEPT = 1e-10, 0.5
 
 
 def rigid_motions(small: Linearised) -> Array:
-    """Return all of them as columns, orthonormal in M."""
+    """Return all rigid motions as columns, shape (n_q, count), orthonormal in M."""
     root, count = np.sqrt(small.system.weights)[:, None], _FIRST
     random = np.random.default_rng(3)
     while True:

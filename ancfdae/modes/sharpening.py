@@ -77,9 +77,9 @@ def each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array,
 def _quotients(small: Linearised, s: Array, X: Array) -> Array:
     """Return the root of x^H (s^2 M + s D + K) x + 2 Re mu^H Phi_q x = 0 next to s.
 
-    Rayleigh's quotient, stationary in x and mu: what solves beside an eigenvalue leave in the
-    constraints counts in second order. With K symmetric and D gyroscopic it is imaginary to
-    round-off of the products, and what does not grow is not taken for what does.
+    Rayleigh's quotient, stationary in x and mu: a violation of the constraints, left by solves next
+    to an eigenvalue, has an effect of second order. With K symmetric and D gyroscopic the root is
+    imaginary to round-off of the products, so that a steady mode does not appear to grow.
     """
     assert small.D is not None
     m = small.squares(X)

@@ -28,7 +28,7 @@ def solve(small: Linearised, count: int, highest: bool, whole: bool = False) -> 
     asked, n = min(count, small.n_modes), small.n_modes
     if n <= 0:
         raise InvalidInput(
-            "modes", "need a motion that the joints leave", "none", "Remove a joint."
+            "modes", "need a motion that the joints leave free", "none", "Remove a joint or clamp."
         )
     wanted = min(asked + 2, n)
     while True:

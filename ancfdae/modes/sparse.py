@@ -156,7 +156,11 @@ def _sorted(
     factors: Factorization,
     options: dict[str, Any],
 ) -> tuple[Array, Array]:
-    """Call ARPACK, starting within the constraints from what no symmetry keeps from any mode."""
+    """Return sorted eigenvalues, (count,), and shapes, (n_q, count), by ARPACK.
+
+    The start keeps the constraints and has, whatever the symmetry of the system, a part in every
+    mode.
+    """
     n, M = small.system.n_q, small.system.pattern.csr(small.M)
     K = _operator(n, lambda x: small.times(small.K, x))
     routine = scipy.sparse.linalg.eigsh if symmetric else scipy.sparse.linalg.eigs
@@ -168,7 +172,7 @@ def _sorted(
 def _inverse(
     small: Linearised, factors: Factorization, known: Array | None
 ) -> scipy.sparse.linalg.LinearOperator:
-    """Return the inverse within the constraints, and within what is orthogonal to known vectors."""
+    """Return the inverse on motions that keep the constraints, orthogonal in M to known vectors."""
 
     def solve(force: Array) -> Array:
         x = small.solve(factors, force)

@@ -97,8 +97,8 @@ def with_rigid(rigid: Array, z: Array, X: Array, change: Array) -> tuple[Array, 
 def _freed(z: Array, noise: Array, missing: Array) -> bool:
     """Whether a load has all but freed these motions, so that round-off counts beside the others.
 
-    Next to a critical load z passes through zero. Of beams that carry none neighbours differ by a
-    factor of 40 at most.
+    Next to a critical load z passes through zero. Neighbouring z of beams without a load differ by
+    a factor of 40 at most.
     """
     others = np.setdiff1d(np.flatnonzero(z != 0), missing)
     least = np.min(np.abs(z[others]), initial=np.inf)
@@ -109,6 +109,6 @@ def _freed(z: Array, noise: Array, missing: Array) -> bool:
 
 
 def is_small(small: Linearised, count: int) -> bool:
-    """Whether dense matrices are the faster way to so many modes."""
+    """Whether `count` modes are found faster with dense matrices."""
     size = _DENSE if small.D is None else _DENSE_DAMPED
     return small.n_free <= max(size, 3 * count + _ROOM)

@@ -1,6 +1,6 @@
 """Derivatives of analytic functions of any order, by sums over circles in the complex plane.
 
-One first derivative is a complex step, Im f(i s)/s with s = `STEP` radii: exact but for round-off.
+One first derivative is a complex step, Im f(i s)/s with s = `STEP` radii: exact to round-off.
 Higher and mixed ones need several perturbations at once, and one as small would be lost next to
 the imaginary part of another. They come from Cauchy's formula (Lyness & Moler 1967).
 

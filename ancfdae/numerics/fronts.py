@@ -96,9 +96,9 @@ def _places(order: Array) -> Array:
 
 
 def _orders(rows: Array, columns: Array, size: int) -> list[Array]:
-    """Return orders with little fill, which SuperLU finds where it factorises a made-up matrix.
+    """Return elimination orders with little fill, one for each rule of SuperLU in _ORDERS.
 
-    Its diagonal dominates, so that no rows are exchanged.
+    SuperLU factorises a diagonally dominant matrix of this pattern, so that it exchanges no rows.
     """
     ones = np.ones(len(rows))
     graph = scipy.sparse.csr_array((ones, (rows, columns)), shape=(size, size))

@@ -30,7 +30,7 @@ from ancfdae.numerics.patterns import Pattern
 _EPS = float(np.finfo(float).eps)
 # Bounds that are tried, each 16 times the last one, from the round-off of K on.
 _BOUNDS = 40
-# A real or a negative number is one beyond so many roundings of the largest.
+# An eigenvalue counts as real or negative beyond _ROUNDINGS times the round-off of the largest.
 _ROUNDINGS = 64
 # Fewer motions than this are looked at all at once; eigenvalues first sought around a centre.
 _DENSE, _AROUND = 100, 12

@@ -194,7 +194,7 @@ def direction(e: Any) -> tuple[Any, Any]:
 
 
 def angle(y: Any, x: Any) -> Any:
-    """Return the angle of (x, y), of complex numbers too that are real but for a tiny step."""
+    """Return the angle of (x, y), rad; complex x and y must be real except for a tiny step."""
     if isinstance(y, Carried):
         return y.angle(x)
     size = x.real**2 + y.real**2

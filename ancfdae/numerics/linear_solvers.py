@@ -159,7 +159,7 @@ class SaddlePoint:
 
     @property
     def size(self) -> int:
-        """Number of unknowns."""
+        """Number of unknowns: coordinates and multipliers."""
         return len(self.scale)
 
     @property

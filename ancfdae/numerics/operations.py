@@ -35,7 +35,7 @@ _PRODUCTS = 64
 
 @final
 class Operations:
-    """A list of operations on so many inputs, and on constants.
+    """A list of operations on `n_inputs` inputs and on constants.
 
     Numbers are inputs, from 0 on, results, from `n_inputs` on, and constants, from -1 down.
     """

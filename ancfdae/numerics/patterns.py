@@ -52,23 +52,23 @@ class Pattern:
 
     @property
     def size(self) -> int:
-        """Number of stored entries."""
+        """Number of stored entries nnz."""
         return len(self.columns)
 
     @cached_property
     def rows(self) -> Array:
-        """Row of every entry."""
+        """Row index of every stored entry, shape (nnz,)."""
         return np.repeat(np.arange(self.shape[0], dtype=np.int32), np.diff(self._first))
 
     @cached_property
     def diagonal(self) -> Array:
-        """Places of the diagonal in the value vector; it must be in the pattern."""
+        """Indices of the diagonal in the value vector, (n,); it must be in the pattern."""
         n = np.arange(self.shape[0])
         return self.index(n, n)
 
     @property
     def places(self) -> tuple[Array, Array]:
-        """Where rows begin, and columns."""
+        """Start of each row in the value vector, (n_rows + 1,), and column indices, (nnz,)."""
         return self._first, self.columns
 
     def index(self, rows: Array, columns: Array) -> Array:
@@ -90,7 +90,7 @@ class Pattern:
         return values
 
     def dense(self, values: Array) -> Array:
-        """Return the matrix as a two-dimensional array."""
+        """Return the matrix with these values as an array, shape (n_rows, n_columns)."""
         matrix = np.zeros(self.shape[0] * self.shape[1], dtype=values.dtype)
         matrix[self._flattened(self.rows, self.columns)] = values
         return matrix.reshape(self.shape)
@@ -104,7 +104,7 @@ class Pattern:
         return self._first, self.columns, values
 
     def dot(self, values: Array, x: Array) -> Array:
-        """Product of the matrix with a vector or with the columns of an array."""
+        """Product of the matrix with a vector, (n_columns,), or with columns, (n_columns, k)."""
         return csr_rows(self._first, self.columns, values, x.T).T
 
     def subtract_dot(

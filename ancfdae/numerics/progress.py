@@ -10,7 +10,7 @@ class _Hidden(ExitStack):
     """A context that shows nothing."""
 
     def update(self, count: float = 1) -> None:
-        """Show nothing."""
+        """Do nothing: this progress bar is hidden."""
 
 
 def progress_bar(shown: bool, items: Iterable[Any] | None = None, **settings: Any) -> Any:

@@ -71,9 +71,9 @@ class TimeGrid:
         return w
 
     def interpolation(self, time: float) -> tuple[slice, Array]:
-        """Return instants and weights whose sum of products is the value at `time`.
+        """Return the slice of time points and the weights that interpolate a value at `time`.
 
-        A time that is an instant but for round-off means that instant.
+        A time within 1e-12 of the end time of a time point counts as that point.
         """
         t = self.t
         nearest = int(np.argmin(np.abs(t - time)))

@@ -21,10 +21,10 @@ def stopwatch(wall: bool = False) -> Callable[[], float]:
 def timed(
     call: Callable[[], _Answer], repeats: int = 1, *, long: float = math.inf, wall: bool = False
 ) -> tuple[float, _Answer]:
-    """Return the least time of some calls, and the last answer; s.
+    """Return the least time of `repeats` calls, s, and the last answer.
 
-    One that takes longer than `long` is not repeated: the clock's resolution and interruptions
-    hardly matter there.
+    A call that takes longer than `long` is not repeated: there the clock's resolution and
+    interruptions are a small part of the time.
     """
     seconds = math.inf
     while True:

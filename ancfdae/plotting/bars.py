@@ -44,7 +44,7 @@ def gradient_bars(
     Raises
     ------
     InvalidInput, UnknownName
-        If the gradient has no such distribution, or the scene no such beam.
+        If the gradient has no distribution of that target, or the scene has no beam of that name.
     """
     require_kind("gradient_bars, gradient", gradient, (Gradient,), "Call gradient.")
     require_text("gradient_bars, target", target)

@@ -42,7 +42,7 @@ _PANEL_SIZE: Final = (6.4, 4.0)  # inches
 # Of three and more beside each other: as they are shown at the same width, letters are larger.
 _NARROW_SIZE: Final = (4.3, 3.5)
 _LARGER: Final = 1.2
-_LEGEND_CHARACTER: Final = 0.085  # inches, a little above the mean at the legend's font size
+_LEGEND_CHARACTER: Final = 0.085  # inches, above the mean at the legend's font size
 _LEGEND_HANDLE: Final = 0.75  # inches: line sample and gaps beside each label
 _LEGEND_ROW: Final = 0.25  # inches
 _MARKERS_ON_LINE: Final = 15
@@ -146,9 +146,7 @@ class Panel:
             require_unit(where, label)
         for scale in (self.x_scale, self.y_scale):
             if scale not in ("linear", "log"):
-                raise InvalidInput(
-                    where, "a scale must be 'linear' or 'log'", repr(scale), "Choose one."
-                )
+                raise InvalidInput(where, "a scale must be 'linear' or 'log'", repr(scale))
         labels = [series.label for series in self.series]
         if not labels or len(set(labels)) < len(labels):
             raise InvalidInput(

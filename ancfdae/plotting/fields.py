@@ -34,7 +34,7 @@ class Field(abc.ABC):
     @property
     @abc.abstractmethod
     def label(self) -> str:
-        """Quantity and unit."""
+        """Quantity with its unit, for the colour bar."""
 
     @abc.abstractmethod
     def values(self, mesh: Mesh, motion: Solution) -> Array:
@@ -52,7 +52,7 @@ class _OfBeams(Field):
 
     @final
     def values(self, mesh: Mesh, motion: Solution) -> Array:
-        """Those of the beam, spread over its points."""
+        """Values of `on_beam` at the points of a mesh, (k, n points); NaN for rigid bodies."""
         if not isinstance(mesh, BeamMesh) or mesh.elements is None:
             return np.full(mesh.places(motion.q).shape[:2], np.nan)
         values = np.broadcast_to(self.on_beam(mesh, motion), (len(motion.t), *mesh.shape))
@@ -60,7 +60,7 @@ class _OfBeams(Field):
 
     @abc.abstractmethod
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
-        """Return the values, shape (k, n elements, n stations, n fibres) or broadcast to it."""
+        """Return the field, shape (k, n elements, n stations, n fibres) or broadcast to it."""
 
 
 @final
@@ -109,7 +109,7 @@ class _SectionForce(_OfBeams):
     @property
     @abc.abstractmethod
     def component(self) -> int:
-        """Which one."""
+        """Index of the component in the vector of section forces."""
 
     @final
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
@@ -147,7 +147,7 @@ class BendingMoment(_SectionForce):
 
     @property
     def component(self) -> int:
-        """M_y or M_z."""
+        """Index of M_y or M_z in the vector of section forces."""
         return _TORQUE + self.about
 
     label = "bending moment [N m]"
@@ -183,7 +183,7 @@ class Sensitivity(Field):
 
     @property
     def label(self) -> str:
-        """Quantity and unit."""
+        """Quantity with its unit, for the colour bar."""
         return f"|dr/db|, b = {self.variable} [m per unit of b]"
 
     def values(self, mesh: Mesh, motion: Solution) -> Array:

@@ -37,7 +37,7 @@ def history(
     observables : mapping of str to Observable
         By label with unit, ``{"tip [m]": position(rod.at_end, 1)}``; one panel each.
     percent : float
-        Change of each variable.
+        Relative change of each variable, in per cent, that the bands show.
 
     Raises
     ------

@@ -66,7 +66,11 @@ class Mechanism:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Those asked for, or least and largest value, symmetric about zero for a signed field."""
+        """Limits of the colour scale, in the unit of the field.
+
+        `asked` if given, else the smallest and the largest value, symmetric about zero for a signed
+        field.
+        """
         if self.asked is not None:
             return self.asked
         values = np.concatenate([np.zeros(0), *(x[np.isfinite(x)] for x in self.values)])
@@ -89,8 +93,8 @@ def mechanism(
 ) -> Mechanism:
     """Put a scene at instants of a motion, or as declared without one.
 
-    InvalidInput if the solution is that of another scene, a field needs what it lacks, or limits
-    of the colours are none.
+    Raises InvalidInput if the solution belongs to another scene, if the field cannot be computed
+    from it, or if `limits` are not two increasing numbers given with a field.
     """
     require_kind("picture, scene", scene, (Scene,), "Give the Scene that was integrated.")
     if field is not None:

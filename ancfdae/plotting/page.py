@@ -22,14 +22,14 @@ from ancfdae.plotting.symbols import GROUND as GROUND_SIGN
 _MARK = "/*DATA*/null"
 # What the viewer can paint; other markers are circles there.
 _SHAPES = {"^": "ground", "s": "square", "d": "diamond", r"$\circlearrowleft$": "turn"}
-# Shade of what has no value, and the largest of a value.
+# Shade of points without a value, and the largest shade of a value.
 _NO_VALUE, _TOP = 255, 254
 
 
 def write_page(
     shown: Mechanism, file: Path, seconds: float, title: str, camera: tuple[float, float] = CAMERA
 ) -> None:
-    """Write the page."""
+    """Write the animation of a mechanism, `seconds` long, as one page of HTML."""
     # No text of the data may end the script that it stands in.
     data = json.dumps(page_data(shown, seconds, title, camera), allow_nan=False).replace(
         "</", "<\\/"

@@ -63,7 +63,7 @@ class Painter(abc.ABC):
 
     @abc.abstractmethod
     def _mark(self, sign: Sign, x: Array) -> list[Artist]:
-        """Paint a sign."""
+        """Paint a marker of a joint or load at the place x; return its artists."""
 
     @abc.abstractmethod
     def _quiver(self, x: Array, F: Array) -> Artist:
@@ -173,7 +173,7 @@ class PlanePainter(Painter):
         return artists
 
     def settle(self, figure: Figure) -> None:
-        """Leave it to the layout."""
+        """Do nothing: the layout of Matplotlib leaves room for title, legend and colour bar."""
 
     def _stroke(self, number: int, k: int, strength: float) -> LineCollection:
         """Return a line along a thin beam, in the colour of the largest value over the height."""

@@ -166,8 +166,8 @@ def _camera(where: str, scene: Scene, camera: Sequence[float] | None) -> tuple[f
     require_vector(f"{where}, camera", camera, (2,))
     require_kind(f"{where}, scene", scene, (Scene,), "Give the Scene that was integrated.")
     if scene.dimension == 2:
-        rule, repair = "needs a scene in space", "Leave it out."
-        raise InvalidInput(f"{where}, camera", rule, "a planar one", repair)
+        rule = "must be left out for a planar scene"
+        raise InvalidInput(f"{where}, camera", rule, camera)
     elevation, azimuth = map(float, camera)
     return elevation, azimuth
 

@@ -123,7 +123,8 @@ def _folder_beside(file: Path) -> Path:
     """Return the folder of the name of a file, made if there is none."""
     folder = file.with_suffix("")
     if folder.is_file():
-        rule, repair = "needs a folder of its name beside it", "Choose another name."
+        rule = "must leave the name without suffix free for a folder"
+        repair = "Choose another name, or remove that file."
         raise InvalidInput("write_vtk, path", rule, f"the file {folder}", repair)
     folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -96,12 +96,13 @@ def division(
     length -= length % degree
     if length < 1:
         rule = f"must be {2 * (degree + 1) * row / 1e6:.3g} MB or more for {system.n_q} coordinates"
-        raise InvalidInput("memory", rule, f"{memory / 1e6:.3g} MB", "Give more.")
+        repair = "Omit it to store the whole run."
+        raise InvalidInput("memory", rule, f"{memory / 1e6:.3g} MB", repair)
     return length, min(kept, -(-steps // length))
 
 
 def schedule(parts: int, kept: int) -> Any:
-    """Return the actions for so many parts with so many kept states."""
+    """Return the Revolve schedule for `parts` parts of a run and `kept` stored checkpoints."""
     library = require_package("memory", "checkpoint_schedules", "checkpoints")
     return library.Revolve(parts, kept)
 

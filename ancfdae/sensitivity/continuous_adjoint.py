@@ -64,7 +64,7 @@ class ContinuousAdjoint(GradientMethod):
     Parameters
     ----------
     hht_alpha : float
-        Numerical damping of the integration backward, as of `HHT`.
+        Numerical damping of the backward integration, as in `HHT`; dimensionless.
     """
 
     hht_alpha: float = -0.3
@@ -80,14 +80,17 @@ class ContinuousAdjoint(GradientMethod):
             if not all(isinstance(leaf, OverTime) for leaf in leaves(objective)):
                 raise InvalidInput(
                     "ContinuousAdjoint",
-                    "takes functions of time integrals (eq. 20)",
+                    "needs an objective made of time integrals (eq. 20)",
                     repr(objective),
                     "Use Adjoint for values at given times.",
                 )
         solution = finished(run.solution())
         if len(solution.t) <= _LEAST_STEPS:
             raise InvalidInput(
-                "ContinuousAdjoint", "needs four steps", len(solution.t) - 1, "Use Adjoint."
+                "ContinuousAdjoint",
+                "needs four steps",
+                len(solution.t) - 1,
+                "Use shorter steps, or method=Adjoint().",
             )
         results = []
         for objective in objectives:
@@ -176,7 +179,7 @@ class _BackwardRun:
         return M
 
     def gradient(self, progress: bool) -> Array:
-        """Eq. (42)."""
+        """Return the gradient by eq. (42), shape (n_b,)."""
         system, s = self._system, self._solution
         state, epsilon, gamma = self._end()
         mu, zeta = np.zeros_like(s.q), np.zeros_like(s.lam)

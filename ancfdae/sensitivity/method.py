@@ -54,6 +54,7 @@ class Searched(abc.ABC):
     Attributes
     ----------
     tolerance : float
+        The tolerance that was asked for; relative.
     reached : bool
         Whether all bars are within it.
     integrator : Integrator
@@ -96,6 +97,7 @@ class Accuracy(Searched):
     Attributes
     ----------
     value_bar : float
+        Estimated bound of the error of the value; unit of the objective.
     gradient_bar : array, shape (n_b,)
         Estimated bounds of the errors; no proofs: docs/reports/tolerance says how often they hold.
     """
@@ -124,8 +126,10 @@ class Gradient:
     Attributes
     ----------
     value : float
+        Value of the objective, in its unit.
     gradient : array, shape (n_b,)
-        Total derivatives with respect to the design variables.
+        Total derivatives with respect to the design variables; unit of the objective over that of
+        the variable.
     names : tuple of str
         Names of the design variables.
     method : GradientMethod
@@ -144,7 +148,7 @@ class Gradient:
 
     @property
     def pair(self) -> tuple[float, Array]:
-        """Value and gradient, as ``scipy.optimize.minimize(jac=True)`` wants them."""
+        """Value and gradient, shape (n_b,), as ``scipy.optimize.minimize(jac=True)`` wants them."""
         return self.value, self.gradient
 
     def to_dataframe(self) -> Any:
@@ -203,7 +207,7 @@ class Run:
         return advised(self.system, run)
 
     def solution(self, *, sensitivities: bool = False) -> Solution:
-        """Integrate."""
+        """Integrate the motion, from `after` if given, with design derivatives if asked for."""
         settings = {"sensitivities": sensitivities, "progress": self.progress}
         if self.after is not None:
             run = self.integrator.resume(self.system, self.t_end, self.after, **settings)
@@ -248,7 +252,7 @@ class Run:
         return solution, np.array([each.value(self.system, states, totals) for each in objectives])
 
     def at(self, b: Array) -> Run:
-        """Return the run at other design values."""
+        """Return the same run at other design values b."""
         return replace(self, system=at_values(self.system, b), after=None)
 
     def repeating(self, solution: Solution) -> Run:

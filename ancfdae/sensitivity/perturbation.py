@@ -121,7 +121,7 @@ class FiniteDifference(Perturbation):
         return (step, -step) if self.central else (step,)
 
     def quotient(self, b: float, base: Array, moved: Sequence[Array]) -> Array:
-        """Difference over the perturbation."""
+        """Return the derivative: difference of values over the perturbation."""
         step = b * self.relative_step
         difference = (moved[0] - moved[1]) / 2 if self.central else moved[0] - base
         return np.asarray(difference / step)
@@ -152,5 +152,5 @@ class ComplexStep(Perturbation):
         return (1j * STEP * (abs(b) or 1.0),)
 
     def quotient(self, b: float, base: Array, moved: Sequence[Array]) -> Array:
-        """Imaginary part over the step."""
+        """Return the derivative: imaginary part of the value over the step."""
         return np.asarray(moved[0].imag / (STEP * (abs(b) or 1.0)))

@@ -32,11 +32,12 @@ _ITERATIONS = 25
 # A sum of forces goes through this many roundings at most, with a margin.
 _ROUNDINGS = 64
 _EPS = float(np.finfo(float).eps)
-# Loads below so many times their round-off are measured against that instead.
+# Convergence is measured against a load of at least _SEEN times the round-off of forces.
 _SEEN = 1e7
 # Samples of the round-off of forces, and a margin over the largest of them.
 _SAMPLES = 8
-# A correction of so many times the size of the system, or growth so many times, is divergence.
+# Newton's method has diverged if a correction exceeds _FAR times the size of the start, or if
+# corrections have grown _GROWTHS times.
 _FAR, _GROWTHS = 100.0, 4
 
 
@@ -57,7 +58,7 @@ class SearchCounts:
 class Balanced:
     """A solution at the load fraction s, dq/ds and dlam/ds there, and the last correction.
 
-    K is surely positive definite if it is `definite`; else it has to be looked at.
+    `definite` is True if K is known to be positive definite; if False, stability must be checked.
     """
 
     s: float
@@ -72,7 +73,7 @@ class Balanced:
 @final
 @dataclass(frozen=True)
 class Unsolved:
-    """Why Newton's method found none, and the size of its last correction."""
+    """Why Newton's method found no equilibrium, and the relative size of its last correction."""
 
     verdict: Verdict
     residual: float
@@ -118,7 +119,7 @@ class Balance:
 
     @cached_property
     def r_0(self) -> Array:
-        """Unbalanced forces at the start, but for the loads that turn."""
+        """Unbalanced forces at the start without follower loads, shape (n_q,)."""
         return self.unbalanced(self.q_0, self.lam_0) - self._following(self.q_0)[0]
 
     @cached_property
@@ -144,7 +145,7 @@ class Balance:
 
     @cached_property
     def matrices(self) -> SaddlePoint:
-        """Saddle-point matrices."""
+        """Saddle-point matrices of K and Phi_q, with scales from the start."""
         return saddle_point(self.system, self.t, self.q_0)
 
     def Phi_q(self, q: Array) -> Array:
@@ -152,7 +153,7 @@ class Balance:
         return self.system.constraint_q(self.t, q)
 
     def reactions(self, Phi_q: Array, lam: Array) -> Array:
-        """Return Phi_q^T lam."""
+        """Return Phi_q^T lam from values of Phi_q, shape (n_q,)."""
         return self.system.constraint_pattern.dot_transposed(Phi_q, lam)
 
     def unbalanced(self, q: Array, lam: Array, Phi_q: Array | None = None) -> Array:
@@ -191,7 +192,7 @@ class Balance:
         return CompiledRest.of(self.system, self.matrices, self.t, known)
 
     def begun(self) -> Balanced | Unsolved:
-        """Return the start, which solves the equations at s = 0, with its path."""
+        """Return the start as a solution at load factor 0, with the derivatives of its path."""
         q, lam = self.q_0, self.lam_0
         if self._compiled:
             gap = 1.0, float(self.closes)
@@ -332,10 +333,10 @@ class Balance:
         )
 
     def _irregular(self, K: Array, q: Array, lam: Array, dq: Array) -> float:
-        """Return the size of what forces change by, but for K, where q moves by parts of dq.
+        """Return the size of the change of forces that K does not explain, for q moved by about dq.
 
-        Twice the correction moves the roundings of what forces are made of; the curvature of
-        forces, which is of second order, is below this where Newton's method converges.
+        Moves of twice the correction change the round-off of the forces; the curvature of the
+        forces, which is of second order, is below it where Newton's method converges.
         """
         system, rng, sizes = self.system, np.random.default_rng(0), []
         here = self.unbalanced(q, lam)
@@ -354,10 +355,10 @@ class Balance:
         return solve(factors, self.held_back(q), -float(self.closes) * self.Phi_0)
 
     def refuse_motion(self) -> None:
-        """Refuse joints that drive a motion at this instant: the forces that it needs would lack.
+        """Raise InvalidInput if joints drive a motion at time t, whose inertia forces would lack.
 
-        InvalidInput if M v^2/|q|, v the motion that the joints prescribe, is more than the
-        round-off of forces.
+        They do if M v^2/|q|, v the velocities that the joints prescribe, is more than the round-off
+        of forces.
         """
         system, q = self.system, self.q_0.real
         nu = velocity_side(system, self.t, q).real
@@ -370,10 +371,10 @@ class Balance:
             driven = sorted({system.constraint_names[int(i)] for i in np.flatnonzero(nu)})
             raise InvalidInput(
                 "equilibrium",
-                "needs joints that stand still: nothing is at rest that a joint drives",
-                f"joints {', '.join(map(repr, driven))} that move at t = {self.t:.6g}",
-                "Give their laws no rate there, or simulate; a steady rotation is at rest in a "
-                "scene that is declared in a TurningFrame.",
+                f"driven joints must have zero velocity at t = {self.t:.6g}",
+                f"a nonzero rate of {', '.join(map(repr, driven))}",
+                "Start their laws at zero rate, or call simulate; declare a steady rotation in a "
+                "TurningFrame.",
             )
 
     # -- natural sizes -------------------------------------------------------------------------

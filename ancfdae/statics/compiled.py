@@ -14,7 +14,8 @@ from ancfdae.kernels import RULES, Plan, Rest, prepare, rest
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 
-# A factorisation with the diagonal less so many of its own says that stiffness is clear of zero.
+# K is positive definite for certain if its factorisation succeeds with the diagonal reduced by this
+# fraction of itself.
 _CLEAR = 1e-13
 
 

@@ -32,16 +32,16 @@ from ancfdae.statics.softness import softest
 
 Kind: TypeAlias = Literal["limit point", "bifurcation"]
 
-# The range of p is searched in at least so many steps, and in so many attempts at most. One is
-# no longer than this part of the way to where stiffness vanishes by its slope.
+# The range of p is searched in at least _STEPS steps, and in at most _PLACES attempts. A step is no
+# longer than the part _SAFE of the way to where stiffness, extrapolated by its slope, vanishes.
 _STEPS, _PLACES, _SAFE = 8, 200, 0.7
 # A step that needs more attempted steps of the load has met a critical point.
 _ATTEMPTS, _ITERATIONS = 16, 25
-# Newton's method is tried again at this part of the distance, and no more at that part of the whole
-# way. A step that is as small is not divided because of what may lie in it.
+# Newton's method is tried again at the part _NEARER of the distance, and no more at the part _CLOSE
+# of the way so far. A step below the part _LEAST is not divided to find further critical points.
 _NEARER, _CLOSE, _LEAST = 0.4, 1e-7, 1e-3
 # Newton's method goes on, once p changes by less than this part of the distance, while changes
-# halve; farther than so many distances it has left. What it finds is accepted up to the next
+# halve; farther than _FAR distances it has diverged. What it finds is accepted up to the next
 # number of them, since slopes see a limit point at twice its distance or less. Signs of stiffness
 # are seen to the last part of p; changes by less than the digits of p are round-off.
 _CONVERGED, _FAR, _REACH, _SEEN, _DIGITS = 1e-6, 64.0, 1.5, 1e-6, 1e-8
@@ -75,17 +75,18 @@ class CriticalLoad:
     name : str
         The parameter.
     value : float
-        Its critical value.
+        Critical value of the parameter, in its unit.
     kind : str
         ``"limit point"``: no equilibrium near beyond it; ``"bifurcation"``: paths cross.
     motion : array, shape (n_q,)
-        The motion that meets no stiffness, of the size of the system, its largest entry positive.
+        Motion without stiffness, scaled to the size of the system, its largest entry positive;
+        m, slopes dimensionless.
     equilibrium : Equilibrium
         The state there.
     names : tuple of str
         Design variables.
     gradient : array, shape (n_b,)
-        Derivatives of the value with respect to them.
+        Derivatives of `value` with respect to the variables `names`; its unit over theirs.
     """
 
     name: str
@@ -239,7 +240,7 @@ class _Place:
 
     @property
     def p(self) -> float:
-        """The parameter."""
+        """Value of the parameter at this place of the path."""
         return float(self.system.b[self.k])
 
     @staticmethod

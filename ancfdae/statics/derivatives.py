@@ -102,7 +102,7 @@ class Tangent:
         return product
 
     def _exactly(self, value: Callable[[Array], Array]) -> Array:
-        """Return a function of q at the equilibrium itself, beyond the last digit of q.
+        """Return a function of q at the equilibrium corrected for the round-off of q.
 
         Coordinates round to eps |q|, which leaves the axial force eps EA: (L/h)^2 times what bends
         a beam. The correction that q is too coarse for is taken magnified, by a central difference;

@@ -35,9 +35,9 @@ class Equilibrium:
     Attributes
     ----------
     q : array, shape (n_q,)
-        Coordinates.
+        Coordinates at equilibrium; m, slopes dimensionless.
     lam : array, shape (n_lam,)
-        Multipliers.
+        Lagrange multipliers of the joints; in N for constraints in m.
     outcome : LoadOutcome
         How the search ended; `success` only if this is an equilibrium under the full load.
     solution : Solution
@@ -111,6 +111,8 @@ def find_equilibrium(
     balance = Balance.of(system, 0.0, q, lam, follows=not near)
     balance.refuse_motion()
     end, derivatives = search(balance, max_steps), None
+    if end.outcome.stable_to is not None and balance.gyroscopic:
+        end = replace(end, outcome=replace(end.outcome, gyroscopic=True))
     if sensitivities and end.outcome.success:
         balance.work.factorisations += 1
         derivatives = Tangent(system, 0.0, end.q, end.lam).sensitivities()
@@ -148,8 +150,8 @@ def _warn_of_neutral(soft: Softness) -> None:
         return
     warnings.warn(
         "equilibrium: stability is undecided: its softest motion is neutral within the round-off "
-        "of the stiffness, or joints that depend on each other hide it. Change the load a little, "
-        "or look at the modes about this state.",
+        "of the stiffness, or joints that depend on each other hide it. Repeat it at a load that "
+        "differs by 1 %, or look at the modes about this state.",
         StabilityWarning,
         stacklevel=5,
     )
@@ -219,12 +221,12 @@ class RestingStart:
 
     @property
     def q(self) -> Array:
-        """Coordinates, shape (n_q,)."""
+        """Coordinates at the equilibrium, shape (n_q,)."""
         return self.equilibrium.q
 
     @cached_property
     def q_b(self) -> Array:
-        """Their design derivatives, shape (n_q, n_b)."""
+        """Design derivatives of the coordinates at equilibrium, shape (n_q, n_b)."""
         return self._tangent.sensitivities()[0]
 
     def pull_back(self, on_q: Array) -> Array:

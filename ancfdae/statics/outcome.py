@@ -12,6 +12,8 @@ from ancfdae.errors import InvalidInput, Outcome, Verdict
 from ancfdae.errors.text import listed
 from ancfdae.numerics.arrays import Array
 
+_GYROSCOPIC = "it is unstable unless gyroscopic forces hold it, which modes(scene, at=...) shows"
+
 
 @final
 class FreeMechanism(InvalidInput):
@@ -47,20 +49,22 @@ class LoadOutcome:
     verdict : Verdict
         The kind of ending.
     fraction : float
-        Part of the load that what was found is in balance with: one for an equilibrium. The load
-        is what was unbalanced at the start (docs/theory/11-statics.md).
+        Load factor of the state found, dimensionless: one for an equilibrium. The load is the
+        unbalanced force at the start (docs/theory/11-statics.md).
     step : int
         Steps that converged, of the load or downhill.
     residual : float
         Size of the last correction of Newton's method, relative to positions (where it failed, to
-        forces too). Of an equilibrium it is round-off: corrections have stopped to shrink, and the
-        forces left are no more than what rounding the coordinates changes in them.
+        forces too). At an equilibrium it is round-off: corrections have stopped shrinking, and the
+        unbalanced forces are no more than what rounding the coordinates changes in them.
     stable_to : float or None
         None if it is stable; else the part of the load above which a motion meets a negative
         stiffness, as above a buckling load, to one per cent.
     downhill : bool
         Whether the system settled under the full load, since no path of loads begins where it
         starts (a mechanism, a slack cable) or it could not be followed.
+    gyroscopic : bool
+        Whether gyroscopic forces, as in a turning frame, may hold it against a negative stiffness.
     folded : str
         Elements that are folded, of a state in balance that no body can have; else empty.
     flutter : complex or None
@@ -74,6 +78,7 @@ class LoadOutcome:
     residual: float
     stable_to: float | None = None
     downhill: bool = False
+    gyroscopic: bool = False
     folded: str = ""
     flutter: complex | None = None
 

@@ -24,10 +24,10 @@ _EASY = 6
 # On one smooth path the secant of a step is the mean of its tangents up to this part, and the
 # tangents differ by no more than the smaller one. Else it may have jumped to another path.
 _BEND = 0.25
-# Where the path has become so many times faster than ever before, the load has a limit point: it
-# moves with the root of the load that is left.
+# The load has a limit point if |dq/ds| exceeds _FASTER times its smallest value: q moves with the
+# root of the remaining load.
 _FASTER = 20.0
-# In a step no larger than this a loss of stability is believed.
+# A loss of stability is accepted if the step is no larger than this; else the step is divided.
 _SMALL = 1.0 / 128.0
 
 

@@ -93,8 +93,9 @@ def simulate(
         A run of this model by the same integrator that ended before, at its end time, early or at
         Ctrl-C: it goes on there, to round-off; under error control within the tolerance.
     keep : int or sequence of float, optional
-        Of a long run at known steps keep the start, every so many steps and the end; or these
-        instants, ascending in [0, t_end], interpolated as by `Solution.at`; s.
+        Store only part of a run with prescribed steps. An int k stores the start, every k-th step
+        and the end; a sequence of ascending times in [0, t_end], s, stores states interpolated as
+        by `Solution.at`.
     progress : bool
         Whether to show a progress bar.
     """
@@ -105,7 +106,7 @@ def simulate(
 
         return observed_within(system, observables, at, t_end, tolerance, progress)
     if observables is not None or at is not None:
-        rule, repair = "are for a tolerance", "Call observe(observable, solution), or observations."
+        rule, repair = "need `tolerance`", "Call observe(observable, solution), or observations."
         raise InvalidInput("observables, at", rule, "an integrator", repair)
     run = Run(system, t_end, _required(integrator), progress, after)
     if keep is not None:
@@ -114,10 +115,11 @@ def simulate(
 
 
 def _thinned(run: Run, keep: Keep) -> Solution:
-    """Integrate and keep some instants only."""
+    """Return the run with the states at the times `keep` only."""
     if run.after is not None:
-        rule, repair = "cannot be thinned while it goes on", "Give one of after and keep."
-        raise InvalidInput("keep", rule, "both", repair)
+        rule = "a run that continues another must keep all its states"
+        repair = "Leave out `keep`, or run again from t = 0 without `after`."
+        raise InvalidInput("keep", rule, "`after` too", repair)
     parts = RunOfParts(run.system, run.t_end, run.integrator, keep, run.progress)
     return uninterrupted(parts.solution())
 
@@ -245,8 +247,8 @@ def gradients(
     integrator = _required(integrator)
     if memory is not None:
         if method is not None:
-            rule, repair = "is a limit of the adjoint", "Give one of both, or Adjoint(memory=...)."
-            raise InvalidInput("memory", rule, repr(method), repair)
+            rule, repair = "limits the adjoint method only", "Write method=Adjoint(memory=...)."
+            raise InvalidInput("memory", rule, f"method={method!r} too", repair)
         method = Adjoint(memory)
     if method is None:
         adjoint = isinstance(integrator, AdjointIntegrator)
@@ -263,14 +265,14 @@ def _require_alone(**others: object) -> None:
     """Refuse what a call to a tolerance chooses itself."""
     for name, given in others.items():
         if given is not None:
-            repair = f"Leave out {name}."
-            raise InvalidInput("tolerance", "chooses its own runs", f"{name} too", repair)
+            rule, repair = f"must be given without `{name}`", "A tolerance chooses its own runs."
+            raise InvalidInput("tolerance", rule, "both", repair)
 
 
 def _required(integrator: Integrator | None) -> Integrator:
-    """Return the integrator; refuse none."""
+    """Return the integrator; raise InvalidInput if it is None."""
     if integrator is None:
-        rule, repair = "is needed, an Integrator", "For example HHT(step=0.01), or a tolerance."
+        rule, repair = "must be an Integrator", "For example HHT(step=0.01), or give a tolerance."
         raise InvalidInput("integrator", rule, "None", repair)
     return integrator
 
@@ -365,6 +367,6 @@ def as_system(
         return assemble(model, () if design is None else design)
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
     if design is not None and require_sequence("design", design):
-        rule, repair = "a mechanical system brings its own design variables", "Leave it out."
-        raise InvalidInput("design", rule, repr(design), repair)
+        rule = "must be left out for a system, which has its own design variables"
+        raise InvalidInput("design", rule, repr(design))
     return model

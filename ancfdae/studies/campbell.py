@@ -38,17 +38,19 @@ class Campbell:
     Attributes
     ----------
     rates : array, shape (k,)
+        Rates of the frame; rad/s.
     exponents : array, shape (k, count), complex
         s as in `Modes`, as seen in the turning frame. A mode keeps its column; where it does not
         vibrate, as between the critical speeds of a shaft that is not round, s is real, that of the
         motion which decays least or grows.
     exponents_b : array, shape (k, count, n_b), complex
-        Derivatives, those of the equilibrium and of its geometry included.
+        Design derivatives of `exponents`, with the change of the equilibrium; 1/s per unit of
+        the variable.
     names : tuple of str
         Names of the design variables, ``"scene.rate"`` first.
     whirl : array, shape (k, count)
-        Sense of the motion about the axis in the frame: 1 for circles in the sense of the rate, -1
-        for circles against it, zero for motion to and fro.
+        Sense of the motion about the axis in the frame, dimensionless: 1 for circles in the sense
+        of the rate, -1 for circles against it, zero for motion to and fro.
     equilibria : tuple of Equilibrium
     """
 
@@ -66,7 +68,7 @@ class Campbell:
 
     @property
     def frequencies_b(self) -> Array:
-        """Their derivatives, shape (k, count, n_b)."""
+        """Design derivatives of `frequencies`, shape (k, count, n_b); rad/s per unit of each."""
         return self.exponents_b.imag
 
     @property

@@ -72,8 +72,9 @@ class ErrorBars:
     names : tuple of str
         Names of the design variables.
     value : float
+        Value of the objective on the finest run, in its unit.
     gradient : array, shape (n_b,)
-        Of the finest run.
+        Gradient of the finest run; unit of the objective over that of the variable.
     parts : dict of str to array, shape (1 + n_b,)
         Estimated bounds of the errors of value and gradient by ``"step"`` and, where meshes were
         compared, by ``"mesh"``; not proofs: docs/reports/error-bars says how often they hold.
@@ -84,7 +85,7 @@ class ErrorBars:
     orders : array, shape (1 + n_b,)
         Observed orders of the value and the gradient; nan where they cannot be observed.
     mesh_orders : array, shape (1 + n_b,)
-        Those of the mesh.
+        Observed orders of the value and of the derivatives in the element length; dimensionless.
     runs : tuple of Gradient
         From the coarsest to the finest.
     resolved : bool or None
@@ -208,7 +209,7 @@ def _of_steps(
 
 
 def _meshes(model: Scene | MechanicalSystem, design: _Design, count: int) -> list[_Mesh]:
-    """Return the model on so many meshes, the coarsest first."""
+    """Return the model and its design on `count` meshes, the coarsest first."""
     if count not in (1, 2, 3):
         raise InvalidInput("meshes", "must be 1, 2 or 3", repr(count), "2 is cheaper, 3 is safer.")
     if count == 1:
@@ -308,7 +309,7 @@ def adjoint_error(
     steps = len(solution.t) - 1
     if steps < _LEAST_STEPS:
         periods = advice(system, 0.0, solution.q[0], solution.lam[0])
-        repair = f"Use a smaller step. {periods}".rstrip()
+        repair = f"Use a step of {t_end / 8:.3g} or less. {periods}".rstrip()
         raise InvalidInput("adjoint_error", "needs four steps", steps, repair)
     states = states_of(solution)
     partials = objective.partials(system, states)

@@ -35,7 +35,7 @@ class Fit(abc.ABC):
     design_names : tuple of str
         Of the design values, in their order.
     start : array, shape (n_b,)
-        Design values of the model.
+        Design values of the model, each in its own unit.
     bounds : pair of arrays, shape (n_b,)
         Lower and upper bounds of the design values; infinite where there are none.
     """
@@ -45,7 +45,7 @@ class Fit(abc.ABC):
     @property
     @abc.abstractmethod
     def design_names(self) -> tuple[str, ...]:
-        """Names of the design values."""
+        """Names of the design variables that are fitted."""
 
     @property
     @abc.abstractmethod
@@ -114,7 +114,7 @@ class Fit(abc.ABC):
     def intervals(self, b: Array, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Return the confidence interval of every design value, by name.
 
-        In first order, of errors that are normally distributed; as `covariance`.
+        In first order, for normally distributed errors, from `covariance`; unit of the variable.
         """
         require_positive("level", level)
         if level >= 1:
@@ -126,7 +126,7 @@ class Fit(abc.ABC):
 
 @final
 class JointFit(Fit):
-    """Residuals of two fits, one after the other."""
+    """Residuals of two fits of the same design variables, one after the other."""
 
     def __init__(self, one: Fit, other: Fit) -> None:
         self._fits = one, other
@@ -135,24 +135,24 @@ class JointFit(Fit):
 
     @property
     def design_names(self) -> tuple[str, ...]:
-        """Names of both."""
+        """Names of the design variables, which the two fits share."""
         return self._fits[0].design_names
 
     @property
     def start(self) -> Array:
-        """Values of both."""
+        """Declared values of the design variables, shape (n_b,)."""
         return self._fits[0].start
 
     def residuals(self, b: Array) -> Array:
-        """Return those of both."""
+        """Return the residuals of the first fit, then those of the second, at design values b."""
         return np.concatenate([fit.residuals(b) for fit in self._fits])
 
     def jacobian(self, b: Array) -> Array:
-        """Return those of both."""
+        """Return the derivatives of `residuals` in b, shape (n_residuals, n_b)."""
         return np.concatenate([fit.jacobian(b) for fit in self._fits])
 
     def require(self, b: Array) -> None:
-        """Raise the error of the first that has no residuals."""
+        """Raise the error of the first fit that has no residuals at b."""
         for fit in self._fits:
             fit.require(b)
 
@@ -173,7 +173,7 @@ class MeasuredFit(Fit, Generic[R]):
     @property
     @abc.abstractmethod
     def count(self) -> int:
-        """Number of measurements."""
+        """Number of measurements, which is that of residuals."""
 
     @abc.abstractmethod
     def computed(self, b: Array, derivatives: bool, result: R | None) -> tuple[Array, Array, R]:
@@ -211,7 +211,7 @@ class MeasuredFit(Fit, Generic[R]):
 
     @final
     def result(self, b: Array) -> R:
-        """Return what was computed at a design; raises the error of one that has nothing."""
+        """Return what was computed at a design; raise the error of a design without a result."""
         return self._designs.result(require_array("design values", b, (len(self.design_names),)))
 
     @cached_property

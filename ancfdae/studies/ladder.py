@@ -36,7 +36,7 @@ from ancfdae.studies.meshes import Kind, coarsest, known_design, model_kinds, wi
 _SHARE = 1 / 8
 # A model that errs by more needs its value no better than to this share of that.
 _KNOWN = 1 / 8
-# Steps of the first run; shorter runs than so many seconds are timed thrice.
+# Steps of the first run; runs shorter than _SHORT seconds are timed three times.
 _FIRST, _SHORT = 32, 0.05
 # Runs whose differences show the order.
 _SEEN = 3
@@ -68,7 +68,7 @@ class Question:
         return numbers * self.scale
 
     def is_small(self, difference: Array, at: Array, richest: Rung | None) -> bool:
-        """Whether an error is small beside the tolerance, or what the model neglects there."""
+        """Whether an error is small against the tolerance, or against the error of the model."""
         exact = at if richest is None else richest.numbers
         return all(
             error(difference, exact, of)
@@ -115,7 +115,7 @@ def refined_runs(
         steps *= 2
     if len(runs) < _SEEN:
         raise left or InvalidInput(
-            "max_steps", "must be 128 at least", question.max_steps, "Raise it."
+            "max_steps", "must be at least 128, for runs of 32, 64 and 128", question.max_steps
         )
     return tuple(runs), _bar(runs)
 
@@ -165,7 +165,10 @@ def choose_model(
     require_kind("scene", scene, (Scene,), "Pass a Scene.")
     require_positive("tolerance", tolerance)
     if tolerance > 1:
-        rule, repair = "must be at most 1, the size of what is sought", "For example 0.02."
+        rule, repair = (
+            "must be at most 1, since it is relative to the result",
+            "For example 0.02, for 2 %.",
+        )
         raise InvalidInput("tolerance", rule, tolerance, repair)
     require_count("doublings", doublings, "An error is seen in two meshes.")
     require_count("max_steps", max_steps, "Runs begin with 32 steps.")
@@ -193,7 +196,9 @@ def _richest(
         richest.append(_rung(declared, level, question, None))
         done()
         if level >= 0 and not richest[-1].runs:
-            raise InvalidInput("scene", "must run", richest[-1].outcome, "Repair it.")
+            rule = "must run to t_end on the declared mesh and on finer ones"
+            repair = "Find a step that works with simulate(scene, t_end, HHT(step=...))."
+            raise InvalidInput("scene", rule, richest[-1].outcome, repair)
         if level > 0 and _is_fine(richest, question.tolerance):
             break
     return richest

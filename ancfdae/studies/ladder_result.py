@@ -37,9 +37,9 @@ class RungRun:
         Number of steps times the number of coordinates and multipliers. Choices compare it: it is
         the same in every call, unlike the time that a run takes.
     seconds : float
-        Measured processor time.
+        Measured processor time; s.
     numbers : array, shape (1 + n_b,)
-        The value and the derivatives times their variables.
+        The value and the derivatives times their variables; unit of the objective.
     """
 
     step: float
@@ -49,7 +49,7 @@ class RungRun:
 
     @property
     def integrator(self) -> HHT:
-        """What ran."""
+        """The integrator of the run, HHT with its step."""
         return HHT(self.step)
 
 
@@ -72,7 +72,7 @@ class Rung:
     runs : tuple of RungRun
         From the longest step to the shortest.
     bar : array, shape (1 + n_b,)
-        Estimated error of the last run by its step.
+        Estimated error of the last run by its step, of each of `numbers`; unit of the objective.
     """
 
     name: str
@@ -85,12 +85,12 @@ class Rung:
 
     @property
     def numbers(self) -> Array:
-        """Value and derivatives times their variables, of the finest run."""
+        """Value and derivatives times their variables, of the finest run, shape (1 + n_b,)."""
         return self.runs[-1].numbers
 
     @property
     def elements(self) -> int:
-        """Number of elements that deform."""
+        """Number of elements of the model that deform."""
         beams = () if self.scene is None else self.scene.beams
         return sum(beam.element_count for beam in beams if not beam.rigid)
 
@@ -110,7 +110,7 @@ class Choice:
 
     @property
     def error(self) -> float:
-        """Sum of the parts."""
+        """Estimated relative error of the chosen model: the sum of `parts`."""
         return sum(self.parts.values())
 
     def __repr__(self) -> str:
@@ -147,9 +147,10 @@ class ModelLadder:
     names : tuple of str
         Of the design variables.
     tolerance : float
+        Largest relative error that was asked for; dimensionless.
     mesh_bar, mesh_orders : array, shape (1 + n_b,)
-        Estimated error of the richest model by its mesh, and the orders observed in its meshes,
-        nan where there are only two.
+        Estimated error of the richest model by its mesh, unit of the objective, and the orders
+        observed in its meshes, nan if there are only two.
     """
 
     rungs: tuple[Rung, ...]
@@ -159,12 +160,12 @@ class ModelLadder:
     mesh_orders: Array
 
     def __repr__(self) -> str:
-        """Return the table."""
+        """Return the table of all models, runs and errors."""
         return self.table()
 
     @property
     def richest(self) -> Rung:
-        """What all are measured against."""
+        """Runs of the richest model, against which all others are measured."""
         return self.rungs[-1]
 
     @property
@@ -178,6 +179,7 @@ class ModelLadder:
         Parameters
         ----------
         tolerance : float
+            Largest relative error that was asked for; dimensionless.
             Largest relative error, the sum of the parts.
         of : {"objective", "gradient"}, optional
             What must be within the tolerance; by default both the value and the gradient. The

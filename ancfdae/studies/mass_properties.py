@@ -31,7 +31,7 @@ class MassProperties:
     inertia : array, shape (3, 3), in the plane (1, 1)
         Tensor of inertia about the centre of mass, in the plane about the axis across it; kg m^2.
     mass_b, centre_b, inertia_b : array
-        With a last axis n_b.
+        Design derivatives of the three, with a last axis n_b; per unit of the variable.
     """
 
     mass: float

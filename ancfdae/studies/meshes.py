@@ -44,7 +44,10 @@ def coarsest(scene: Scene) -> int:
 
 def _fewer(count: int, level: int) -> int:
     if count % (1 << -level):
-        rule, repair = f"must be a multiple of {1 << -level} to be coarsened", "Declare more."
+        rule, repair = (
+            f"must be a multiple of {1 << -level} to be coarsened",
+            "Declare a finer mesh.",
+        )
         raise InvalidInput("elements", rule, count, repair)
     return count >> -level
 

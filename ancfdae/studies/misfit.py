@@ -60,15 +60,18 @@ class Misfit:
     weights: Array | float = 1.0
 
     def __post_init__(self) -> None:
-        """Validate and freeze."""
-        where, repair = "Misfit.observables", "Use position(...), say."
+        """Check the fields, and store them as tuples and arrays."""
+        where, repair = "Misfit.observables", "For example position(rod.at_end, 1)."
         observables = require_each(where, self.observables, (Observable,), repair)
         times = require_sequence("Misfit.times", self.times)
         for time in times:
             require_finite("Misfit.times", time)
         if not times or min(times) < 0:
             raise InvalidInput(
-                "Misfit.times", "must be one or more times from 0 on", times, "Give such times."
+                "Misfit.times",
+                "must contain at least one time, none below 0",
+                times,
+                "For example times=np.linspace(0, t_end, 101).",
             )
         object.__setattr__(self, "observables", observables)
         object.__setattr__(self, "times", tuple(map(float, times)))
@@ -125,7 +128,7 @@ class RunFit(MeasuredFit[tuple[Run, Solution]]):
 
     @property
     def count(self) -> int:
-        """Number of measurements."""
+        """Number of measurements, which is that of residuals."""
         return int(np.count_nonzero(~np.isnan(self.misfit.data)))
 
     def computed(
@@ -190,8 +193,8 @@ class StaticMisfit:
     weights: Array | float = 1.0
 
     def __post_init__(self) -> None:
-        """Validate."""
-        repair = "Use position(...), say."
+        """Check the fields; store data and weights as arrays."""
+        repair = "For example position(rod.at_end, 1)."
         require_each("StaticMisfit.observables", self.observables, (Observable,), repair)
         _measured(self, (len(self.observables),))
 
@@ -233,7 +236,7 @@ class FrequencyMisfit:
     under_load: bool = False
 
     def __post_init__(self) -> None:
-        """Validate."""
+        """Check the fields; store data and weights as arrays."""
         require_flag("FrequencyMisfit.under_load", self.under_load)
         _measured(self, (-1,))
 
@@ -257,7 +260,7 @@ class FrequencyFit(MeasuredFit[Modes]):
 
     @property
     def count(self) -> int:
-        """Number of measurements."""
+        """Number of measured frequencies, without NaN."""
         return int(np.count_nonzero(~np.isnan(self.misfit.data)))
 
     def computed(
@@ -301,7 +304,10 @@ def _vibrations(computed: Modes) -> Array:
 
 
 def _measured(misfit: Misfit | StaticMisfit | FrequencyMisfit, shape: tuple[int, ...]) -> None:
-    """Set data and weights as arrays of a shape; refuse what are none. -1 stands for any number."""
+    """Store data and weights as arrays of a shape, in which -1 stands for any number.
+
+    Raises InvalidInput for other shapes, infinite data, or data that are all NaN.
+    """
     where, data = type(misfit).__name__, np.zeros(0)
     of_shape = "a sequence" if -1 in shape else f"of the shape {shape}"
     rule = f"must be numbers, {of_shape}, some of them finite"

@@ -38,7 +38,7 @@ class Observations:
     t : array, shape (n,)
         Instants; of a run that ended early those that it reached.
     values : array, shape (n, n_observables)
-        With a file a view of it.
+        Values of the observables at `t`, each in its unit; a view of the file if there is one.
     steps : int
     outcome : Outcome
     """
@@ -108,7 +108,7 @@ class _Seen:
         self._past: dict[object, float] = {}
 
     def values(self, part: Solution, some: Solution) -> Array:
-        """Return the values at some of the instants within a part."""
+        """Return the values of the observables at some of the times of a part of the run."""
         if not self._observable.remembers_any:
             there = len(some.t) > 0
             return self._observable.value(self._system, states_of(some)) if there else some.t

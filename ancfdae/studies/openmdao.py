@@ -30,7 +30,7 @@ class ResponsesComponent(om.ExplicitComponent):  # type: ignore[misc]  # om has 
     """
 
     def initialize(self) -> None:
-        """Declare the option."""
+        """Declare the option `responses` of the component."""
         self.options.declare("responses", types=Responses, desc="functions of the design")
 
     def setup(self) -> None:
@@ -43,13 +43,13 @@ class ResponsesComponent(om.ExplicitComponent):  # type: ignore[misc]  # om has 
         self.declare_partials("*", "x")
 
     def compute(self, inputs: Any, outputs: Any) -> None:
-        """Run the design."""
+        """Run the design of the inputs and set all outputs."""
         evaluation = self._at(inputs, derivatives=False)
         for name, value in zip(outputs, evaluation.values, strict=True):
             outputs[name] = value
 
     def compute_partials(self, inputs: Any, partials: Any) -> None:
-        """Differentiate the run."""
+        """Set the derivatives of all outputs, from the run of the same design."""
         evaluation = self._at(inputs, derivatives=True)
         for name, row in zip(self.options["responses"].names, evaluation.jacobian, strict=True):
             partials[name, "x"] = row

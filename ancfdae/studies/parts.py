@@ -15,7 +15,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
 
-# One instant of so many steps, with the start and the end; or these instants.
+# An int k: every k-th step, with the start and the end. A sequence: times at which states are kept.
 Keep: TypeAlias = int | Sequence[float] | Array
 
 # Numbers of a part: small against what a run of a million steps holds.
@@ -91,10 +91,14 @@ class RunOfParts:
 
 
 def instants(where: str, given: Sequence[float] | Array, end: float) -> Array:
-    """Return instants of a run; refuse what does not ascend from 0 to the end."""
+    """Return times of a run as an array, shape (n,); s.
+
+    Raises InvalidInput unless they ascend and lie in [0, end].
+    """
     times = require_array(where, given)
     if times.ndim != 1 or not len(times) or np.any(np.diff(times) <= 0):
-        raise InvalidInput(where, "must be instants that ascend", repr(given), "Sort them.")
+        rule, repair = "must be ascending times", "For example np.linspace(0, t_end, 101)."
+        raise InvalidInput(where, rule, repr(given), repair)
     if times[0] < 0 or times[-1] > end:
         rule = f"must lie in [0, {end:.6g}]"
         raise InvalidInput(where, rule, f"{times[0]:.6g} to {times[-1]:.6g}", "Let the run go on.")

@@ -89,7 +89,7 @@ class _Budget:
         return outcome.success
 
     def call(self, step: float, name: str = "step") -> str:
-        """Return the integrator with a step, or another setting, as it is written."""
+        """Return the integrator with another step or setting, written as a call."""
         return f"{type(self._integrator).__name__}({name}={step:.3g})"
 
 

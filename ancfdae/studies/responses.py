@@ -291,7 +291,7 @@ class Responses:
     def _computed(
         self, b: Array, derivatives: bool, ran: tuple[Run, Solution] | None
     ) -> tuple[Array, Array | None, tuple[Run, Solution]]:
-        """Run a design, or differentiate the run that is there."""
+        """Return values and derivatives at a design, by a new run or by the given one."""
         self._asked = self._asked or derivatives
         run, solution = ran or (self._run.at(b), None)
         functions = list(self._functions.values())
@@ -349,5 +349,5 @@ def _scale(scale: object, n_b: int) -> Array:
     given = require_array("scale", scale)
     if given.shape not in ((), (n_b,)) or not np.all(given > 0):
         rule = f"must be positive, one number or one for each of {n_b} design variables"
-        raise InvalidInput("scale", rule, repr(scale), "For example system.b.")
+        raise InvalidInput("scale", rule, repr(scale), "For example np.abs(system.b).")
     return np.broadcast_to(given, n_b)

@@ -1,4 +1,4 @@
-"""Calls at rest: an equilibrium, and the gradient of what is observed there."""
+"""Static calls: an equilibrium, and the gradient of observables at it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -104,7 +104,8 @@ def critical_load(
         A design target such as ``"load.force_y"``, or a variable that drives several; of a
         mechanical system one of its `design_names`.
     to : float
-        Where the search ends. Its sense is that of the load.
+        Value of the parameter at which the search ends, in its unit; above or below its value in
+        the model.
     design : sequence of str or DesignVariable, optional
         As in `equilibrium`: what to differentiate the critical value in. A mechanical system is
         differentiated in its other design variables.
@@ -258,5 +259,7 @@ def static_gradient(
     chosen = cheapest(system.n_b, 1) if method is None else method
     require_kind("method", chosen, (GradientMethod,), "For example Adjoint() or Direct().")
     if isinstance(chosen, ContinuousAdjoint):
-        raise InvalidInput("method", "must be one for an equilibrium", repr(chosen), "Use Adjoint.")
+        raise InvalidInput(
+            "method", "must be Adjoint, Direct or a perturbation method", repr(chosen)
+        )
     return chosen.gradients(Run(system, 0.0, Static(max_steps)), [objective])[0]

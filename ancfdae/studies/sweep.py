@@ -270,7 +270,8 @@ def _mappings(
     rows = require_sequence("designs", designs)
     if all(isinstance(row, Mapping) for row in rows):
         if variables is not None:
-            rule, repair = "is for rows of values", "Leave it out: mappings name their variables."
+            rule = "must be left out where designs are mappings"
+            repair = "Mappings name their variables."
             raise InvalidInput("design", rule, repr(variables), repair)
         return list(rows)
     if variables is None and isinstance(model, MechanicalSystem):

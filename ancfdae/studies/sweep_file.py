@@ -44,7 +44,7 @@ class SweepRow:
 
     @property
     def finished(self) -> bool:
-        """Whether there is a result."""
+        """Whether the row has a result rather than an error."""
         return not self.error
 
 
@@ -170,9 +170,9 @@ class SweepFile:
         except (TypeError, ValueError) as error:
             raise InvalidInput(
                 "what, file",
-                "must return numbers, texts, arrays, and lists or mappings of these",
+                "results must be numbers, strings, arrays, or lists or mappings of them",
                 str(error),
-                "Return such, or leave the file out.",
+                "Return one of these types, or omit `file`.",
             ) from error
         with saving("file", self._path):
             size = self._path.stat().st_size if self._path.exists() else 0

@@ -46,7 +46,7 @@ class TaylorTest:
     def order(self) -> float:
         """Smallest observed order of `first` between neighbouring sizes; 2 if Psi_b is right.
 
-        Infinite where a remainder vanishes, as that of a linear objective does but for round-off.
+        Infinite where a remainder vanishes, as that of a linear objective does to round-off.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             orders = np.diff(np.log(self.first)) / np.diff(np.log(self.sizes))
@@ -90,12 +90,13 @@ def taylor_test(
     system, s = differentiable(model, design), require_array("sizes", sizes)
     if s.ndim != 1 or len(s) < 2 or np.any(np.diff(s) >= 0) or s[-1] <= 0:
         raise InvalidInput(
-            "sizes", "must be two or more, positive and falling", sizes, "Use 1e-3, 5e-4."
+            "sizes", "must be two or more, positive and falling", sizes, "For example (1e-3, 5e-4)."
         )
     given = np.ones(system.n_b) if direction is None else direction
     relative = require_array("direction", given, (system.n_b,))
     if not relative.any():
-        raise InvalidInput("direction", "must not be zero", given, "Change a variable.")
+        repair = "Leave it out to change all variables."
+        raise InvalidInput("direction", "must change at least one variable", given, repair)
     db = relative * np.where(system.b == 0, 1.0, np.abs(system.b))
     base = gradient(system, objective, t_end, integrator, method=method)
     frozen = integrator.frozen(base.solution)

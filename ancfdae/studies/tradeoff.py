@@ -34,8 +34,8 @@ from ancfdae.studies.tradeoff_run import Measurement, Results, Task, measure
 
 # Most steps of the reference by default: the crank-slider of the paper takes 29,410 by `Explicit`.
 _STEPS = 50_000
-# What `Explicit` takes for the first of so many parts of the motion tells whether it suits; fewer
-# steps than so many say nothing.
+# The steps of `Explicit` in the first of _PARTS parts of the motion show whether it can be the
+# reference; fewer than _FEW steps show nothing.
 _PARTS, _FEW = 64, 20
 _LEFT = Measurement(0.0, "not measured: the tradeoff was interrupted")
 
@@ -64,8 +64,9 @@ def tradeoff(
     settings : sequence of Integrator
         For example ``[HHT(step=h) for h in (0.01, 0.005)] + [HHT(rtol=1e-3), IDA(1e-6)]``.
     reference : Integrator, optional
-        What errors are measured against. By default ``Explicit(1e-10)``, or ``IDA(1e-9)`` where
-        the former would take more than 50,000 steps, or short ones only to be stable.
+        The integrator against which errors are measured. By default ``Explicit(1e-10)``. If it
+        would take more than 50,000 steps, or if stability rather than accuracy would limit its
+        step, ``IDA(1e-9)``.
     repeats : int
         Runs of each setting, of which the fastest counts; those above a second are not repeated.
     time_limit : float, optional
@@ -111,7 +112,7 @@ def _checked(
     time_limit: float | None,
     progress: bool,
 ) -> Sequence[Integrator]:
-    """Return the settings; refuse what no trade-off can be made with."""
+    """Return the settings as a tuple; raise InvalidInput for arguments that cannot be used."""
     require_flag("progress", progress)
     repair = "For example [HHT(step=0.01)]."
     settings = require_each("settings", settings, (Integrator,), repair)

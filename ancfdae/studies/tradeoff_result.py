@@ -98,7 +98,7 @@ class Setting:
         """Return one of the four errors; infinite if the setting failed."""
         if str(of) not in _KINDS:  # Also of an array, which compares entry by entry.
             known = ", ".join(_KINDS)
-            raise InvalidInput("of", f"must be one of {known}", repr(of), "Choose one.")
+            raise InvalidInput("of", f"must be one of {known}", repr(of))
         value: float | None = getattr(self, of)
         return np.inf if value is None else value
 
@@ -224,7 +224,10 @@ class Tradeoff:
                 lines.setdefault(row.family, []).append((row.seconds, error))
         if not lines:
             raise InvalidInput(
-                "Tradeoff.plot", "needs a setting with an error", "none", "Look at table()."
+                "Tradeoff.plot",
+                "needs a setting with an error",
+                "none",
+                "See table() for the reasons.",
             )
         return [
             Series(name, [x for x, _ in points], [y for _, y in points], marker=True)

@@ -1,6 +1,6 @@
 """
-How accurate so many elements are
-=================================
+Error against number of elements
+================================
 
 A cantilever, 1 m long and 2 mm thick, with 1 to 64 elements: both beam elements and the cable,
 every strain energy. Tip deflection under a small force against Timoshenko's beam, first frequency

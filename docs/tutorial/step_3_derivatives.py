@@ -30,7 +30,7 @@ change = 0.01 * solution.sensitivities.values * y_b
 print(f"one per cent of height moves the tip by up to {1e3 * abs(change[:, 0]).max():.2f} mm")
 
 # %%
-# `history` draws what can be observed with bands: what so many per cent of each variable change.
+# `history` draws observables with bands: their change if a variable changes by `percent` per cent.
 
 system = assemble(scene, design)
 bending = {"deflection of the tip [m]": deflection(beam.at_end, beam.at_start)}

@@ -18,7 +18,7 @@ rubber = Material(1100, 5e6, 0.45, damping_time=2e-3)  # s: rubber damps its own
 
 
 def pendulum(elements):
-    """The beam of step 2 with so many elements."""
+    """Return the scene of step 2 with a number of elements, and the mean deflection of its beam."""
     beam = Beam("beam", (0, 0), (0.4, 0), elements, Rectangle(0.02, 0.02), rubber)
     bent = np.sqrt(Integral(deflection(beam.at_end, beam.at_start) ** 2) / 0.5)
     return Scene([beam], [Pin(beam.at_start)], gravity=(0, -9.81)), bent

@@ -130,8 +130,8 @@ def _square_section(report: Report, extent: Extent) -> None:
 _ANSWER = """
 What this settles, for the mechanism as read here.
 
-- **E_1.** Its derivative is less than a thousandth of the largest one: a stiff, short crank hardly
-  bends, and what Ψ depends on E_1 is mostly the phase of the crank's vibration (the comb in
+- **E_1.** Its derivative is less than a thousandth of the largest one: a stiff, short crank bends
+  little, and Ψ depends on E_1 mainly by the phase of the crank's vibration (the comb in
   Figs. 8 and 9). That phase is what time discretisation gets wrong: from step to step the *exact*
   discrete derivative changes by 6 to 44 per cent and is still not settled at 2⁻¹¹ s. Finite
   differences add truncation, because 1 % of E_1 shifts that phase noticeably: a few per cent in Ψ,

@@ -20,7 +20,7 @@ _ACTIVE: Final = 1e-3
 @final
 @dataclass(frozen=True)
 class Response:
-    """A row of what is evaluated: the objective, or a constraint where it has a limit above.
+    """A computed quantity: the objective, or a constraint if it has an upper limit.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Case:
     variables : sequence of str
         One name with unit per variable.
     responses : sequence of Response
-        One per row of what is evaluated.
+        One per row of the evaluated values.
     found : Optimisation
     comparisons : sequence of Comparison
     panels : sequence of Panel

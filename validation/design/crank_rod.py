@@ -47,7 +47,7 @@ _STEEL: Final = Material(7870.0, 2e11, 0.3, damping_time=1e-5)
 _RADIUS = 3.0  # mm
 _START = 5.0  # mm
 _ALLOWED, _SAG = 150e6, 1.4e-3  # Pa, m
-# Of the smooth maxima, of what is 1 where it is all that is allowed.
+# Sharpness k of the smooth maxima of quantities divided by their limits; dimensionless.
 _SHARPNESS: Final = 50.0
 _JONKER: Final = 7870.0 * np.pi * 0.003**2 * _ROD  # kg
 

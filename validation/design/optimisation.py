@@ -169,9 +169,9 @@ def searched(
         As for `Once`.
     start : array_like, shape (n,)
     radius : float
-        Of its first trust region; it ends at a thousandth of it.
+        Radius of the first trust region; the search ends at a thousandth of it.
     runs : int
-        At most so many.
+        Largest number of runs.
     bounds : array_like, shape (n, 2), optional
     """
     once, clock = Once(evaluate), stopwatch()

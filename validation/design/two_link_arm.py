@@ -51,7 +51,7 @@ _LINKS, _MOTORS = ("upper", "lower"), ("shoulder", "elbow")
 _MANOEUVRE = 0.5  # s
 _INSTANTS: Final = (0.5, 0.55, 0.6)
 _CONTROLS: Final = (0.0, 0.125, 0.25, 0.375, 0.5)
-# Of the smooth maxima, of what is 1 where it is all that is allowed.
+# Sharpness k of the smooth maxima of quantities divided by their limits; dimensionless.
 _SHARPNESS: Final = 50.0
 
 

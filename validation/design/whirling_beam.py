@@ -68,7 +68,7 @@ def evaluation(elements: int, steps: int) -> Once:
 
 
 def optimise(elements: int, steps: int, iterations: int) -> Optimisation:
-    """Find the heights, by at most half of that of the uniform beam at a time."""
+    """Return the optimal heights; an iteration changes them by at most half the uniform one."""
     start, bounds = np.ones(elements), [(0.1, 2.5)] * elements
     return constrained(evaluation(elements, steps), start, bounds, 0.5, iterations, 1e-8)
 

@@ -53,7 +53,7 @@ class _Run:
 
 
 def slider_crank(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
+    """Fill the section of the slider-crank; return the requirements and whether they are met."""
     rtols = (1e-3, 1e-4) if quick else (1e-6, 1e-8, 1e-10)
     steps = (0.2, 0.1) if quick else (0.02, 0.01, 0.005, 0.0025)
     report.heading("Slider-crank (SUNDIALS, idasSlCrank_FSA_dns)")

@@ -90,7 +90,7 @@ class Rods(Scleronomic):
         return Q
 
     def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
-        """Return zero."""
+        """Return the derivative of the force along a direction: zero, since it is constant."""
         return np.zeros(self.n_q)
 
     # -- constraints ---------------------------------------------------------------------------

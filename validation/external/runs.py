@@ -223,7 +223,7 @@ def _timed(call: Callable[[], Attempt]) -> Attempt:
 
 
 def rows_at(solution: Solution, times: Array) -> list[int]:
-    """Return the instants at the given times, which must be instants and reached."""
+    """Return the rows of the solution at the given times, which must be among its times."""
     rows = [int(np.argmin(np.abs(solution.t - time))) for time in times]
     assert np.allclose(solution.t[rows], times, rtol=0, atol=1e-9)
     return rows

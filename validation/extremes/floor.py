@@ -126,7 +126,7 @@ def _rigid(h: float, alpha: float, steps: int) -> _Errors:
     ).y
     e, e_t = np.array([np.cos(exact[0]), np.sin(exact[0])]), [-np.sin(exact[0]), np.cos(exact[0])]
     a = (-g * np.cos(exact[0]) * np.array(e_t) - exact[1] ** 2 * e).T
-    # The rod's force, whatever the scale of its constraint; gravity is the size of both.
+    # The rod's force, whatever the scale of its constraint. The two errors are relative to gravity.
     force = np.array([reaction(system, 0.0, q, x) for q, x in zip(run.q, run.lam, strict=True)])
     pull = ((exact[1] ** 2 - g * np.sin(exact[0])) * e).T
     return _Errors(*(float(np.max(np.abs(x))) / g for x in (run.a - a, force - pull)))

@@ -20,7 +20,7 @@ _SECTION, _SOFT = Rectangle(0.05, 0.05), Material(2770.0, 1e8, 0.3)
 
 
 def redundant(quick: bool) -> list[Case]:
-    """Hold what is held already."""
+    """Return cases with redundant joints, which hold motions that other joints hold already."""
     return [
         Case("pin twice at one point", _two_pins, _STEP, 16),
         Case("clamp and pin at one point", _clamped_pin, _STEP, 16),
@@ -49,7 +49,7 @@ def dead_link() -> Scene:
 
 
 def no_length() -> Scene:
-    """Return a distance joint of hardly any length."""
+    """Return a bar on a distance joint of length 1e-9 m."""
     bar = _bar()
     return Scene([bar], [Distance(bar.at_end, 1e-9, ground=(1.0, 0.0))], project_start=True)
 

@@ -41,7 +41,7 @@ _NAMES: Final = ("vertical [m]", "horizontal [m]")
 
 
 def cable(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
+    """Fill the section of the cable; return the requirements and whether they are met."""
     counts = (2, 4) if quick else (2, 4, 8, 16)
     report.heading("Cable under its weight and a point load")
     report.text(_TEXT)

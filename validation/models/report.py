@@ -40,7 +40,7 @@ class _Answer:
 
     @property
     def ratio(self) -> float | None:
-        """Its cost over that of the best run in hindsight."""
+        """Cost of the chosen run over that of the cheapest run that is accurate enough."""
         return None if self.best is None else self.choice.run.seconds / self.best.run.seconds
 
 
@@ -262,6 +262,6 @@ _LIMITS = """
 - Rigid models have no stress; of the frame and the cable they have no motion. Both are refused in
   words and stand in the tables as not possible.
 - Damping of cables acts on their axial strain, not on their bending: their error holds that.
-- Where no model is accurate enough, the bar of the finest mesh is the reason, mostly of stresses at
+- Where no model is accurate enough, the bar of the finest mesh is the reason, often of stresses at
   nodes: meshes are doubled twice here.
 """

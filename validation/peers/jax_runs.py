@@ -18,7 +18,7 @@ _FIELDS = ("youngs_modulus", "height", "density")
 
 
 def fill(report: Report, steps: int, repeats: int) -> None:
-    """Add motion and gradient in three variables of both, with JAX's time of compilation."""
+    """Add times of motion and gradient in three variables, here and in JAX, and its compilation."""
     report.heading("The paper's pendulum in JAX")
     scene = pendulum(elements=_ELEMENTS)
     system = assemble(scene, [f"pendulum.{field}" for field in _FIELDS])

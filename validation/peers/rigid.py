@@ -152,7 +152,7 @@ class RigidSlider(Pair):
         return Point("rod", x=self.rod / 2, y=0)
 
     def build(self, exu: Any, items: Any, mbs: Any) -> Model:
-        """Three coordinates a bar, two of the slider."""
+        """Build the model in Exudyn: three coordinates per bar, two of the slider."""
         elbow, end = self._places
 
         def marker(body: int, x: float) -> int:

@@ -11,7 +11,7 @@ __all__ = ["cost"]
 
 
 def cost(report: Report, extent: Extent) -> None:
-    """Add what derivatives cost beside the dynamics."""
+    """Fill the section on the cost of derivatives relative to that of the motion."""
     report.heading("Cost")
     rows = []
     for dimension, name in ((2, "planar"), (3, "spatial")):

@@ -40,7 +40,7 @@ def step_halving(report: Report, coarse: Curves, extent: Extent) -> None:
         f"{last[0]:.1g}, its sensitivities by "
         + ", ".join(f"{last[i + 1]:.1g} ({s})" for i, s in enumerate(SYMBOLS))
         + " (relative, norm over time). Gravity sets in suddenly and excites axial and thickness "
-        "waves that no such step resolves; a wave of amplitude A and frequency omega contributes "
+        "waves that none of these steps resolves; a wave of amplitude A and frequency omega adds "
         "A omega t/2 to a sensitivity, so waves too small to be seen in the motion dominate it."
     )
     report.claim(

@@ -32,7 +32,7 @@ class CarAxis(TestProblem):
     traits = Traits(constant_mass=True, velocity_forces=False)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
-        """Return x_l."""
+        """Return x_l, the x coordinate of the left end; m."""
         left: Array = q[..., 0]
         return left
 
@@ -43,7 +43,7 @@ class CarAxis(TestProblem):
         return np.array([0, L0, _L, L0]), np.array([v, 0, v, 0])
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return M."""
+        """Return the mass matrix M, shape (4, 4)."""
         M: Array = self.b[1] * _EPS2 / 2 * np.eye(4)
         return M
 

@@ -29,7 +29,7 @@ class SimplePendulum(TestProblem):
         return momentum
 
     def start(self) -> tuple[Array, Array]:
-        """Return the start, which depends on L."""
+        """Return q and v at the start; q depends on the length L."""
         return np.array([-self.b[0], 0.0]), np.zeros(2)
 
     def mass_matrix(self, q: Array) -> Array:

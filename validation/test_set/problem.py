@@ -42,7 +42,7 @@ class TestProblem(FormulaSystem):
     digits : float
         Relative accuracy of the printed value.
     integral : bool
-        Whether the objective is the integral of what is observed, or its value at the end.
+        Whether the objective is the integral of the observable, or its value at the end.
     step : float
         Largest step of HHT that is run; s.
     stiff : bool

@@ -78,7 +78,7 @@ class Squeezer(TestProblem):
         return _START, np.zeros(7)
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return M."""
+        """Return the mass matrix M, shape (7, 7)."""
         c_th, s_ph, s_om = np.cos(q[1]), np.sin(q[3]), np.sin(q[5])
         M = np.zeros((7, 7), dtype=np.result_type(q, self.b))
         M[0, 0] = _m1 * _ra**2 + _m2 * (_rr**2 - 2 * _da * _rr * c_th + _da**2) + _i1 + _i2

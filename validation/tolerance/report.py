@@ -24,7 +24,7 @@ _TOLERANCES = (1e-2, 1e-4, 1e-6)
 _SETS = {"Random scenes": range(14), "Random scenes of other seeds": range(1000, 1007)}
 # Settings of a kind are tried until one takes so long, s, or errs by so little.
 _LONG, _EXACT = 2.0, 1e-7
-# What takes less than this, s, is timed so many times, and the least counts.
+# A call that takes less than _SHORT, s, is timed _TIMES times, and the least time counts.
 _SHORT, _TIMES = 0.15, 3
 
 

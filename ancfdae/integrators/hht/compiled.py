@@ -66,7 +66,7 @@ class Prepared:
 @final
 @dataclass(frozen=True)
 class CompiledPasses:
-    """Takes computed steps of a pass over a run, as many as are factorised."""
+    """Linearised steps of a finished run in the compiled kernel, for derivatives and adjoints."""
 
     kernel: Prepared
 
@@ -74,7 +74,7 @@ class CompiledPasses:
     def of(
         cls, system: MechanicalSystem, matrices: SaddlePoint, alpha: float
     ) -> CompiledPasses | None:
-        """Return None for a system that is no plan; of the rules only alpha matters."""
+        """Return the passes of a system; None if it has no plan for the kernel."""
         rules = np.zeros(RULES)
         rules[0] = alpha
         prepared = Prepared.of(system, matrices, rules)

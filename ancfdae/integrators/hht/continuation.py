@@ -96,8 +96,7 @@ def _remedy(h: float, part: float) -> str:
     if not 0 < part < 1:
         return ""
     return (
-        "From there the solution that belongs to the motion was found for steps up to "
-        f"{part * h:.3g}."
+        f"The solution that belongs to the motion was found there for steps up to {part * h:.3g}."
     )
 
 

@@ -82,7 +82,7 @@ def require_alpha(where: str, alpha: float) -> None:
     """Refuse a numerical damping that makes HHT-I3 unstable."""
     require_finite(where, alpha)
     if not -1 / 3 <= alpha <= 0:
-        repair = "-0.3 damps fast motion strongly, -0.05 hardly."
+        repair = "Use -0.05 for little numerical damping, -0.3 to damp high frequencies strongly."
         raise InvalidInput(where, "must lie in [-1/3, 0]", alpha, repair)
 
 
@@ -141,7 +141,7 @@ def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array
 
 
 def predict_increment(c: Coefficients, v: Array, a: Array) -> tuple[Array, Array]:
-    """q~ - q_n, without the round-off of q_n, and v~."""
+    """Return q~ - q_n, without the round-off of q_n, and v~, shape (n_q,) each."""
     v_p = add_scaled(v, c.h * (1 - c.gamma), a)
     # h v + h^2 (1/2 - beta) a = h v~ + h^2 (gamma - 1/2 - beta) a
     dq_p = add_scaled(c.h * v_p, c.h**2 * (c.gamma - 0.5 - c.beta), a)
@@ -167,7 +167,7 @@ def rescaled(node: Node, ratio: float) -> Node:
 
 
 def rescaled_sensitivity(node: NodeSensitivity, ratio: float) -> NodeSensitivity:
-    """Differentiate `rescaled`."""
+    """Return the derivatives of `rescaled`, the state for another step size."""
     if ratio == 1.0:
         return node
     return node._replace(a_b=node.A_b + ratio * (node.a_b - node.A_b))
@@ -204,7 +204,7 @@ def residual(
     forces: tuple[Array, Array],
     Phi: Array,
 ) -> Array:
-    """Eqs. (4) and (5), shape (n_q + n_lam,); forces are Phi_q^T lam and Q."""
+    """Return the residual of eqs. (4), (5), shape (n_q + n_lam,); forces are Phi_q^T lam and Q."""
     return balance(system.mass_times(q, A), *forces, Phi, 1 / c.in_q)
 
 

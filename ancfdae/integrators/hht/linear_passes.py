@@ -60,8 +60,8 @@ class LinearSteps:
     """A chunk of k steps with their converged states (q, v, A, lam); h has the shape (k, 1).
 
     One step takes z = (q~_b, v~_b, A~_b) to a_b and lam_b (`solve`); a matrix of coefficients takes
-    (z, a_b) to (q_b, v_b, A_b) and the next z (`step_matrices`). The pass back takes the transposes
-    of both.
+    (z, a_b) to (q_b, v_b, A_b) and the next z (`step_matrices`). The backward pass applies the
+    transposes of these two maps.
     """
 
     system: MechanicalSystem
@@ -335,7 +335,7 @@ def _predicted(c: Coefficients, start: NodeSensitivity) -> Array:
 
 
 def start_covectors(c: Coefficients, on: Array) -> NodeSensitivity:
-    """Transpose of `_predicted`, added to covectors on q_b and v_b themselves."""
+    """Return adjoint vectors of the start: those of q_b and v_b plus `_predicted`^T of `on[3:]`."""
     units = NodeSensitivity(*(x[None].T for x in np.eye(4)[[0, 1, 2, 2, 3]]))
     q, v, a, A = _predicted(c, units)[:, 0].T @ on[3:]
     return NodeSensitivity(on[0] + q, on[1] + v, a, np.zeros(0), A)

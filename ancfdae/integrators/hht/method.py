@@ -57,7 +57,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     step : float, optional
         Short for ``steps=FixedSteps(step)``; s.
     rtol : float, optional
-        Short for ``steps=ControlledSteps(rtol)``.
+        Relative error per step, dimensionless; short for ``steps=ControlledSteps(rtol)``.
     """
 
     order: ClassVar[int | None] = 2

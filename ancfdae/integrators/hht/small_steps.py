@@ -80,7 +80,7 @@ class ConstraintRow:
         """Return the row; None where the step is not small, so that eq. (23) is accurate."""
         floor = _EPS * norm(before.q, system.weights)
         unit = _QUIET_DERIVATIVES * c.beta * c.h**2
-        # The inertia alone mostly decides; that of both ends, since it may pass through zero.
+        # The inertia alone decides in most steps; at both ends, since it may pass through zero.
         if floor <= unit * max(norm(x.A, system.weights) for x in (before, after)):
             return None
         q, t = before.q, before.t

@@ -1,6 +1,6 @@
 """Linear passes over a computed run: direct differentiation and its transpose.
 
-With x_b and lam_b of the stages, and (i) for what is linearised there,
+With x_b and lam_b of the stages, and (i) for matrices linearised at stage i,
 
     Q_b = q_b + h c v_b + h^2 x_b,    V_b = v_b + h A^-1 x_b
     (M A^-2 x_b + f_v V_b + f_q Q_b + Phi_q^T lam_b + f_b)(i) = 0,
@@ -172,9 +172,9 @@ def pull_back(
 ) -> tuple[Array, Array]:
     """Run the transposed recurrence back over steps of the sizes h (discrete adjoint).
 
-    `on`, (2, n_q), holds covectors on q and v at the last instant, from what follows. Returns the
-    gradient but for what goes through the first instant, and covectors on q and v there, from
-    which its seeds are left out.
+    `on`, shape (2, n_q), holds the adjoint vectors of q and v at the last time, from later steps.
+    Returns the gradient without the part through the first state, and the adjoint vectors of q and
+    v there, without the seeds of that state.
     """
     system, matrices = problem.system, stage_matrices(problem)
     gradient, still = np.zeros(system.n_b), np.zeros((len(run.t), system.n_q))

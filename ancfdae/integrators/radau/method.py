@@ -39,13 +39,13 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
     steps : StepControl or float
         `FixedSteps`, `ControlledSteps` or `GivenSteps`; a number is the step of `FixedSteps`.
     newton_tolerance : float, optional
-        As that of `HHT`.
+        Largest last correction relative to the motion, as in `HHT`; dimensionless.
     max_iterations : int
         Newton iterations of a step before it is given up.
     step : float, optional
         Short for ``steps=FixedSteps(step)``; s.
     rtol : float, optional
-        Short for ``steps=ControlledSteps(rtol)``.
+        Relative error per step, dimensionless; short for ``steps=ControlledSteps(rtol)``.
 
     Raises
     ------

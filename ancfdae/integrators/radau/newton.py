@@ -39,13 +39,13 @@ from ancfdae.kernels import (
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.coupled import CoupledFactors
 
-# Where more than so many iterations are to come the matrix is formed anew.
+# The iteration matrix is recomputed if more than _MORE further iterations are predicted.
 _MORE = 4
-# Forces that are so many times those before are those of strains that the guess has wrong: a matrix
-# made there serves once.
+# Forces above _JUMP times those at the start of the step come from wrong strains of the guess: a
+# matrix made there is used once.
 _JUMP = 10.0
-# Corrections are measured against so many times the forces before at most: a diverging iterate has
-# huge ones.
+# Corrections are measured against forces of the iterate, at most _MOST times those at the start of
+# the step: a diverging iterate has huge forces.
 _MOST = 100.0
 # Corrections stop shrinking where they shrink by less than this factor.
 _SLOW = 0.5

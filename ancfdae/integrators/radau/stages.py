@@ -93,7 +93,7 @@ def stage_matrices(problem: Problem) -> CoupledSaddlePoints:
 
 
 def factorised(matrices: CoupledSaddlePoints, h: float, local: Linearisation) -> CoupledFactors:
-    """Factorise for what is linearised at the three stages."""
+    """Return the factorised coupled matrix of the three stages from their linearisations."""
     M = local.M[:, None] if len(local.M) > 1 else local.M
     blocks = SQUARED[..., None] * M
     if local.f_v is not None:

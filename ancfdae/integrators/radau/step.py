@@ -97,7 +97,7 @@ class RadauStepper(OneStepMethod[State]):
         self._matrices = None if problem.derivative is None else stage_matrices(problem)
 
     def consistent(self) -> Record:
-        """Return the start."""
+        """Return the consistent start as a record of states, with derivatives if there are some."""
         return *self._problem.initial, self._problem.derivative or ()
 
     def start(self, h: float) -> State:

@@ -54,10 +54,10 @@ _MEMORY = 0.95
 _MOST = 4.0
 # The step changes by less than pi/2 of this part.
 _CHANGE = 0.2
-# A rejection within so many steps of the start begins anew: the start is made for its step.
+# A step rejected among the first _RESTART restarts the run: the start is made for its step size.
 _RESTART = 10
-# So many last steps change linearly, and their number is fixed, to meet the end without a jump;
-# where steps may jump the last ones are equal.
+# The last _LAST_STEPS steps change linearly, and their number is fixed, to meet the end without a
+# jump; a method that bears jumps takes _LAST_EQUAL equal steps instead.
 _LAST_STEPS, _LAST_EQUAL = 10, 1
 # Where a step is shorter than the attempt before by the first factor its error is smaller by the
 # second, unless it stems from the state before the step.
@@ -115,7 +115,7 @@ class ControlledSteps(StepControl):
         return replace(self, rtol=max(self.rtol, _ROUGH), atol=None, sensitivities=False)
 
     def count(self, t_end: float) -> int:
-        """Return a guess."""
+        """Return a guess of the number of rows to reserve: the steps are not known."""
         require_positive("t_end", t_end)
         require_square("t_end", float(t_end))
         return _ROWS
@@ -140,7 +140,7 @@ class ControlledSteps(StepControl):
         return _Filter(method, first, t_end, self.max_steps)
 
     def sizes(self, t: Array) -> Array:
-        """Return the distances of the instants."""
+        """Return the step sizes between times t, shape (n - 1,); s."""
         return np.diff(t)
 
     def frozen(self, t: Array) -> StepControl:
@@ -148,7 +148,7 @@ class ControlledSteps(StepControl):
         return GivenSteps(tuple(t.tolist())) if len(t) > 1 else replace(self, sensitivities=False)
 
     def refined(self, t: Array) -> StepControl:
-        """Halve the distances."""
+        """Return steps that halve each step of a run with times t."""
         return GivenSteps(tuple(t.tolist())).refined(t)
 
 
@@ -182,7 +182,7 @@ class _Filter(Controller):
             self._taken, self._remaining = int(taken), int(remaining)
 
     def state(self) -> tuple[float, ...]:
-        """Return all that changes."""
+        """Return the numbers of the filter that change in a run, to continue it."""
         sizes = self._h, self._start, self._last_wish, self._last_ratio, self._memory
         return *sizes, self._last_h, float(self._taken), float(self._remaining)
 

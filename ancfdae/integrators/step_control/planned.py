@@ -38,13 +38,13 @@ class _KnownSteps(StepControl):
 
     @abc.abstractmethod
     def instants(self, t_end: float) -> Array:
-        """Return the instants of a run to `t_end`; refuse one that they cannot end at."""
+        """Return the times of a run to `t_end`, s; InvalidInput if no step ends there."""
 
     @final
     def controller(
         self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
     ) -> Controller:
-        """Return the plan."""
+        """Return the controller that takes the prescribed steps."""
         t = self.instants(t_end)
         return StepPlan(self.sizes(t), t[1:])
 
@@ -95,7 +95,7 @@ class FixedSteps(_KnownSteps):
         return np.full(len(t) - 1, self._size(t))
 
     def refined(self, t: Array) -> StepControl:
-        """Halve the step."""
+        """Return a fixed step of half the size."""
         return FixedSteps(self._size(t) / 2)
 
     def _size(self, t: Array) -> float:
@@ -153,7 +153,7 @@ class GivenSteps(_KnownSteps):
         return len(self.times) - 1
 
     def instants(self, t_end: float) -> Array:
-        """Return those given."""
+        """Return the given times, shape (n + 1,), s; InvalidInput if the run ends elsewhere."""
         self.count(t_end)
         return np.array(self.times)
 
@@ -162,7 +162,7 @@ class GivenSteps(_KnownSteps):
         return np.diff(t)
 
     def refined(self, t: Array) -> StepControl:
-        """Halve the distances."""
+        """Return steps that halve each step of a run with times t."""
         halves = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])]))
         return GivenSteps(tuple(halves.tolist()))
 
@@ -198,4 +198,5 @@ class StepPlan(Controller):
 def require_square(where: str, value: float) -> None:
     """Refuse times whose square, or its inverse, is no number of full precision."""
     if not sys.float_info.min < value * value < math.inf:
-        raise InvalidInput(where, "must have a square that is a number", value, "Change units.")
+        repair = "Choose units of time in which the run takes 1e-6 to 1e6."
+        raise InvalidInput(where, "must have a square that is a number", value, repair)

@@ -35,7 +35,7 @@ _FAILURES = {
 @final
 @dataclass(frozen=True)
 class Bindings:
-    """Modules of sundials4py."""
+    """Modules of the package sundials4py."""
 
     core: Any
     idas: Any

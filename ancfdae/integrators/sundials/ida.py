@@ -93,7 +93,7 @@ class IDA(SundialsIntegrator):
     """
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
-        """Set up IDA."""
+        """Set up a run by IDA from the start of the system."""
         return _IdaMarch(self, problem, t_end, quadrature)
 
 

@@ -36,7 +36,7 @@ class IDAS(SundialsIntegrator, AdjointIntegrator):
     """
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
-        """Set up IDAS."""
+        """Set up a run by IDAS from the start of the system."""
         return _IdasMarch(Bindings.load(), self, problem, t_end, quadrature)
 
     def pull_back(
@@ -51,7 +51,7 @@ class IDAS(SundialsIntegrator, AdjointIntegrator):
 
 @final
 class _IdasMarch(March):
-    """One forward run."""
+    """One forward run of IDAS."""
 
     def __init__(
         self,

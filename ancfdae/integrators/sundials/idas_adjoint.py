@@ -201,7 +201,7 @@ class BackwardRun:
         return np.concatenate([-on_q - H_q, -p[:n_q] - on_v - H_v]), on_b
 
     def _jump(self, instant: int) -> tuple[Array, Array]:
-        """Return what a value at an instant adds to p and to the gradient."""
+        """Return the jumps of the adjoint vector p and of the gradient at a recorded time."""
         q, v, t = (x[instant] for x in (self._solution.q, self._solution.v, self._solution.t))
         on_q, on_v, on_lam = (x[instant] for x in self._seeds.rows)
         *through, on_b = self._at(float(t), q, v).pull_back(np.zeros_like(on_q), on_lam)

@@ -307,7 +307,7 @@ class IndexReduction(Enum):
 
 @dataclass(frozen=True)
 class SundialsIntegrator(HighOrder):
-    """An integrator of SUNDIALS, on equations of this form."""
+    """An integrator of SUNDIALS for equations of reduced index."""
 
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
 

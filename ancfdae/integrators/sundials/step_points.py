@@ -30,8 +30,8 @@ _QUINTIC = np.array(
     ]
 )
 _QUINTIC_SLOPE = _QUINTIC[:, 1:] * np.arange(1, 6)
-# Panels per step: while waves that hardly move the integrand bind the solver, one panel of many
-# steps is enough. One panel in every step sees none of the kinks between the quintics.
+# Panels per step: where high-frequency modes limit the step and the integrand is smooth, one panel
+# over many steps is enough. One panel in every step sees none of the kinks between the quintics.
 _PANELS_PER_STEP = (1 / 8, 1, 4, 8)
 # Steps that are taken in together, and numbers that their points may take.
 _STEPS, _NUMBERS = 128, 5_000_000

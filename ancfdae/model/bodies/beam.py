@@ -94,7 +94,7 @@ class Beam(BeamBody):
     initial_strain: float = 0.0
 
     def __post_init__(self) -> None:
-        """Validate."""
+        """Check the fields; raise InvalidInput."""
         where = f"beam {self.name!r}"
         if isinstance(self.start, Point):
             require_vector(f"{where}, end", self.end)
@@ -114,26 +114,26 @@ class Beam(BeamBody):
 
     @property
     def element_count(self) -> int:
-        """Number of elements."""
+        """Number of elements of the beam."""
         return int(self.elements)
 
     @property
     def dimension(self) -> int:
-        """Dimension of space."""
+        """Dimension of space, 2 or 3."""
         return len(tuple(self.end))
 
     @property
     def place(self) -> Sequence[float] | Point:
-        """Start of the centre line."""
+        """Start of the centre line, shape (d,); m."""
         return self.start
 
     @property
     def length(self) -> float:
-        """Length of the centre line."""
+        """Length of the centre line in the reference configuration; m."""
         return float(np.linalg.norm(self._span))
 
     def reference(self) -> ReferenceShape:
-        """Return the straight reference configuration."""
+        """Return the straight reference configuration: nodes, directions and fractions."""
         n, frame = self.element_count, self._frame()
         return ReferenceShape(
             lengths=np.full(n, self.length / n),
@@ -190,9 +190,9 @@ class Beam(BeamBody):
             if self.height_axis is not None:
                 raise InvalidInput(
                     f"beam {self.name!r}, height_axis",
-                    "is a choice of spatial beams only",
+                    "must be left out for a planar beam",
                     tuple(self.height_axis),
-                    "Leave it out: the height of a planar beam lies in the plane.",
+                    "The height of a planar beam lies in the plane.",
                 )
             return np.array([axis, [-axis[1], axis[0]]])
         if self.height_axis is None:

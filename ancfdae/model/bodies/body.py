@@ -80,7 +80,7 @@ class BeamBody(Placed):
     @property
     @abc.abstractmethod
     def element_count(self) -> int:
-        """Number of elements."""
+        """Number of elements of the beam."""
 
     @abc.abstractmethod
     def reference(self) -> ReferenceShape:
@@ -184,7 +184,7 @@ class BeamBody(Placed):
 
         The element is None where the parameter changes everywhere. InvalidInput if a value is not
         admissible for its parameter, sizes of a section do not fit together or an element does not
-        exist; UnknownName if there is no such parameter.
+        exist; UnknownName if the beam has no parameter of that name.
         """
         names, placement = self.parameter_names(), self.placement()
         changes = tuple(changes)
@@ -232,7 +232,7 @@ class BeamBody(Placed):
                 where,
                 f"{parameter} is a property of the whole beam",
                 f"[{element}]",
-                f"Use {self.name}.{parameter}.",
+                f"Write {self.name}.{parameter}, without an index.",
             )
 
     def _section(self) -> Section:
@@ -286,11 +286,13 @@ class BeamBody(Placed):
             require_finite(where, fraction)
             require_fraction(where, fraction)
             if not self.inner_nodes([fraction]):
-                rule, repair = "must lie at nodes between elements", "Choose other elements."
+                rule = "must lie at nodes between elements"
+                repair = "Choose the number of elements so that there is a node at each kink."
                 raise InvalidInput(where, rule, fraction, repair)
         if kinks and not self.element.can_kink:
-            rule = f"the slope along a beam of {self.element.name} resists bending"
-            raise InvalidInput(where, rule, kinks, "Leave them out.")
+            name = self.element.name
+            rule = f"must be empty for {name}, whose slope along the beam resists bending"
+            raise InvalidInput(where, rule, kinks, "Join two beams instead, by a Pin or a Weld.")
         object.__setattr__(self, "kinks", kinks)
 
     def _check_part(self, part: object, kind: type) -> None:
@@ -324,8 +326,8 @@ class BeamBody(Placed):
             object.__setattr__(self, "energy", default)
             return
         if default is None:
-            rule, repair = f"{self.element.name} has a law of its own", "Leave it out."
-            raise InvalidInput(where, rule, repr(given), repair)
+            rule = f"must be left out for {self.element.name}, which has its own strain energy"
+            raise InvalidInput(where, rule, repr(given))
         require_kind(where, given, (StrainEnergy,), "For example EnhancedContinuum().")
         assert isinstance(given, StrainEnergy)
         if self.dimension not in given.dimensions:

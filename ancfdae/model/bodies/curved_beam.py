@@ -41,7 +41,7 @@ class CurvedBeam(BeamBody):
     section, material, element, energy, rigid, kinks, initial_strain
         As in `Beam`.
     turn : float or sequence of float, optional
-        Rotation of the whole beam about its first node, as in `Beam`.
+        Rotation of the whole beam about its first node, as in `Beam`; rad.
 
     Raises
     ------
@@ -93,28 +93,28 @@ class CurvedBeam(BeamBody):
 
     @property
     def element_count(self) -> int:
-        """Number of elements."""
+        """Number of elements of the beam."""
         return len(self.positions) - 1
 
     @property
     def dimension(self) -> int:
-        """Dimension of space."""
+        """Dimension of space, 2 or 3."""
         return int(self.positions.shape[1])
 
     @property
     def length(self) -> float:
-        """Length of the centre line."""
+        """Length of the centre line in the reference configuration; m."""
         return float(np.sum(self.reference().lengths))
 
     def reference(self) -> ReferenceShape:
-        """Return the curved reference configuration."""
+        """Return the curved reference configuration: nodes, directions and fractions."""
         steps, slopes = np.diff(self.positions, axis=0), self.frames
         lengths = _arc_lengths(steps, slopes[:-1, 0], slopes[1:, 0])
         return ReferenceShape(lengths, slopes, steps / lengths[:, None], False)
 
     @property
     def place(self) -> Sequence[float]:
-        """Place of the first node."""
+        """Position of the first node, shape (d,); m."""
         return tuple(self.positions[0].tolist())
 
     def with_place(self, place: Sequence[float]) -> CurvedBeam:

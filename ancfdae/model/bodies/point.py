@@ -56,14 +56,15 @@ class Point:
         for value in (self.x, self.y, self.z):
             require_finite(where, value)
         if self.before and not self.fraction:
-            rule, repair = "nothing lies before the start of a beam, or in a body", "Leave it out."
-            raise InvalidInput(f"{where}, before", rule, f"fraction {self.fraction}", repair)
+            rule = "must be False at the start of a beam and in a body: nothing lies before"
+            raise InvalidInput(f"{where}, before", rule, f"True at fraction {self.fraction}")
         if self.fraction is None:
             return
         require_finite(where, self.fraction)
         if self.x != 0:
-            rule, repair = "has a fraction along a beam or an x in a body", "Leave one of them out."
-            raise InvalidInput(where, rule, f"both: {self.fraction}, {self.x}", repair)
+            rule = "needs either a fraction along a beam or an x in a body"
+            got = f"both: {self.fraction}, {self.x}"
+            raise InvalidInput(where, rule, got, "Write beam.at(fraction, y), or body.at(x, y).")
         require_fraction(where, self.fraction)
 
     def numbers(self) -> dict[str, float]:
@@ -79,15 +80,15 @@ class Point:
 
 
 def require_point(where: str, point: object, dimension: int = 3) -> None:
-    """Refuse what is no point, and a point off the plane of a planar scene."""
+    """Raise InvalidInput unless `point` is a `Point`, in the plane z = 0 if the scene is planar."""
     require_kind(where, point, (Point,), "Write beam.at_end, beam.at(fraction) or body.at(x, y).")
     assert isinstance(point, Point)
     if dimension == 2 and point.z != 0.0:
-        raise InvalidInput(where, "a planar scene has no z axis", f"z = {point.z}", "Leave z out.")
+        raise InvalidInput(where, "z must be 0 in a planar scene", f"z = {point.z}")
 
 
 def require_fraction(where: str, fraction: float | None) -> float:
-    """Return a fraction along a beam; refuse none, and one outside [0, 1]."""
+    """Return a fraction along a beam; InvalidInput if it is None or outside [0, 1]."""
     if fraction is None or not 0.0 <= fraction <= 1.0:
         raise InvalidInput(
             where,

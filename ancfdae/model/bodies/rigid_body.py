@@ -43,7 +43,7 @@ class BodyShape(Designable, abc.ABC):
 
 
 def require_shape(where: str, value: object) -> None:
-    """Refuse what is no shape."""
+    """Raise InvalidInput unless `value` is a `BodyShape`."""
     require_kind(where, value, (BodyShape,), "For example RigidBox(0.2, 0.1, 0.05).")
 
 
@@ -59,7 +59,7 @@ class RigidBox(BodyShape):
     design_fields = tuple((name, require_positive) for name in ("length", "height", "width"))
 
     def moments(self, p: Array) -> tuple[Array, Array]:
-        """Means a^2 / 12."""
+        """Return the volume, and the means of x^2, y^2, z^2, shape (3,): a^2 / 12 for side a."""
         return p[0] * p[1] * p[2], p * p / 12
 
 
@@ -74,7 +74,7 @@ class RigidCylinder(BodyShape):
     design_fields = tuple((name, require_positive) for name in ("radius", "length"))
 
     def moments(self, p: Array) -> tuple[Array, Array]:
-        """Means r^2 / 4 across the axis, l^2 / 12 along it."""
+        """Return the volume, and means, (3,): r^2 / 4 across the axis, l^2 / 12 along it."""
         across = p[0] ** 2 / 4
         return np.pi * p[0] ** 2 * p[1], np.stack([across, across, p[1] ** 2 / 12])
 
@@ -89,7 +89,7 @@ class RigidSphere(BodyShape):
     design_fields = (("radius", require_positive),)
 
     def moments(self, p: Array) -> tuple[Array, Array]:
-        """Means r^2 / 5."""
+        """Return the volume, and the means of x^2, y^2, z^2, shape (3,): r^2 / 5."""
         return 4 / 3 * np.pi * p[0] ** 3, np.repeat(p**2 / 5, 3)
 
 
@@ -179,12 +179,12 @@ class RigidBody(Placed, Designable):
 
     @property
     def dimension(self) -> int:
-        """Dimension of space."""
+        """Dimension of space, 2 or 3."""
         return len(tuple(self.position))
 
     @property
     def place(self) -> Sequence[float]:
-        """Place of the reference point."""
+        """Position of the reference point, shape (d,); m."""
         return self.position
 
     def with_place(self, place: Sequence[float]) -> RigidBody:
@@ -193,7 +193,7 @@ class RigidBody(Placed, Designable):
 
     @property
     def origin(self) -> Point:
-        """The reference point."""
+        """The reference point of the body, as a `Point` for joints and loads."""
         return Point(self.name)
 
     @property
@@ -206,7 +206,7 @@ class RigidBody(Placed, Designable):
         return Point(self.name, x=x, y=y, z=z)
 
     def directions(self) -> Array:
-        """Return the directions of the axes in the reference configuration as rows."""
+        """Return the axes of the body in the reference configuration as rows, shape (d, d)."""
         if self.frame is None:
             return np.eye(self.dimension)
         return orthonormal(np.asarray(self.frame, dtype=float))
@@ -279,7 +279,7 @@ class RigidBody(Placed, Designable):
 def _spread(inertia: Array, d: int) -> Array:
     """Return int x x^T dm about the centre of mass from moments of inertia."""
     if d == 2:
-        # In the plane only the sum over both axes is felt.
+        # A planar motion depends on the sum over the two axes only.
         return inertia / 2 * np.eye(2)
     tensor = np.diag(inertia[:3])
     if len(inertia) == 6:

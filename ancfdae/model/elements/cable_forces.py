@@ -83,7 +83,7 @@ class _Line:
     def pulled_back(
         self, Y: Array, V: Array, on_strain: Array, on_curvature: Array
     ) -> tuple[Array, Array]:
-        """Return the gradients in Y and V of what has these gradients in the strain and in k."""
+        """Return gradients in Y and V of a function, from its gradients in strain and curvature."""
         places, weights = _smoothing(self.xi)
         N = tangent_weights(places)
         on_points = (on_strain @ weights)[..., None]

@@ -6,8 +6,9 @@ with R and beta independent of the coordinates (`fibre_strains`, `strain_fields`
 A = int beta^T (int R^T C R dA) beta dx and there is no linear term.
 
 Derivatives. With the chord divided by the length l, and y and z by it, parameters enter through the
-points and areas of the section, its factors, C and powers of l only. The former, all of them of one
-or two numbers, are differentiated by complex steps, and so is R; the product rule does the rest.
+points and areas of the section, its factors, C and powers of l only. Points, areas, factors and C
+depend on one or two numbers each and are differentiated by complex steps, and so is R; the product
+rule does the rest.
 """
 
 from dataclasses import dataclass
@@ -87,7 +88,7 @@ class ContinuumBeam(BeamElement):
     def vector_weights(
         self, quantity: Quantity, xi: float, y: float, z: float
     ) -> tuple[Array, Array]:
-        """Return `shape_weights`."""
+        """Return the weights of the node vectors in a position or slope; see `shape_weights`."""
         powers = np.zeros((2, self.n_s), dtype=int)
         if quantity is Quantity.POSITION:
             powers[:, 1] = 1
@@ -106,7 +107,10 @@ class ContinuumBeam(BeamElement):
         return ContinuumSectionLaw(batch, A, place)
 
     def stress_law(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
-        """C times strains, shears and radial stresses spread as the section says."""
+        """Return the law of stresses at xi and places of the section: C times the strains.
+
+        Shear and radial stresses are distributed over the section by `Section.shares`.
+        """
         return ContinuumStressLaw(batch, xi, places)
 
 

@@ -58,7 +58,7 @@ class ElementParameter(IntEnum):
 @final
 @dataclass(frozen=True)
 class ElementType:
-    """What elements share that differ in numbers only."""
+    """Type of an element: what is equal in a batch, whose elements differ in numbers only."""
 
     section: Section  # one of theirs; its sizes do not count
     energy: StrainEnergy | None  # None for elements with a law of their own
@@ -88,7 +88,7 @@ class Batch:
 
     @property
     def d(self) -> int:
-        """Dimension of space."""
+        """Dimension of space, 2 or 3."""
         return int(self.Y_unit.shape[2])
 
     @property
@@ -168,8 +168,8 @@ class Invariants:
     """Invariants of n elements."""
 
     A: Array  # (n, n_g, n_g): elastic invariant
-    # (n, n_g): packed Gram matrix of the elements free of stress: in the reference configuration,
-    # but for initial strain.
+    # (n, n_g): packed Gram matrix of the elements free of stress: the reference configuration less
+    # the initial strain.
     g_o: Array
     m: Array  # (n, n_a, n_a): mass invariant
     # (n, 2): flexural stiffness E I and length of elements that bend as cables do (`curvature`),
@@ -181,7 +181,7 @@ class Invariants:
 
 
 class Integrals(abc.ABC):
-    """Invariants but for the powers of the length l that their entries go with."""
+    """Invariants divided by a power of the element length l, given for each entry by `powers`."""
 
     # A, m, and the flexural stiffness E I, (n, 1), of elements that bend as cables do.
     values: tuple[Array, ...]
@@ -289,7 +289,8 @@ class BeamElement(abc.ABC):
         """Refuse an element whose declarations do not fit each other."""
         require_text(f"{where}, name", self.name)
         if self.quantities[:2] != (Quantity.POSITION, Quantity.SLOPE_X):
-            rule, repair = "must be a position and the slope along the beam first", "Declare them."
+            rule = "must begin with a position and the slope along the beam"
+            repair = "Begin with Quantity.POSITION, Quantity.SLOPE_X."
             raise InvalidInput(f"{where}, quantities", rule, self.quantities, repair)
         for quantity in self.quantities:
             given: object = self.vector_weights(quantity, 0.5, 0.0, 0.0)
@@ -307,7 +308,7 @@ class BeamElement(abc.ABC):
         """Refuse a vector that a point, offset in the section by y and z, does not have."""
         if Quantity.SLOPE_Y not in self.quantities and (y != 0 or z != 0):
             raise InvalidInput(
-                where, "the element has no section to be off", f"y = {y}, z = {z}", "Leave it out."
+                where, "y and z must be 0: the element has no section", f"y = {y}, z = {z}"
             )
         if quantity not in self.quantities:
             raise InvalidInput(

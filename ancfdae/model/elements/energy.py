@@ -68,11 +68,11 @@ class SaintVenantKirchhoff(StrainEnergy):
     """
 
     def stress_across(self, d: int, nu: Array) -> Array:
-        """Return that of plane strain."""
+        """Return nu, (n,): the stress across the plane over S_xx + S_yy; zero in space."""
         return nu if d == 2 else 0 * nu
 
     def stiffness(self, d: int, E: Array, nu: Array) -> tuple[Array, ...]:
-        """Lame's law."""
+        """Elastic moduli C by Lame's law, N/m^2."""
         return (_isotropic(d, E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))),)
 
 

@@ -1,7 +1,7 @@
 """Invariant matrices of a block of elements and their exact design derivatives.
 
 With Y the relative node vectors, g the packed Y Y^T and g_o its value where the element is free of
-stress, which is the reference configuration but for initial strain, every element states
+stress, which is the reference configuration less the initial strain, every element states
 
     U = 1/2 (g - g_o)^T A (g - g_o),
     m_ab = int rho s_a s_b dV_o            (eq. 10; M_e = m (x) I_d).
@@ -58,7 +58,10 @@ def _invariants(
 ) -> Invariants:
     """Multiply the integrals by powers of the length; the product rule."""
     integrals = element.integrals(batch, owners)
-    where, repair = f"integrals of the element {element.name}", "Return an `Integrals`."
+    where, repair = (
+        f"integrals of the element {element.name}",
+        "Return an object of the class `Integrals`.",
+    )
     require_kind(where, integrals, (Integrals,), repair)
     lengths = [batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]

@@ -4,7 +4,7 @@ With Q = dU/dY, damping included, the forces of an element on its relative node 
 chord is what the element transmits between the positions of its nodes, the turn M = sum_s r_s x Q_s
 of the slopes of its second node what it transmits there. Both are in balance with the rest of the
 model to round-off, since they are its very equations: work conjugate to the energy whatever it is
-made of. The former is the mean of the section force,
+made of. The force of the chord is the mean of the section force,
 
     n = Q_c/l + (xi - 1/2) n',     n' = n_2 - n_1,
 

@@ -121,7 +121,7 @@ class Revolute(AxisJoint):
     holds_position = True
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
-        """Coincidence and two perpendicularities."""
+        """Return the coefficients: a common point, and two axes across that stay perpendicular."""
         c = self.aligned(5, p, reference)
         place_coincidence(c, len(self.points), reference, self.around(p, reference)[2])
         return c

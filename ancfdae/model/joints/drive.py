@@ -33,7 +33,7 @@ class Drive(DrivenJoint):
     The angle is that from the reference configuration, in rad, about an axis that stays, or against
     the section of `other`, which carries the axis along. Sections turn, not centre lines: a beam
     that shears transmits a moment through its sections. An element without a section turns its
-    tangent instead. In space another joint must keep the axis (`Revolute`).
+    tangent instead. In space another joint, such as `Revolute`, must keep the axis.
     Design targets: the parameters of the law, and ``axis_x`` ... where the axis is given.
 
     Parameters
@@ -99,7 +99,7 @@ class Drive(DrivenJoint):
         return np.array([-sine, cosine])
 
     def turn_rate(self, p: Array, t: Array) -> Array:
-        """Rate of the law."""
+        """Rate of the prescribed angle at times t; rad/s."""
         return self.angle.derivative(self.split(p)[0], t, 1)
 
     def factors(self, p: Array, t: Array, order: int) -> Array:

@@ -65,12 +65,12 @@ class Carrier(abc.ABC):
 
 @final
 class Ground(Carrier):
-    """Directions that stay."""
+    """Directions fixed in space, to which joints to ground refer."""
 
     def meet(
         self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
-        """Linear entries."""
+        """Add factor times (direction . sum of weights times vectors) to a row: linear entries."""
         c.linear[row] += factor * np.outer(weights, direction)
 
 
@@ -100,7 +100,7 @@ class SectionFrame(Carrier):
     def meet(
         self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
-        """Bilinear entries."""
+        """Add the same with the direction carried by the section: bilinear entries."""
         product = factor * np.outer(weights, self.carried(direction))
         c.bilinear[row] += product + product.T
 
@@ -218,7 +218,8 @@ def hold_axis(
 def hold_turn(c: Equations, rows: slice, section: SectionFrame, other: SectionFrame) -> None:
     """Enter one equation for every turn of a section against another.
 
-    e . (phi - phi') = 1/2 (F e_1 . F' e_2 - F e_2 . F' e_1), e_1 x e_2 = e, less the shear of both.
+    e . (phi - phi') = 1/2 (F e_1 . F' e_2 - F e_2 . F' e_1), e_1 x e_2 = e, less the shear of the
+    section and of the other one.
     """
     d = len(section.normal)
     turns = [(0, 1)] if d == 2 else [(0, 1), (1, 2), (2, 0)]

@@ -56,7 +56,7 @@ class Guide(Travelling):
         return c
 
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
-        """Return minus the travel."""
+        """Return the coefficients that go with the law: an offset along the direction."""
         c = self.coefficients(p, reference)
         travel = empty_coefficients(len(c.offset), p, reference)
         travel.offset[0] = 1.0

@@ -39,7 +39,7 @@ class Clamp(Joint):
     in it and b_y, b_z the combinations of slopes that equal them in the reference: r = r_o,
     b_y . n = b_z . n = 0 and b_y . z = b_z . y = 0; in the plane r_y . n = 0. Were only the mean
     turn about n held, the two slopes could turn against each other, and a strip would twist at
-    its end through the slope that hardly carries torsion, the softer the finer the mesh. An
+    its end through the slope that carries little torsion, the softer the finer the mesh. An
     element without a section holds its tangent instead.
 
     Parameters
@@ -135,15 +135,15 @@ class MovingBase(Travelling):
     holds_position = True
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return those of a clamp."""
+        """Return the vectors of a `Clamp` at the point."""
         return Clamp(self.point).vectors(elements)
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
-        """Return those of a clamp."""
+        """Return the coefficients of a `Clamp` at the point."""
         return Clamp(self.point).coefficients(p[:0], reference)
 
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
-        """Return the direction."""
+        """Return the coefficients that go with the law: the direction of the travel."""
         still = self.coefficients(p, reference)
         c = empty_coefficients(len(still.offset), p, reference)
         c.offset[: reference.shape[1]] = unit(self.split(p)[0])

@@ -133,12 +133,14 @@ class Joint(Part):
         """Return the coefficients; InvalidInput if their arrays do not fit their vectors."""
         where, (n, d) = f"coefficients of joint {self.name!r}", reference.shape
         c: object = self.coefficients(p, reference)
-        require_kind(where, c, (Equations,), "Begin with `empty_coefficients`.")
+        require_kind(where, c, (Equations,), "Fill in the arrays of `empty_coefficients`.")
         assert isinstance(c, Equations)
         rows, shapes = len(c.offset), (c.linear.shape, c.bilinear.shape, c.offset.shape)
         if shapes != ((rows, n, d), (rows, n, n), (rows,)):
             rule = f"{rows} equations in {n} vectors need ({rows}, {n}, {d}), ({rows}, {n}, {n})"
-            raise InvalidInput(where, rule, shapes[:2], "Begin with `empty_coefficients`.")
+            raise InvalidInput(
+                where, rule, shapes[:2], "Fill in the arrays of `empty_coefficients`."
+            )
         return c
 
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
@@ -178,7 +180,7 @@ class DrivenJoint(Joint):
 
     @abc.abstractmethod
     def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Return the factors."""
+        """Return the factors of the moving coefficients at t, or their time derivatives."""
 
     @abc.abstractmethod
     def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
@@ -201,7 +203,7 @@ class Travelling(DrivenJoint):
         return True
 
     def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Return the travel."""
+        """Return the prescribed travel, m, or its time derivative of an order."""
         return self.travel.derivative(self.split(p)[1], t, order)[None]
 
 

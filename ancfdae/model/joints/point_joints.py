@@ -49,7 +49,7 @@ class Pin(Joint):
         return c
 
 
-#: In space the pin is the spherical joint.
+#: The spherical joint: another name of `Pin`, which holds a point and leaves all rotations free.
 Spherical = Pin
 
 
@@ -109,7 +109,7 @@ class PointOnLine(Joint):
     ----------
     point : Point
     direction : sequence of float
-        Not zero.
+        Direction of the line, not zero; its length has no effect (dimensionless).
     through : sequence of float, optional
         A point of the line; by default where `point` is in the reference configuration.
     """
@@ -124,7 +124,7 @@ class PointOnLine(Joint):
     design_fields = (("direction", require_direction), ("through", require_vector))
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
-        """n_j . (r - through)."""
+        """Return the coefficients of n_j . (r - through) = 0, one row per direction across."""
         c = empty_coefficients(reference.shape[1] - 1, p, reference)
         direction, through = self.split(p)
         c.linear[:, 0] = across(direction)

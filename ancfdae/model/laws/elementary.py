@@ -13,14 +13,14 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class Constant(Law):
-    """x = value."""
+    """The constant law x = value."""
 
     value: float
 
     design_fields = numbers("value")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Value, then zero."""
+        """Time derivative of a given order: the value, and zero from order 1 on."""
         return p[0] * np.full_like(t, order == 0, dtype=float)
 
 
@@ -36,7 +36,7 @@ class Uniform(Law):
     design_fields = numbers("speed", "offset", "acceleration")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Polynomial of degree two."""
+        """Time derivative of a given order of a polynomial of degree two."""
         speed, offset, acceleration = p
         x: Array = offset + speed * t + acceleration * t**2 / 2
         return (x, speed + acceleration * t, acceleration + 0 * x, 0 * x)[order]
@@ -55,7 +55,7 @@ class Harmonic(Law):
     design_fields = numbers("amplitude", "frequency", "phase", "offset")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Sine and cosine."""
+        """Time derivative of a given order of amplitude times sine or cosine."""
         amplitude, frequency, phase, offset = p
         wave = (np.sin if order % 2 == 0 else np.cos)(frequency * t + phase)
         sign = -1.0 if order >= 2 else 1.0

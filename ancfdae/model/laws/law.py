@@ -41,7 +41,7 @@ class Law(Designable, abc.ABC):
 
     @final
     def over_time(self, p: Array, t: Array) -> list[Array]:
-        """Return the value itself."""
+        """Return the law at times t, shape of t, as a list of one array."""
         return [self.derivative(p, t, 0)]
 
     @final
@@ -58,5 +58,5 @@ class Law(Designable, abc.ABC):
 
 
 def require_law(where: str, value: object) -> None:
-    """Raise InvalidInput for what is no law."""
+    """Raise InvalidInput unless `value` is a `Law`, a function of time."""
     require_kind(where, value, (Law,), "For example Uniform(speed=2).")

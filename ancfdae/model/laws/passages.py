@@ -51,6 +51,7 @@ class Ramp(Law):
     Parameters
     ----------
     initial, final : float
+        Values before and after the passage; the unit of what the law drives.
     duration : float
         Positive; s.
     begin : float, optional
@@ -91,9 +92,11 @@ class RunUp(Law):
     Parameters
     ----------
     rate : float
+        Rate after the run-up; the unit of what the law drives per s.
     duration : float
         Of the run-up, positive; s.
     initial : float, optional
+        Value before the run-up; the unit of what the law drives.
     begin : float, optional
         s.
     """
@@ -115,7 +118,7 @@ class RunUp(Law):
         return passage(begin, duration)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Integral of the ramp."""
+        """Time derivative of a given order of the integral of the smooth step in the rate."""
         rate, duration, initial, begin = p
         x: Array = rate * smooth_step(t, begin, duration, order - 1)
         return initial + x if order == 0 else x
@@ -159,12 +162,12 @@ class Change(Law):
         return {f"{name}_{key}": value for key, value in values.items()}
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
-        """Those of both laws, and of the passage between them."""
+        """Breakpoints of the laws before and after, and the ends of the passage between them; s."""
         *_, duration, begin = p
         return *super().breakpoints(p), *passage(begin, duration)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Leibniz' rule."""
+        """Time derivative of a given order, in the unit of what the law drives: Leibniz' rule."""
         before, after, duration, begin = self.split(p)
         x = self.before.derivative(before, t, order)
         for k in range(order + 1):

@@ -25,19 +25,19 @@ class Spline(Law):
     """The interpolating spline of degree seven through control values at given times.
 
     Before the first and after the last time it is constant, and its first three derivatives vanish
-    there, so that they are continuous everywhere: a drive starts and ends at rest. Through two
-    values it is a `Ramp`. With a `period` it repeats instead. Between two values at even distances
-    it exceeds the largest of them at most 2.5 times; at very uneven ones much more. Design targets:
+    there, so that they are continuous everywhere: a drive starts and ends at rest. A spline with a
+    `period` repeats instead; one through two values is a `Ramp`. Between equidistant times it
+    exceeds the largest value at most 2.5 times; at very uneven times much more. Design targets:
     ``value[0]``, ``value[1]`` ...
 
     Parameters
     ----------
     times : sequence of float
-        Ascending, two or more; s.
+        Two or more ascending times; s.
     values : sequence of float
-        One per time.
+        Control values, one per time; the unit of what the law drives.
     period : float, optional
-        Longer than from the first time to the last; s.
+        Time after which the law repeats, longer than from the first time to the last; s.
     """
 
     times: Numbers
@@ -55,7 +55,7 @@ class Spline(Law):
             raise InvalidInput("Spline, times", "must ascend", list(self.times), repair)
         if len(self.values) != len(self.times):
             got = f"{len(self.values)} values at {len(self.times)} times"
-            raise InvalidInput("Spline, values", "must be one per time", got, "Give as many.")
+            raise InvalidInput("Spline, values", "must be one per time", got)
         if self.period is None:
             return
         require_positive("Spline, period", self.period)
@@ -70,7 +70,7 @@ class Spline(Law):
         return () if self.period is not None else (float(self.times[0]), float(self.times[-1]))
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Sum of the control values times their basis functions."""
+        """Time derivative of a given order: the sum of control values times basis functions."""
         s = (np.asarray(t) - self.times[0]) / self._unit
         last = self._basis.t[-_DEGREE - 1]
         # The basis of a periodic one repeats by itself.

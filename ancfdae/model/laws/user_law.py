@@ -36,7 +36,7 @@ class UserLaw(Law):
     ----------
     function : callable
     values : sequence of float, optional
-        What the function takes after the time.
+        Further arguments of the function, after the time, each in a unit of your choice.
     """
 
     function: Callable[..., Any]
@@ -46,7 +46,7 @@ class UserLaw(Law):
     indexed_fields: ClassVar[Mapping[str, str]] = {"values": "value"}
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Taylor arithmetic of the function."""
+        """Time derivative of a given order, by Taylor arithmetic of the function."""
         t = np.asarray(t)
         x = self.function(Jet(t, np.ones_like(t), *(0 * t for _ in range(order - 1))), *p)
         # A jet of order zero would take another way through the function.
@@ -54,7 +54,7 @@ class UserLaw(Law):
         return np.asarray(value + 0 * t)
 
     def check(self) -> None:
-        """Refuse what is no function, or has no derivatives."""
+        """Raise InvalidInput unless the law is a function with its derivatives."""
         where = "UserLaw, function"
         require_function(where, self.function)
         p = np.array(self.values, dtype=float)

@@ -33,7 +33,7 @@ class PointForce(ConstantLoad):
     design_fields = (("force_vector", require_vector), LAW)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Position of the point."""
+        """Return the vector that the force acts on: the position of the point."""
         return ((self.point, Quantity.POSITION),)
 
 

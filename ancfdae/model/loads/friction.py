@@ -93,7 +93,7 @@ class JointFriction(SectionLoad):
         require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """-R(theta') theta_U."""
+        """Return -R(theta') theta_U: the friction moment R times the gradient of the angle."""
         *levels, axis, _ = self.split(p)
         theta_U = turn(U, U_o, unit_axes(axis))[1]
         speed = rate_of(theta_U, V[..., None, :, :])

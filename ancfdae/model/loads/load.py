@@ -83,7 +83,7 @@ class ConstantLoad(Load):
     constant = True
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """F = p."""
+        """Return the force p on every vector, F = p."""
         return self.split(p)[0] + np.zeros(np.shape(U))
 
 

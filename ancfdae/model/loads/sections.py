@@ -51,7 +51,7 @@ class CarriedAxes:
         return rows if self.ground else self._weights(rows) @ _basis(self.U)
 
     def pull_back(self, rows: Array, G: Any) -> Any:
-        """Return the gradient with respect to U of what has the gradient G in the directions."""
+        """Return the gradient in U of a function whose gradient in the directions `rows` is G."""
         return _on_slopes(self.U, np.swapaxes(self._weights(rows), -1, -2) @ G)
 
     def _weights(self, rows: Array) -> Array:
@@ -66,7 +66,7 @@ def _basis(U: Any) -> Any:
 
 
 def _on_slopes(U: Any, G: Any) -> Any:
-    """Return the gradient in the slopes of something with the gradient G in their basis."""
+    """Return the gradient in the slopes U of a function whose gradient in their basis is G."""
     if U.shape[-1] == 2:
         return G[..., 1:, :] - G[..., :1, :] @ QUARTER_TURN
     r_y, r_z = U[..., :1, :], U[..., 1:, :]

@@ -37,7 +37,7 @@ class SpringDamper(Load):
         l_0; m.
     other : Point, optional
     ground : sequence of float, optional
-        Just one of `other` and `ground` must be given.
+        Place on the ground; m. Give either `other` or `ground`.
     """
 
     point: Point
@@ -59,7 +59,7 @@ class SpringDamper(Load):
     needs_other_end = True
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Positions of the points."""
+        """Return the vectors that the force acts on: the positions of the points."""
         return tuple((point, Quantity.POSITION) for point in self.points)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:

@@ -91,7 +91,7 @@ class Torque(SectionLoad):
     refers = True
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """T theta_U."""
+        """Return T theta_U: the torque times the gradient of the angle in the slopes."""
         torque, axis, _ = self.split(p)
         return (torque * turn(U, U_o, unit_axes(axis))[1])[..., 0, :, :]
 
@@ -137,7 +137,7 @@ class TorsionSpring(SectionLoad):
     refers = True
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """-(k (theta - theta_0) + c theta') theta_U."""
+        """Return -(k (theta - theta_0) + c theta') theta_U, forces on the slopes."""
         k, damping, free_angle, axis, _ = self.split(p)
         theta, theta_U = turn(U, U_o, unit_axes(axis))
         torque = k * (theta - free_angle) + damping * rate_of(theta_U, V[..., None, :, :])

@@ -28,7 +28,7 @@ class _Round(Section):
 
     @property
     def half_extents(self) -> tuple[float, float]:
-        """The outer radius."""
+        """Half height and half width, the outer radius; m."""
         return self.radius, self.radius
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
@@ -75,7 +75,7 @@ class _Round(Section):
         return height * (whole - y**2), height * (whole - z**2)
 
     def holds(self, y: float, z: float) -> bool:
-        """Between the circles."""
+        """Whether the point (y, z) lies between hole and outer circle."""
         inner = float(self.inner(np.array([self.sizes()]))[0])
         r = float(np.hypot(y, z))
         return inner <= r * ROUND_UP and r <= self.radius * ROUND_UP
@@ -93,7 +93,7 @@ class Circle(_Round):
     """
 
     def inner(self, sizes: Array) -> Array:
-        """No hole."""
+        """Return the radius of the hole: none, zero; m."""
         return 0.0 * sizes[:, 0]
 
 
@@ -123,5 +123,5 @@ class Tube(_Round):
         require_smaller("Tube.thickness", self.thickness, self.radius, rule)
 
     def inner(self, sizes: Array) -> Array:
-        """Return what the wall leaves."""
+        """Return the radius of the hole, radius less wall thickness; m."""
         return np.asarray(sizes[:, 0] - sizes[:, 1])

@@ -30,7 +30,7 @@ class MomentSection(Section):
     second_moment_z : float
         Integral of z^2, which resists bending along the width; m^4.
     torsion_moment : float
-        J in the torque G J kappa; m^4. Without meaning in the plane.
+        J in the torque G J kappa; m^4. It has no effect in the plane.
     shear_factors : (float, float), optional
         1 by default.
     """
@@ -42,7 +42,7 @@ class MomentSection(Section):
 
     @property
     def half_extents(self) -> tuple[float, float]:
-        """Those of the rectangle of these moments."""
+        """Half height and half width of the rectangle with the same area and second moments; m."""
         moments = (self.second_moment_y, self.second_moment_z)
         return tuple(float(np.sqrt(3 * I / self.area)) for I in moments)  # type: ignore[return-value]
 
@@ -54,17 +54,17 @@ class MomentSection(Section):
         return y * np.repeat(sign, 2), z * np.tile(sign, 2), area * np.full(4, 0.25)
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Corners of the rectangle of these moments."""
+        """Corners of the rectangle with the same area and second moments; m."""
         area, I_y, I_z, _ = sizes.T
         h, w = (np.sqrt(12 * I / area) for I in (I_y, I_z))
         return corners(h, w)
 
     def torsion(self, sizes: Array) -> Array:
-        """As declared."""
+        """Torsion constants as declared, shape (n,); m^4."""
         return sizes[:, 3]
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Those of the rectangle of these moments."""
+        """Local over mean shear along y and z, (n, n_f), of the rectangle of these moments."""
         area, I_y, I_z, _ = columns(sizes)
         h, w = (np.sqrt(12 * I / area) for I in (I_y, I_z))
         return stepped_share(h, h / 2, w, w, y), stepped_share(w, w / 2, h, h, z)
@@ -73,7 +73,7 @@ class MomentSection(Section):
 @final
 @dataclass(frozen=True)
 class PointSection(Section):
-    """Any section, given by a quadrature rule; its sizes stretch it along y and z.
+    """A section of any shape, given by a quadrature rule; its sizes stretch it along y and z.
 
     Parameters
     ----------
@@ -122,12 +122,12 @@ class PointSection(Section):
 
     @property
     def half_extents(self) -> tuple[float, float]:
-        """Distance of the farthest point."""
+        """Largest |y| and |z| of the points; m."""
         y, z = np.max(np.abs(self.places), axis=0)
         return float(self.height_factor * y), float(self.width_factor * z)
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Stretch the points."""
+        """Return the quadrature points, y and z times the factors, and the areas; m, m^2."""
         (y, z), f = np.transpose(self.places), sizes[:, :, None]
         return f[:, 0] * y, f[:, 1] * z, f[:, 0] * f[:, 1] * np.asarray(self.areas)
 
@@ -137,12 +137,12 @@ class PointSection(Section):
         return y, z
 
     def twist_centre(self, sizes: Array, centroid: Array) -> Array:
-        """As declared, stretched."""
+        """Shear centre as declared, times the factors; m."""
         if self.shear_centre is None:
             return centroid
         return np.asarray(sizes[:, None] * np.asarray(self.shear_centre))
 
     def torsion(self, sizes: Array) -> Array:
-        """Polar moment."""
+        """Polar moments of the points about the centroid, shape (n,); m^4."""
         _, moments = central_moments(*self.points(sizes, False))
         return moments.sum(axis=1)

@@ -49,17 +49,17 @@ class Rectangle(Rectangular):
     """
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Gauss points."""
+        """Return Gauss points of the section: y and z, (n, n_f), and areas; m, m^2."""
         h, w = sizes.T
         return rectangles_points([(h, w, 0.0 * h, 0.0 * h)], fine)
 
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
-        """Cowper (1966)."""
+        """Shear correction factors by Cowper (1966), dimensionless."""
         factor = 10 * (1 + nu) / (12 + 11 * nu)
         return factor, factor
 
     def torsion(self, sizes: Array) -> Array:
-        """Saint-Venant's series."""
+        """Torsion constants J, shape (n,), by Saint-Venant's series; m^4."""
         return rectangle_torsion(*sizes.T)
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
@@ -67,12 +67,12 @@ class Rectangle(Rectangular):
         return around(*sizes.T)
 
     def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Saint-Venant's series."""
+        """Shear stresses of unit twist rate over G by Saint-Venant's series; m."""
         h, w = columns(sizes)
         return rectangle_torsional_shear(h, w, y, z)
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Parabolas, 3/2 in the middle."""
+        """Local over mean shear stress, (n, n_f): parabolas, 3/2 in the middle."""
         h, w = columns(sizes)
         return stepped_share(h, h / 2, w, w, y), stepped_share(w, w / 2, h, h, z)
 
@@ -82,8 +82,8 @@ def around(h: Array, w: Array) -> tuple[Array, Array]:
 
     Bending has its largest stress at corners and torsion in the middle of the long sides, but it
     keeps most of it up to about the thickness from the corners: so places there come in, which the
-    number 0.4 puts best. Of stresses that are linear along the sides and of torsion together none
-    exceeds those of all places by 3.5 % (tests/test_stress.py).
+    number 0.4 puts best. Stresses linear along the sides, together with those of torsion, exceed
+    the largest at these places by less than 3.5 % (tests/test_stress.py).
     """
     zero = 0.0 * h
     y_near = h / 2 * (1 - w / (w + 0.4 * h))

@@ -94,6 +94,7 @@ class Section(abc.ABC):
         Parameters
         ----------
         sizes : array, shape (n, n_sizes)
+            Sizes of n sections in the order of `sizes`, each in its unit (m, m^2, m^4).
         fine : bool
             Whether the integrand is no polynomial (curved beams), so that more points are needed.
         """
@@ -126,7 +127,7 @@ class Section(abc.ABC):
 
     @abc.abstractmethod
     def torsion(self, sizes: Array) -> Array:
-        """Torsion constants J, shape (n,)."""
+        """Torsion constants J of n sections, shape (n,); m^4."""
 
     def twist_centre(self, sizes: Array, centroid: Array) -> Array:
         """Return y and z of the shear centre, shape (n, 1, 2): the centroid, (n, 1, 2), here."""
@@ -140,8 +141,9 @@ class Section(abc.ABC):
         Parameters
         ----------
         sizes : array, shape (n, n_sizes)
+            Sizes of n sections in the order of `sizes`, each in its unit (m, m^2, m^4).
         y, z : array, shape (n, n_f)
-            Places within the section.
+            Coordinates of points of the section along height and width; m.
 
         Raises
         ------
@@ -157,7 +159,7 @@ class Section(abc.ABC):
         )
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Return how much of the mean shear along y, and along z, there is at places (n, n_f).
+        """Return local over mean shear stress along y and along z, (n, n_f) each; 1 by default.
 
         The mean of a share over the section is 1, which is all that a section knows by default.
         Radial stress in curved beams spreads alike.

@@ -100,7 +100,7 @@ class Box(_Walled):
         return along_y, stepped_share(w, w / 2 - t_w, h, 2 * t_f, z)
 
     def holds(self, y: float, z: float) -> bool:
-        """Within the walls."""
+        """Whether the point (y, z) lies within the walls of the box."""
         hole_y, hole_z = (
             self.height / 2 - self.flange_thickness,
             self.width / 2 - self.web_thickness,
@@ -169,13 +169,13 @@ class ISection(_Walled):
         return t_y, t_z
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Jourawski's formula."""
+        """Local over mean shear stress by Jourawski's formula, (n, n_f); dimensionless."""
         h, w, t_w, t_f = columns(sizes)
         along_y = stepped_share(h, h / 2 - t_f, w, t_w, y)
         return along_y, stepped_share(w, t_w / 2, 2 * t_f, h, z)
 
     def holds(self, y: float, z: float) -> bool:
-        """Within the walls."""
+        """Whether the point (y, z) lies within the web or a flange."""
         inner, half = self.height / 2 - self.flange_thickness, self.web_thickness / 2
         in_wall = abs(y) * ROUND_UP >= inner or abs(z) <= half * ROUND_UP
         return in_wall and super().holds(y, z)

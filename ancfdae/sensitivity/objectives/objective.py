@@ -69,7 +69,7 @@ class Integrated(abc.ABC):
 
     @abc.abstractmethod
     def value(self) -> float:
-        """As `Objective.value`."""
+        """Return the value of the integral over the run; see `Objective.value`."""
 
     @abc.abstractmethod
     def partials(self) -> ObjectivePartials:
@@ -88,7 +88,7 @@ class Objective(Expression["Objective"]):
     """
 
     def of(self, function: Function, operands: tuple[object, ...]) -> Objective:
-        """Return a function of objectives."""
+        """Return a function of objectives as an objective."""
         return Combination(function, operands)
 
     def accepts(self, other: object) -> bool:

@@ -51,7 +51,7 @@ class Reduction(Objective):
 
     @abc.abstractmethod
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the objective from values and weights where the latter are not zero."""
+        """Return the objective from values x and quadrature weights w, none of them zero."""
 
     @abc.abstractmethod
     def slopes(self, x: Array, w: Array) -> Array:
@@ -63,7 +63,7 @@ class Reduction(Objective):
         self.check_times(t_end)
 
     def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
-        """Reduce the observable."""
+        """Return the objective of states, by the observable at their times."""
         if self in totals:
             return totals[self].value()
         return self.of_values(self.observable.value(system, states), states.grid).item()
@@ -132,11 +132,11 @@ class AtInstants(Reduction):
         return w
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the sum."""
+        """Return the sum of values x with weights w."""
         return np.asarray(w @ x)
 
     def slopes(self, x: Array, w: Array) -> Array:
-        """Return the weights."""
+        """Return the derivative of the sum in each value: the weights w."""
         return w
 
 
@@ -147,7 +147,7 @@ class OverTime(Reduction):
     """
 
     def check_times(self, t_end: float) -> None:
-        """Accept every run."""
+        """Accept every run: an integral has no times of its own."""
 
     def weights(self, grid: TimeGrid) -> Array:
         """Quadrature weights times the factor; one for a single instant."""
@@ -160,7 +160,7 @@ class OverTime(Reduction):
 
     @abc.abstractmethod
     def integrand(self, x: Array, near: float) -> Array:
-        """Return what is integrated: the reduction near a value of it, but for a constant."""
+        """Return the integrand, shape of x: the reduction near a value of it, up to a constant."""
 
     def integrand_slope(self, x: Array, near: float) -> Array:
         """Return the derivative of `integrand` in x, for real x."""
@@ -185,15 +185,15 @@ class Integral(OverTime):
     observable: Observable
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the sum."""
+        """Return the integral: the sum of weights times values."""
         return np.asarray(w @ x)
 
     def factor(self, duration: float) -> float:
-        """One."""
+        """Factor of the quadrature weights: one, for a plain integral."""
         return 1.0
 
     def integrand(self, x: Array, near: float) -> Array:
-        """Return x."""
+        """Return the integrand: the values x themselves."""
         return x
 
 
@@ -205,7 +205,7 @@ class Terminal(AtInstants):
     observable: Observable
 
     def instants(self, t_end: float) -> tuple[float, ...]:
-        """Return the end."""
+        """Return the end time of the run, s."""
         return (t_end,)
 
 
@@ -236,12 +236,15 @@ class AtTimes(AtInstants):
             require_finite("AtTimes, times", time)
         if not times or min(times) < 0:
             raise InvalidInput(
-                "AtTimes, times", "must be one or more times from 0 on", times, "Give such times."
+                "AtTimes, times",
+                "must contain at least one time, none below 0",
+                times,
+                "For example times=np.linspace(0, t_end, 101).",
             )
         object.__setattr__(self, "times", tuple(float(time) for time in times))
 
     def instants(self, t_end: float) -> tuple[float, ...]:
-        """Return the times."""
+        """Return the times of the objective, s; InvalidInput if the run ends before."""
         times = cast("tuple[float, ...]", self.times)
         if max(times) > t_end * (1 + 1e-12):
             rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
@@ -284,7 +287,7 @@ class SmoothMaximum(_Maximum, OverTime):
     """
 
     def factor(self, duration: float) -> float:
-        """One over the duration."""
+        """Factor of the quadrature weights: one over the duration, for a mean over time."""
         return 1.0 / duration
 
     def integrand(self, x: Array, near: float) -> Array:
@@ -298,8 +301,8 @@ class UpperMaximum(_Maximum):
     """Smooth bound of the values at all instants, (1/k) log(sum of exp(k x_n)).
 
     It lies above the largest by log(n)/k at most, n the number of instants: what it keeps below a
-    limit is below it at every instant of the run. With `maximum_stress` it bounds a stress over
-    place and time. It grows with the number of instants, so runs with other steps have another
+    limit is below it at every instant of the run. Applied to `maximum_stress` it bounds the stress
+    over place and time. It grows with the number of instants, so runs with other steps have another
     value, and `error_bars` says nothing of it; `SmoothMaximum`, which lies below the maximum,
     does not.
 
@@ -311,10 +314,10 @@ class UpperMaximum(_Maximum):
     """
 
     def check_times(self, t_end: float) -> None:
-        """Accept every run."""
+        """Accept every run: the bound has no times of its own."""
 
     def weights(self, grid: TimeGrid) -> Array:
-        """One for every instant."""
+        """Weight one for every time point, shape (n_t,): the bound is a plain sum."""
         return np.ones(len(grid.t))
 
     def slopes(self, x: Array, w: Array) -> Array:

@@ -65,7 +65,7 @@ class Total(Integrand, Integrated):
         self._duration, self._size = self._duration + part.duration, self._size + part.size
 
     def value(self) -> float:
-        """Reduce the parts."""
+        """Return the objective from the integrals of the parts of the run."""
         self._require_finite()
         return float(self._reduction.reduce(*self._means()))
 

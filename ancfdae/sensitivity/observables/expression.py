@@ -103,7 +103,7 @@ class Expression(abc.ABC, Generic[K]):
     def __bool__(self) -> NoReturn:
         raise InvalidInput(
             "truth of an expression",
-            "is not defined, since its value changes over time",
+            "an observable must not be used as a condition, because its value changes over time",
             type(self).__name__,
             "Weight with a smooth function such as 0.5 * (1 + tanh(x / eps)).",
         )

@@ -47,7 +47,7 @@ def inertia(
         2, the axis across the plane, in planar scenes.
     other : int, optional
         The second axis of a product of inertia, -int rho r_i r_j dV; without it the moment about
-        `axis`. In the plane a body that is given by its moment counts as round.
+        `axis`. A planar body that is given by its moment counts as round.
     beam : str, optional
         Name of a beam, a body or a point mass.
     about : Point or sequence of float, optional
@@ -123,13 +123,13 @@ class MassIntegral(Leaf):
             if axis is not None and axis >= layout.d:
                 raise InvalidInput(
                     "observable of mass",
-                    "in the plane axes are 0 and 1, and moments are about axis 2",
+                    "axes in the plane must be 0 or 1; moments are about axis 2",
                     axis,
-                    "Use these.",
+                    "For example inertia(), about axis 2.",
                 )
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """a^T M b."""
+        """Return a^T M b for states, shape (n_t,): one factor per axis."""
         scene = known_scene(system)
         a, b = self._factors(scene, states)
         value = np.sum(a * scene.energies.momenta(b, self.beam), axis=1)

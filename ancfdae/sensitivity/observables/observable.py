@@ -94,7 +94,7 @@ class Observable(Expression["Observable"]):
     """
 
     def of(self, function: Function, operands: tuple[object, ...]) -> Observable:
-        """Return a function of observables."""
+        """Return a function of observables as an observable."""
         return Composite(function, operands)
 
     def accepts(self, other: object) -> bool:
@@ -107,7 +107,7 @@ class Observable(Expression["Observable"]):
             leaf.check_leaf(system)
 
     def leaves(self) -> list[Leaf]:
-        """Return the distinct leaves."""
+        """Return the distinct observables at the ends of the expression, without operations."""
         return cast("list[Leaf]", leaves(self))
 
     @property
@@ -138,7 +138,10 @@ class Observable(Expression["Observable"]):
         """
         if any(np.iscomplexobj(x) for x in values.values()):
             raise InvalidInput(
-                "partials", "need real states and design values", "complex", "Use `value`."
+                "partials",
+                "need real states and design values",
+                "complex ones",
+                "`value` takes complex ones.",
             )
         _require_derivatives(values)
         parts: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
@@ -196,7 +199,7 @@ def observe(
 
     Energies, design variables and `custom` functions need the system that was integrated.
     """
-    repair = "Of objectives observe what they are made of, before Integral or Terminal."
+    repair = "Pass the observable that an objective is made of, without Integral or Terminal."
     require_kind("observe, observable", observable, (Observable,), repair)
     require_kind("observe, solution", solution, (Solution,), "Call simulate or differentiate.")
     if system is not None:

@@ -81,7 +81,7 @@ class Multiplier(Leaf):
         elif not place.holds_position:
             raise InvalidInput(
                 f"reaction of {self.joint!r}",
-                "is defined for joints that hold a point in all directions",
+                "the joint must hold a point in all directions",
                 "a joint of another kind",
                 "Use multiplier(joint, row).",
             )
@@ -89,7 +89,7 @@ class Multiplier(Leaf):
             require_index("reaction, axis", self.row, layout.d)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the multiplier."""
+        """Return the multiplier of the row, shape (n_t,)."""
         return states.lam[:, self._column(system)]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
@@ -126,7 +126,7 @@ class Energy(Leaf):
         return energies.strain(states.q, self.beam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """T_v and T_b, or U_q and U_b."""
+        """Return T_v and T_b of the kinetic, or U_q and U_b of the strain energy."""
         energies, q, v = known_scene(system).energies, states.q, states.v
         if self.kinetic:
             rows = Columns(slice(None), energies.momenta(v, self.beam))
@@ -138,7 +138,7 @@ class Energy(Leaf):
 @final
 @dataclass(frozen=True)
 class Time(Leaf):
-    """Time."""
+    """The time since the start; s."""
 
     names_time: ClassVar[bool] = True
 
@@ -146,7 +146,7 @@ class Time(Leaf):
         """Every system has a time."""
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the instants."""
+        """Return the times of the states, shape (n_t,); s."""
         return states.t
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:

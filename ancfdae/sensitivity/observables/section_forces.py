@@ -9,7 +9,7 @@ any point (docs/theory/02-strain-energy.md). A load or joint between nodes sprea
 
 At an inner node forces jump by what a joint, load or point mass does there. ``rod.at(0.5)`` is just
 after it, in the element that begins there, ``rod.at(0.5, before=True)`` just before; the end of a
-beam belongs to the last element. In cables shear forces and moments are those of their
+beam belongs to the last element. Shear forces and moments of cables follow from their
 curvature: moments are best at 1/2 -+ 1/(2 sqrt 3) of an element. A cable in space has no
 axes across it: its shear force along 1 and its moment about 2 are the sizes of the vectors.
 """
@@ -91,7 +91,7 @@ class SectionForce(Leaf):
                 "section force, point",
                 "must lie on the axis of the beam: forces belong to the whole section",
                 f"y = {self.point.y}, z = {self.point.z}",
-                "Leave them out.",
+                "For example rod.at(0.5), without y and z.",
             )
 
     def check_leaf(self, system: Named) -> None:

@@ -60,15 +60,15 @@ def known_naming(system: Named) -> SceneNaming:
     if not isinstance(system.naming, SceneNaming):
         raise InvalidInput(
             "observable of a named point or joint",
-            "needs an ANCF scene",
+            "needs an assembled scene",
             "a system of another kind",
-            "Use custom(function, name).",
+            "Use custom(function, name) for a system of your own.",
         )
     return system.naming
 
 
 def require_index(where: str, index: int, count: int = 3) -> None:
-    """Refuse what is not an integer from 0 to count - 1."""
+    """Raise InvalidInput unless `index` is an integer from 0 to count - 1."""
     given: object = index
     whole = isinstance(given, int | np.integer) and not isinstance(given, bool)
     if not whole or not 0 <= index < count:
@@ -93,7 +93,7 @@ def known_system(name: str, system: Named) -> MechanicalSystem:
 
 
 def known_scene(system: Named) -> AncfSystem:
-    """Return the assembled scene; refuse what is none."""
+    """Return `system` as an assembled scene; raise InvalidInput for any other system."""
     if not isinstance(system, AncfSystem):
         rule, repair = "needs the assembled scene", "Pass assemble(scene, design)."
         raise InvalidInput("observable of beams", rule, type(system).__name__, repair)

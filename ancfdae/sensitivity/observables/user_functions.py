@@ -87,7 +87,7 @@ class Custom(Leaf):
         self._require_derivative(states, system.b.real)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """H."""
+        """Return the values H of the function, shape (n_t,)."""
         return np.asarray(self._call(states, known_system(self.name, system).b))
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:

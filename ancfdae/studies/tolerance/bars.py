@@ -91,9 +91,9 @@ def unresolved(differences: Array, along: bool = False) -> Array:
 
 
 def tightened(before: Array, after: Array, along: bool = False) -> Array:
-    """Return bars of a run of a method that resolves all waves, from one at a looser tolerance.
+    """Return error bars of `after`, by a method that resolves all waves.
 
-    The difference is about the error of the latter.
+    Its difference from `before`, a run at a looser tolerance, is about the error of `before`.
     """
     return _TIGHTENED * spread(after - before, along)
 

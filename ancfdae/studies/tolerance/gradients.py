@@ -24,7 +24,7 @@ from ancfdae.studies.tolerance.runs import Runs, Sample, Wanted
 from ancfdae.studies.tolerance.search import Found, search
 from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
 
-# Up to so many variables HHT differentiates directly, which also tells whether waves are resolved.
+# Up to _DIRECT variables HHT differentiates directly, which also shows whether waves are resolved.
 _DIRECT = 6
 # Intervals of instants of high order where objectives read the end only, and else.
 _FEW, _MANY = 4, 64
@@ -83,7 +83,7 @@ def require_tolerance(tolerance: float) -> None:
     """Refuse a tolerance that means nothing or that round-off is above."""
     require_positive("tolerance", tolerance)
     if not 1e-11 <= tolerance <= 0.1:
-        raise InvalidInput("tolerance", "must lie in [1e-11, 0.1]", tolerance, "Try 1e-4.")
+        raise InvalidInput("tolerance", "must lie in [1e-11, 0.1]", tolerance, "For example 1e-3.")
 
 
 def _method(integrator: Integrator, variables: int) -> GradientMethod:

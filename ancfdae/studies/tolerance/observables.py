@@ -49,6 +49,7 @@ class Observed(Searched):
     Attributes
     ----------
     t : array, shape (n,)
+        Times of the values; s.
     values, bars : array, shape (n, n_observables)
         The bars are estimated bounds of the errors, no proofs. Values may be extrapolated from
         several runs; they are then better than those of the solution.
@@ -115,7 +116,7 @@ def observed_within(
 def _checked(
     observables: Sequence[Observable] | None, system: MechanicalSystem
 ) -> Sequence[Observable]:
-    """Refuse what is no observable of the system, and none."""
+    """Return the observables. Raise InvalidInput if they are empty or not in the system."""
     repair = "For example observables=[position(rod.at_end, 0)]."
     named = () if observables is None else observables
     wanted = require_each("observables", named, (Observable,), repair)

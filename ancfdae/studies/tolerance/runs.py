@@ -21,7 +21,8 @@ OF_A_RUN = 2500.0
 # Work of one evaluation of loads that move, each, and of driven joints with their derivatives, by
 # methods other than HHT-I3: in Python.
 _OF_A_LOAD, _OF_DRIVES = 140.0, 600.0
-# Two kinds of runs contradict each other beyond so many bars: one in twenty does not hold.
+# Two kinds of runs contradict each other if they differ by more than _CONTRADICTS error bars: one
+# bar in twenty does not hold.
 _CONTRADICTS = 3.0
 
 
@@ -47,8 +48,8 @@ class Wanted(NamedTuple):
     """What is asked: vectors of a system's motion to a tolerance relative to their sizes.
 
     `numbers` evaluates what they are about on states, one array each; `integrated` says which are
-    integrals over time. With `slopes` each is followed by its logarithmic design derivatives as a
-    vector. With `along` a vector holds values at increasing instants.
+    integrals over time. If `slopes` is True each is followed by its logarithmic design derivatives
+    as a vector. If `along` is True a vector holds values at increasing times.
     """
 
     system: MechanicalSystem
@@ -63,7 +64,7 @@ class Wanted(NamedTuple):
 
 
 class Runs(abc.ABC):
-    """Runs of one integrator, each aimed at the tolerance by what is known before it.
+    """Runs of one integrator, the step of each chosen for the tolerance from the runs before it.
 
     Work is counted, not timed, in microseconds of the machine on which it was measured, so that
     the same call takes the same runs (docs/measurements.md).
@@ -92,17 +93,17 @@ class Runs(abc.ABC):
     @property
     @abc.abstractmethod
     def work(self) -> float:
-        """What the next run takes."""
+        """Estimated work of the next run, microseconds."""
 
     @property
     @abc.abstractmethod
     def left(self) -> float:
-        """What leads to the tolerance from here, where all goes on as it does."""
+        """Estimated work to reach the tolerance if errors fall as before, microseconds."""
 
     @property
     @abc.abstractmethod
     def words(self) -> str:
-        """Why its result is trusted, as far as it is."""
+        """A sentence that says why the result can be trusted, or how far."""
 
     @abc.abstractmethod
     def judged(self) -> list[Estimate]:

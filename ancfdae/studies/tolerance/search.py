@@ -76,9 +76,9 @@ def _out_of_reach(spent: _Spent, ways: dict[Runs, float]) -> InvalidInput:
 
 
 def search(seer: Second, others: Sequence[Runs], measure: Measure, tolerance: float) -> Found:
-    """Take runs until the error of some kind is below the tolerance, or the next is too dear.
+    """Run integrators until one reaches the tolerance or the next run would exceed the work limit.
 
-    Raises what the last run raised if none gave an estimate.
+    If no run gave an estimate, the last exception is raised again.
     """
     kinds: list[Runs] = [seer, *others]
     spent, failures, ways = _Spent([]), list[Exception](), dict[Runs, float]()

@@ -24,14 +24,14 @@ from ancfdae.studies.tolerance.runs import OF_A_RUN, Runs, Sample, Wanted
 from ancfdae.studies.tolerance.spectrum import fades
 from ancfdae.studies.tolerance.waves import Missed, Wave, followed, missed
 
-# Order at which the estimated errors of derivatives fall where steps resolve their waves; where
-# there are three runs, a little less will do.
+# Order at which the estimated errors of derivatives fall where steps resolve their waves: from two
+# runs, and, lower, from the second and third of three.
 _RESOLVED, _NEARLY = 1.95, 1.9
 # Estimated errors above this have no order: the run is another motion.
 _SENSE = 1.0
 # States and their derivatives of a run at fixed steps, bytes.
 _MEMORY = 5e8
-# A run aims at a share of the tolerance, with at least so many times the steps of the one before.
+# A run aims at the part _AIM of the tolerance, with at least _LEAST times the steps of the last.
 _AIM, _LEAST = 0.7, 1.4
 # Numerical damping of HHT-I3.
 _ALPHA = -0.05
@@ -91,12 +91,12 @@ class _Steps(Runs):
     @property
     @final
     def work(self) -> float:
-        """What the next run takes; infinite where its states would not fit into memory."""
+        """Estimated work of the next run, microseconds; infinite if its states exceed _MEMORY."""
         row = 8.0 * (3 * self._n + self._system.n_lam) * (1 + self._system.n_b)
         return self._work(self.count) if self.count * row < _MEMORY else math.inf
 
     def take(self, sample: Sample) -> None:
-        """Add a run."""
+        """Add a run and note its number of steps."""
         self._taken = self.count
         super().take(sample)
 
@@ -120,7 +120,7 @@ class _Steps(Runs):
 
     @abc.abstractmethod
     def _of_a_step(self, steps: float) -> float:
-        """Return the work of one of so many steps, as measured (docs/measurements.md)."""
+        """Return the measured work of one step, microseconds, in a run of `steps` steps."""
 
     @property
     @abc.abstractmethod
@@ -168,7 +168,7 @@ class _Steps(Runs):
 
 @final
 class Second(_Steps):
-    """HHT-I3, hardly damped, so that waves that it does not resolve show in differences."""
+    """Runs of HHT-I3, hht_alpha = -0.05: unresolved waves appear as differences between runs."""
 
     name, order = "HHT", 2
 
@@ -304,7 +304,7 @@ class Second(_Steps):
 
     @property
     def setting(self) -> Integrator:
-        """A fixed step."""
+        """HHT at the fixed step of the next run."""
         return HHT(self._t_end / self.count, hht_alpha=_ALPHA)
 
     @property
@@ -336,7 +336,11 @@ class Second(_Steps):
 
     @property
     def left(self) -> float:
-        """That of the next run, or of all whose last one is fine enough."""
+        """Estimated work to reach the tolerance, microseconds.
+
+        The next run alone while there are fewer than two, then all runs up to one that is fine
+        enough.
+        """
         if len(self.samples) < 2:
             return self.work
         if self._taken < self._least:
@@ -350,7 +354,7 @@ class Second(_Steps):
         return self._work(last) * (1 - most**-runs) / (1 - 1 / most)
 
     def _of_a_step(self, steps: float) -> float:
-        """Return that of a compiled step, or of one in Python, as derivatives of small ones are."""
+        """Return the work of a compiled step, or of one in Python; small steps count extra."""
         if not self._compiled:
             return 1300.0
         return 4.0 + 0.7 * self._n + (_OF_A_SMALL if steps > self._small else 0.0)
@@ -431,7 +435,7 @@ class Fifth(_Steps):
 
     @property
     def setting(self) -> Integrator:
-        """A fixed step."""
+        """Radau at the fixed step of the next run."""
         return Radau(self._t_end / self.count)
 
     @property
@@ -451,7 +455,7 @@ class Fifth(_Steps):
 
     @property
     def left(self) -> float:
-        """Infinite until the other sequence resolves all waves."""
+        """Estimated work to reach the tolerance; infinite until runs of HHT resolve all waves."""
         if not self.resolved or self._seer.damps:
             return math.inf
         if self.samples:
@@ -509,7 +513,7 @@ class Eighth(Runs):
 
     @property
     def setting(self) -> Integrator:
-        """A tolerance."""
+        """Explicit at the tolerance of the next run."""
         most = math.ceil(3 * self._foreseen) + 20
         stops = self._wanted.features.stops
         # Interpolation between instants is an error too: each run has twice as many.
@@ -564,7 +568,7 @@ class Eighth(Runs):
 
     @property
     def work(self) -> float:
-        """That of the steps as foreseen."""
+        """Estimated work of the next run at the predicted number of steps, microseconds."""
         return self._of(self._foreseen)
 
     def _of(self, steps: float) -> float:
@@ -580,7 +584,10 @@ class Eighth(Runs):
 
     @property
     def left(self) -> float:
-        """That of the next run, and of the one that judges it; others go first."""
+        """Estimated work of the next run and of the one that judges it, microseconds.
+
+        Infinite until the runs of HHT ask for it, and once the tolerance is the tightest.
+        """
         if not self._seer.asked or (self._taken and self._taken[-1] <= _LEAST_RTOL):
             return math.inf
         if self.samples:
