@@ -18,5 +18,6 @@ from ancfdae.equations.system import (
     MechanicalSystem,
     PlannedSystem,
     Traits,
+    planned,
     reaction,
 )
