@@ -2,16 +2,19 @@
 
 import math
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import ancfdae.integrators.radau.newton as radau_newton
 from ancfdae import (
     HHT,
     Explicit,
     FormulaSystem,
     InvalidInput,
     NotTraced,
+    Radau,
     Terminal,
     Traits,
     check_system,
@@ -22,6 +25,7 @@ from ancfdae import (
 )
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import SingularMatrix
+from ancfdae.integrators.hht import compiled
 from ancfdae.integrators.index_1 import Accelerations, ListedAccelerations, accelerations
 from ancfdae.kernels import (
     OperationList,
@@ -537,3 +541,82 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
         for value in bad:
             with pytest.raises(ValueError, match=r"fit|lists|tuples|time"):
                 function(*{**arguments, wrong: value}.values())
+
+
+# ---- steps in the kernel -----------------------------------------------------------------------
+
+
+class InPython:
+    """Its steps are those of Python's loops."""
+
+    list_plan = None
+
+
+class ElbowInPython(InPython, Elbow):
+    pass
+
+
+class SwingInPython(InPython, Swing):
+    pass
+
+
+class SymmetricSwing(SwingInSpace):
+    """Its matrices stand in an envelope."""
+
+    traits = Traits(symmetric=True)
+
+
+class SymmetricSwingInPython(InPython, SymmetricSwing):
+    pass
+
+
+PAIRS = [(Elbow, ElbowInPython), (Swing, SwingInPython), (SymmetricSwing, SymmetricSwingInPython)]
+STEPS = {
+    "HHT": (HHT(2.0**-6), 0.5),
+    "short": (HHT(1e-7), 2e-6),
+    "controlled": (HHT(rtol=1e-4), 0.5),
+    "Radau": (Radau(2.0**-5), 0.5),
+}
+
+
+@pytest.mark.parametrize("how", STEPS)
+@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: pair[0].__name__)
+def test_steps_in_the_kernel_are_those_of_python(pair, how):
+    method, t_end = STEPS[how]
+    with pytest.MonkeyPatch.context() as patch:
+        taken = []
+        for module, name in ((compiled, "march"), (radau_newton, "solve_stages")):
+            function = getattr(module, name)
+            patch.setattr(module, name, lambda *x, f=function: taken.append(1) or f(*x))
+        runs, counts = [], []
+        for kind in pair:
+            system = kind()
+            system.traits = replace(system.traits, project_start=True)
+            runs.append(simulate(system, t_end, method))
+            counts.append(len(taken))
+    assert counts[0] > 0
+    assert counts[1] == counts[0]
+    assert len(runs[0].t) == len(runs[1].t)
+    for name in ("q", "v", "a", "lam"):
+        ours, exact = (getattr(run, name) for run in runs)
+        # Newton's tolerance; of multipliers of short steps round-off of q over h^2.
+        size = np.max(np.abs(exact), initial=0.0)
+        tolerance = 1e-4 if how == "short" else 1e-9
+        np.testing.assert_allclose(ours, exact, rtol=0, atol=tolerance * size)
+
+
+@pytest.mark.parametrize("method", [HHT(2.0**-6), Radau(2.0**-5)])
+def test_gradients_of_steps_in_the_kernel_are_differences(method):
+    system, end = Elbow(), Terminal(custom(lambda t, q, v, lam, b: q[:, 0] + q[:, 2] * b[1]))
+    system.traits = replace(system.traits, project_start=True)
+
+    def value(b):
+        moved = Elbow(b)
+        moved.traits = system.traits
+        return gradient(moved, end, 0.25, method)
+
+    found = value(system.b).gradient
+    for i in (0, 1, 5, 8, 9):
+        step = 1e-4 * np.eye(10)[i]
+        difference = (value(system.b + step).value - value(system.b - step).value) / 2e-4
+        assert found[i] == pytest.approx(difference, rel=1e-6, abs=1e-7), i

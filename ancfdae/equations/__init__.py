@@ -17,5 +17,6 @@ from ancfdae.equations.system import (
     MechanicalSystem,
     PlannedSystem,
     Traits,
+    planned,
     reaction,
 )

@@ -7,11 +7,11 @@ none are called in complex numbers instead (`ancfdae.equations.called_back`).
 
 from __future__ import annotations
 
-import functools
 import traceback
 import warnings
 from contextvars import ContextVar
 from dataclasses import replace
+from functools import cached_property, wraps
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +24,10 @@ from ancfdae.equations.formulas import Formulas, Value
 from ancfdae.equations.motion import Direction
 from ancfdae.equations.system import DesignPartials, Linearisation, Traits
 from ancfdae.errors import InvalidInput, NotTraced
-from ancfdae.kernels import OperationList
+from ancfdae.kernels import Csr, ListPlan, OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.operations import NotTraceable
+from ancfdae.numerics.patterns import Pattern
 
 # What a motion consists of.
 _RATES = ("q", "v", "a", "j")
@@ -75,7 +76,7 @@ class FormulaSystem(CalledBack):
         if written is None:
             return
 
-        @functools.wraps(written)
+        @wraps(written)
         def with_values(self: FormulaSystem, b: Array) -> FormulaSystem:
             if "_formulas" not in vars(self):
                 return written(self, b)
@@ -190,6 +191,16 @@ class FormulaSystem(CalledBack):
         """What accelerations follow from; None where functions are called."""
         return None if self._formulas is None else self._formulas.index_1
 
+    @cached_property
+    def list_plan(self) -> ListPlan | None:
+        """What a kernel marches; None where functions are called, or b is complex."""
+        if self._formulas is None or np.iscomplexobj(self.b):
+            return None
+        velocity = self.traits.velocity_forces
+        B, K = (_csr(pattern) for pattern in (self.constraint_pattern, self.pattern))
+        weights = self.weights, 1 / self.weights
+        return ListPlan(self._formulas.march(velocity), self.b, *weights, B, K, velocity)
+
     def mass(self, q: Array) -> Array:
         """Return the entries of M row by row."""
         if self._formulas is None:
@@ -280,6 +291,13 @@ class FormulaSystem(CalledBack):
         at = {"q": q, "a": a, "lam": lam} | ({} if v is None else {"v": v})
         of = Formulas.partials
         return DesignPartials(*self._values(of, v is not None, rows=len(t), t=t[:, None], **at))
+
+
+def _csr(pattern: Pattern) -> Csr:
+    """Return the places of a full pattern, with values of one."""
+    rows, columns = pattern.shape
+    first = np.arange(rows + 1, dtype=np.int32) * np.int32(columns)
+    return first, pattern.columns.astype(np.int32), np.ones(pattern.size)
 
 
 def _told(error: Exception) -> str:

@@ -15,7 +15,7 @@ that what the protocol derives from values by complex steps is exact to round-of
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeAlias, final
@@ -165,27 +165,33 @@ class Formulas:
         """Return what accelerations and their derivatives follow from (`kernels/index_1.h`)."""
         moved = {"q": "dq", "v": "dv", "b": "db"}
         Phi, rate, second = (self.constraint(order)[0] for order in range(3))
-        at, held = self._at, {"t": self._one, "q": self._at["v"]}
+        held = {"t": self._one, "q": self._at["v"]}
         right = [self._moved(rate, held)[0], self._along(self._residual(True), **moved)]
         right.append(self._along(second, **moved))
         gamma, *sides = (Traced.numbers(self._operations, -self._traced(x)) for x in right)
         state, changes = ("t", "q", "v"), ("b", "dq", "dv", "db")
-        lists = (
-            ([self._M, *self.constraint_q(0), self._Q, gamma], (*state, "b")),
-            (sides, (*state, "a", "lam", *changes)),
-            ([Phi], (*state, "b")),
-            ([rate], (*state, "b")),
-            ([self._along(Phi, **moved)], (*state, *changes)),
-            ([self._along(rate, **moved)], (*state, *changes)),
+        return (
+            self._list([self._M, *self.constraint_q(0), self._Q, gamma], *state, "b"),
+            self._list(sides, *state, "a", "lam", *changes),
+            self._list([Phi], *state, "b"),
+            self._list([rate], *state, "b"),
+            self._list([self._along(Phi, **moved)], *state, *changes),
+            self._list([self._along(rate, **moved)], *state, *changes),
         )
-        compiled = self._operations.compiled
-        return tuple(
-            compiled(
-                np.concatenate([x.ravel() for x in outputs]),
-                [x for name in inputs for x in at[name].tolist()],
-            )
-            for outputs, inputs in lists
-        )
+
+    def march(self, velocity: bool) -> tuple[OperationList, ...]:
+        """Return the lists of a `ListPlan`."""
+        f = self._residual(True)
+        tangents = [self._by(f, "q"), *([self._by(f, "v")] if velocity else [])]
+        Phi, rate = (self.constraint(order)[0] for order in range(2))
+        values = ([*self.constraint_q(0)], [Phi], [rate], [self._Q], [self._M], tangents)
+        return tuple(self._list(outputs, "t", "q", "v", "a", "lam", "b") for outputs in values)
+
+    def _list(self, outputs: Sequence[Array], *inputs: str) -> OperationList:
+        """Compile outputs as a list that takes all of some inputs."""
+        numbers = [x for name in inputs for x in self._at[name].tolist()]
+        flat = np.concatenate([x.ravel() for x in outputs])
+        return self._operations.compiled(flat, numbers)
 
     def _residual(self, forces: bool) -> Array:
         """M a + Phi_q^T lam - Q."""

@@ -44,7 +44,7 @@ from ancfdae.equations.complex_steps import ComplexSteps
 from ancfdae.equations.motion import Direction, States
 from ancfdae.equations.naming import Naming
 from ancfdae.errors import InvalidInput, require_array, require_finite, require_flag
-from ancfdae.kernels import OperationList, Plan
+from ancfdae.kernels import ListPlan, OperationList, Plan
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
@@ -431,6 +431,18 @@ class ListedSystem(MechanicalSystem):
     @abc.abstractmethod
     def index_1(self) -> tuple[OperationList, ...] | None:
         """The lists of `kernels/index_1.h`; None where functions are called."""
+
+    @property
+    @abc.abstractmethod
+    def list_plan(self) -> ListPlan | None:
+        """What a kernel marches; None where functions are called, or b is complex."""
+
+
+def planned(system: MechanicalSystem) -> Plan | ListPlan | None:
+    """Return the system as what a kernel marches; None for one that it cannot."""
+    if isinstance(system, ListedSystem):
+        return system.list_plan
+    return system.plan if isinstance(system, PlannedSystem) else None
 
 
 def residual(

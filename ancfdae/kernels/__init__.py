@@ -13,6 +13,7 @@ from enum import IntEnum
 from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
+import numpy.typing as npt
 
 try:
     from ancfdae.kernels import _kernels
@@ -84,6 +85,31 @@ class Plan(NamedTuple):
     load_factors: Callable[[Array], Array]
     moving: tuple[tuple[LoadPlan, bool], ...]
     turning: Array
+
+
+@final
+class ListPlan(NamedTuple):
+    """A system of lists of operations, for `march` and `solve_stages`.
+
+    Lists take t, q, v, A, lam and b, and return Phi_q, Phi, dPhi/dt, Q, M, and f_q with f_v behind
+    it if forces use velocities. B and K are the full patterns of Phi_q and M.
+    """
+
+    lists: tuple[OperationList, ...]
+    b: Array
+    weights: Array
+    inverse_weights: Array
+    B: Csr
+    K: Csr
+    velocity: bool
+
+    def joint_factors(self, t: Array, orders: int) -> Array:
+        """Return the instants in place of factors, (orders, k, 1)."""
+        return np.stack([t[:, None]] * orders)
+
+    def load_factors(self, t: Array) -> Array:
+        """Return the instants, (k, 1)."""
+        return t[:, None]
 
 
 #: Fronts of a sparse elimination, whose indices are numbers in the order of elimination: the first
@@ -161,10 +187,10 @@ load_forces_along = _kernels.load_forces_along
 load_tangents = _kernels.load_tangents
 ldl_solve = _kernels.ldl_solve
 lifted = _kernels.lifted
+prepare = _kernels.prepare
 march = _kernels.march
 narrow_order = _kernels.narrow_order
 norm = _kernels.norm
-prepare = _kernels.prepare
 pull_back_steps = _kernels.pull_back_steps
 recombine = _kernels.recombine
 relative = _kernels.relative

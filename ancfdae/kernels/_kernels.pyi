@@ -6,7 +6,7 @@ shape (..., n, n_y, d), packed matrices (..., n, n_g).
 
 from typing import Any, TypeAlias
 
-from ancfdae.kernels import Array, Block, FrontArrays, MatrixLayout, Plan
+from ancfdae.kernels import Array, Block, FrontArrays, ListPlan, MatrixLayout, Plan
 
 def relative(block: Block, q: Array, /) -> Array:
     """Return Y = R q."""
@@ -294,7 +294,7 @@ def ldl_factor(
 def ldl_solve(factors: Array, first: Array, order: Array, right: Array, /) -> Array:
     """Return P^T (L D L^T)^-1 P x for right sides x along the last axis; P as in `band_solve`."""
 
-def prepare(plan: Plan, layout: MatrixLayout, rules: Array, /) -> object:
+def prepare(plan: Plan | ListPlan, layout: MatrixLayout, rules: Array, /) -> object:
     """Return what `march` takes.
 
     The rules are hht_alpha, Newton's tolerance, most iterations and the other numbers of

@@ -37,6 +37,16 @@ typedef struct {
     int velocity;
 } NAME(moving_load);
 
+/* A system of lists of operations in place of elements, joints and loads. All lists take t, q, v, A,
+ * lam and b: Phi_q, Phi, dPhi/dt, Q, M, and f_q with f_v behind it where forces use velocities. */
+enum { OF_JACOBIAN, OF_PLACE, OF_RATE, OF_FORCE, OF_MASS, OF_TANGENTS, MARCH_LISTS };
+
+typedef struct {
+    const operation_list *of[MARCH_LISTS];
+    const T *constants[MARCH_LISTS], *b;
+    npy_intp n_b;
+} NAME(listed);
+
 /* A system with its matrices and the settings of Newton's method. `first` is NULL without an
  * envelope, `fronts` without these, `flat` without a band; `chosen`, `places` and `signs` belong to
  * the envelope or to the fronts. Factors are those of all loads, `velocity` tells whether forces
@@ -53,6 +63,7 @@ typedef struct {
     const npy_int32 *index, *first, *chosen, *places;
     const npy_int64 *order, *flat;
     const fronts *fronts;
+    const NAME(listed) *listed; /* NULL for a scene; its factors are the times */
     const T *gravity, *loads;
     const double *weights, *inverse, *signs, *scale, *factors;
     NAME(gbtrf_t) gbtrf;
@@ -67,7 +78,7 @@ enum { BY_ENVELOPE, BY_BAND, BY_FRONTS };
 typedef struct {
     T *q_p, *dq_p, *v_p, *q, *v, *A, *a, *lam, *U, *B, *Q, *inner, *reaction, *ahead, *start;
     T *Phi, *rate, *defect, *R, *x, *force, *f_q, *f_v, *sum, *matrix, *work;
-    T *at_end, *within, *of_load;
+    T *at_end, *within, *of_load, *numbers, *mass;
     const T *c[1];
     double *least, of_B;
     front_room in_fronts;
@@ -89,10 +100,38 @@ INLINE double NAME(size_of)(npy_intp n, const T *x, const double *weights)
     return sqrt(sum);
 }
 
+/* Outputs of a list at a state, of which it reads what is given. */
+static void NAME(listed_at)(const NAME(plan) *p, NAME(room) *r, int which, T t, const T *q,
+                            const T *v, const T *A, const T *lam, T *out, npy_intp count)
+{
+    const NAME(listed) *s = p->listed;
+    const operation_list *of = s->of[which];
+    const T *parts[] = {&t, q, v, A, lam, s->b, s->constants[which]};
+    npy_intp sizes[] = {1, p->n_q, p->n_q, p->n_q, p->n_lam, s->n_b, of->n_constants};
+    T *to = r->numbers;
+    for (int i = 0; i < 7; to += sizes[i++])
+        if (parts[i])
+            memcpy(to, parts[i], (size_t)sizes[i] * sizeof(T));
+    NAME(list_evaluated)(of, 1, r->numbers);
+    for (npy_intp i = 0; i < count; i++)
+        out[i] = r->numbers[of->outputs[i]];
+}
+
+/* M, which moves in a system of lists. */
+static void NAME(mass_at)(const NAME(plan) *p, NAME(room) *r, const T *q)
+{
+    if (p->listed)
+        NAME(listed_at)(p, r, OF_MASS, 0, q, NULL, NULL, NULL, r->mass, p->nnz);
+}
+
 /* Phi_q on its pattern. */
 static void NAME(jacobian_at)(const NAME(plan) *p, NAME(room) *r, const T *const *c, const T *q)
 {
     const T *X[] = {q};
+    if (p->listed) {
+        NAME(listed_at)(p, r, OF_JACOBIAN, *c[0], q, NULL, NULL, NULL, r->B, p->n_lam * p->n_q);
+        return;
+    }
     if (r->B_known)
         return;
     memset(r->B, 0, (size_t)p->constraints->n_values * sizeof(T));
@@ -105,6 +144,10 @@ static void NAME(constraint_at)(const NAME(plan) *p, NAME(room) *r, const T *con
                                 const T *v, T *Phi)
 {
     const T *X[] = {q, v};
+    if (p->listed) {
+        NAME(listed_at)(p, r, v ? OF_RATE : OF_PLACE, *c[0], q, v, NULL, NULL, Phi, p->n_lam);
+        return;
+    }
     memset(Phi, 0, (size_t)p->n_lam * sizeof(T));
     NAME(constraints)(p->constraints, p->numbers.l, RATE, v ? 1 : 0, c, X, NULL, r->U, Phi);
 }
@@ -113,8 +156,10 @@ static void NAME(constraint_at)(const NAME(plan) *p, NAME(room) *r, const T *con
 static void NAME(at_instant)(const NAME(plan) *p, NAME(room) *r, const double *factors, int instant,
                              int rates, const T **c)
 {
-    c[0] = p->numbers.part_0;
+    c[0] = p->listed ? factors + instant : p->numbers.part_0;
     c[rates] = rates ? NULL : c[0];
+    if (p->listed)
+        return;
     if (!p->still)
         NAME(coefficients)(p->constraints, &p->numbers, rates, 0, RATE_AT_GAUSS - AT_GAUSS,
                            factors + instant * p->constraints->n_parts, r->within, c);
@@ -130,6 +175,10 @@ static void NAME(reaction_of)(const NAME(plan) *p, const NAME(room) *r, const T 
 static void NAME(force_at)(const NAME(plan) *p, NAME(room) *r, const double *factors, const T *q,
                            const T *v)
 {
+    if (p->listed) {
+        NAME(listed_at)(p, r, OF_FORCE, factors[0], q, v, NULL, NULL, r->Q, p->n_q);
+        return;
+    }
     memset(r->inner, 0, (size_t)p->n_q * sizeof(T));
     NAME(forces)(p->n_y, p->d, &p->block, q, p->damped ? v : NULL, r->inner);
     for (npy_intp i = 0; i < p->n_q; i++)
@@ -236,6 +285,7 @@ static int NAME(residual_at)(const NAME(plan) *p, NAME(room) *r, const step_coef
     NAME(reaction_of)(p, r, r->lam, r->reaction);
     NAME(force_at)(p, r, of_loads + AT_END * p->n_factors, r->q, r->v);
     memset(R, 0, (size_t)p->n_q * sizeof(T));
+    NAME(mass_at)(p, r, r->q);
     NAME(csr_times)(&p->M, r->A, R);
     for (npy_intp i = 0; i < p->n_q; i++) {
         R[i] += r->reaction[i] - r->Q[i];
@@ -311,6 +361,13 @@ static void NAME(load_tangents)(const NAME(plan) *p, NAME(room) *r, const double
 static void NAME(linearised)(const NAME(plan) *p, NAME(room) *r, const double *factors)
 {
     const T *v = p->damped ? r->v : NULL;
+    if (p->listed) {
+        /* f_v stands behind f_q. */
+        NAME(listed_at)(p, r, OF_TANGENTS, factors[0], r->q, r->v, r->A, r->lam, r->f_q,
+                        p->velocity ? 2 * p->nnz : p->nnz);
+        NAME(mass_at)(p, r, r->q);
+        return;
+    }
     memset(r->f_q, 0, (size_t)p->nnz * sizeof(T));
     NAME(tangents)(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->f_q);
     NAME(constraint_curvature)(p->constraints, p->numbers.l, r->c[0], r->lam, r->f_q);
@@ -458,8 +515,8 @@ static int NAME(stepped)(const NAME(plan) *p, NAME(room) *r, const step_coeffici
         for (npy_intp i = 0; i < p->n_lam; i++)
             r->defect[i] *= allowed / noise;
     }
-    r->c[0] = p->numbers.part_0;
-    if (!p->still)
+    r->c[0] = p->listed ? of_joints + AT_END : p->numbers.part_0;
+    if (!p->still && !p->listed)
         NAME(coefficients)(p->constraints, &p->numbers, 0, 0, 1,
                            of_joints + AT_END * p->constraints->n_parts, r->at_end, r->c);
     return NAME(iterated)(p, r, c, b, of_joints, of_loads, small, motion, motion_after);

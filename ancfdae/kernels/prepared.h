@@ -12,6 +12,8 @@ typedef struct {
     plan_real plan;
     fronts fronts;
     room_real room;
+    constraint_plan none; /* of lists: sizes only */
+    listed_real listed;
     void *memory;
     moving_load_real *moving;
 } Prepared;
@@ -250,12 +252,15 @@ static int given_room(Prepared *x)
                  {&r->in_fronts.scale, of_fronts}, {&r->in_fronts.room, 5 * most},
                  {&r->in_fronts.stack, f ? (size_t)f->stack : 0},
                  {&r->at_end, (size_t)c->n_c}, {&r->within, 2 * (size_t)c->n_c}, {&r->least, n},
-                 {&r->of_load, 0}};
+                 {&r->mass, p->listed ? nnz : 0}, {&r->numbers, 0}, {&r->of_load, 0}};
     int count = (int)(sizeof rooms / sizeof rooms[0]);
     for (npy_intp k = 0; k < p->n_moving; k++) {
         size_t size = (size_t)load_work_real(p->moving[k].plan, p->moving[k].plan->n_U);
         rooms[count - 1].size = size > rooms[count - 1].size ? size : rooms[count - 1].size;
     }
+    for (int i = 0; p->listed && i < MARCH_LISTS; i++)
+        if ((size_t)p->listed->of[i]->n_numbers > rooms[count - 2].size)
+            rooms[count - 2].size = (size_t)p->listed->of[i]->n_numbers;
     for (int i = 0; i < count; i++)
         total += rooms[i].size;
     x->memory = calloc(total + n + of_fronts + 1, sizeof(double));
@@ -271,10 +276,82 @@ static int given_room(Prepared *x)
     return 1;
 }
 
+/* Whether factors in a band can be made, or need not. */
+static int with_lapack(plan_real *p)
+{
+    static void *gbtrf, *gbtrs;
+    if (!p->flat)
+        return 1;
+    p->gbtrf = (gbtrf_t_real)lapack(&gbtrf, "dgbtrf", "void (int *, int *, int *, int *, ");
+    p->gbtrs = (gbtrs_t_real)lapack(&gbtrs, "dgbtrs", "void (char *, int *, int *, int *, int *, ");
+    return p->gbtrf && p->gbtrs;
+}
+
+/* Lists and b; all take t, q, v, A, lam and b. */
+static int kept_lists(Prepared *x, PyObject *lists, PyObject *b)
+{
+    plan_real *p = &x->plan;
+    listed_real *s = &x->listed;
+    npy_intp n = p->n_q, m = p->n_lam, outputs[] = {m * n, m, m, n, n * n, n * n};
+    PyArrayObject *own = kept(x, b, NPY_DOUBLE, 1, -1);
+    if (!own || !item(lists, MARCH_LISTS, 0))
+        return 0;
+    x->kept[x->n_kept++] = Py_NewRef(lists);
+    s->b = data_of(own), s->n_b = PyArray_SIZE(own);
+    outputs[OF_TANGENTS] *= p->velocity ? 2 : 1;
+    for (int i = 0; i < MARCH_LISTS; i++) {
+        PyObject *list = PyTuple_GetItem(lists, i);
+        if (!PyObject_TypeCheck(list, OperationListType))
+            return wrong("a plan must have lists of operations");
+        s->of[i] = &((OperationList *)list)->list;
+        s->constants[i] = data_of(((OperationList *)list)->constants[0]);
+        if (s->of[i]->n_inputs != 1 + 3 * n + m + s->n_b || s->of[i]->n_outputs != outputs[i])
+            return wrong("lists must be those of the coordinates");
+    }
+    p->listed = s;
+    return 1;
+}
+
+enum { LIST_PLAN_ITEMS = 7 };
+
+/* What `march` takes of (lists, b, weights, inverse, B, K, velocity), with full patterns of Phi_q and K. */
+static PyObject *prepared_lists(PyObject *const *args)
+{
+    enum { LISTS, DESIGN, WEIGHTS, INVERSE, OF_B, OF_K, VELOCITY };
+    PyObject *t = args[0];
+    Prepared *x = PyMem_Calloc(1, sizeof *x);
+    if (!x)
+        return PyErr_NoMemory();
+    plan_real *p = &x->plan;
+    PyArrayObject *weights = kept(x, PyTuple_GetItem(t, WEIGHTS), NPY_DOUBLE, 1, -1);
+    const double *rules = kept_numbers(x, args[2], sizeof(march_rules) / sizeof(double));
+    int velocity = PyObject_IsTrue(PyTuple_GetItem(t, VELOCITY));
+    p->velocity = velocity, p->constraints = &x->none, p->n_factors = x->none.n_parts = 1;
+    if (!weights || !rules || velocity < 0 || (p->n_q = PyArray_SIZE(weights), 0) ||
+        !(p->inverse = kept_numbers(x, PyTuple_GetItem(t, INVERSE), p->n_q)) ||
+        !kept_csr(x, PyTuple_GetItem(t, OF_B), -1, p->n_q, &p->B) ||
+        !kept_csr(x, PyTuple_GetItem(t, OF_K), p->n_q, p->n_q, &p->K))
+        return prepared_dropped(x), NULL;
+    p->weights = data_of(weights), p->n_lam = p->B.n, p->nnz = p->K.first[p->n_q];
+    x->none.n_q = p->n_q, x->none.n_lam = p->n_lam, x->none.n_values = p->B.first[p->n_lam];
+    memcpy(&p->rules, rules, sizeof p->rules);
+    if ((p->nnz != p->n_q * p->n_q || x->none.n_values != p->n_lam * p->n_q) &&
+        !wrong("patterns of lists must be full"))
+        return prepared_dropped(x), NULL;
+    if (!kept_lists(x, PyTuple_GetItem(t, LISTS), PyTuple_GetItem(t, DESIGN)) ||
+        !kept_layout(x, args[1]) || !given_room(x) ||
+        !with_lapack(p))
+        return prepared_dropped(x), NULL;
+    p->K.values = x->room.mass, p->M = p->K;
+    PyObject *capsule = PyCapsule_New(x, prepared_name, capsule_dropped);
+    return capsule ? capsule : (prepared_dropped(x), NULL);
+}
+
 /* prepare(plan, layout, rules): what `march` takes. */
 static PyObject *py_prepare(PyObject *const *args)
 {
-    static void *gbtrf, *gbtrs;
+    if (PyTuple_Check(args[0]) && PyTuple_Size(args[0]) == LIST_PLAN_ITEMS)
+        return prepared_lists(args);
     Prepared *x = PyMem_Calloc(1, sizeof *x);
     if (!x)
         return PyErr_NoMemory();
@@ -297,14 +374,8 @@ static PyObject *py_prepare(PyObject *const *args)
         (PyArray_DIM(loads, 1) != p->n_q && !wrong("a load must have a number for each coordinate")) ||
         (p->loads = data_of(loads), p->n_loads = PyArray_DIM(loads, 0),
          !kept_loads(x, item(t, PLAN_ITEMS, 12))) ||
-        !kept_constraints(x, item(t, PLAN_ITEMS, 8), item(t, PLAN_ITEMS, 9)) || !kept_layout(x, args[1]) || !given_room(x))
+        !kept_constraints(x, item(t, PLAN_ITEMS, 8), item(t, PLAN_ITEMS, 9)) || !kept_layout(x, args[1]) || !given_room(x) || !with_lapack(p))
         return prepared_dropped(x), NULL;
-    if (p->flat) {
-        p->gbtrf = (gbtrf_t_real)lapack(&gbtrf, "dgbtrf", "void (int *, int *, int *, int *, ");
-        p->gbtrs = (gbtrs_t_real)lapack(&gbtrs, "dgbtrs", "void (char *, int *, int *, int *, int *, ");
-        if (!p->gbtrf || !p->gbtrs)
-            return prepared_dropped(x), NULL;
-    }
     PyObject *capsule = PyCapsule_New(x, prepared_name, capsule_dropped);
     return capsule ? capsule : (prepared_dropped(x), NULL);
 }
@@ -414,6 +485,11 @@ static int in_place(PyObject *object, int optional, int axes, const npy_intp *sh
     return shaped(x, axes, shape);
 }
 
+static int of_a_scene(const Prepared *x)
+{
+    return !x->plan.listed || wrong("lists of operations only march");
+}
+
 enum { STEPS_ITEMS = 7 };
 
 /* (h, q, v, lam, of_joints, of_loads, matrices) of k steps. */
@@ -440,7 +516,7 @@ static PyObject *py_differentiate_steps(PyObject *const *args)
     Prepared *x = PyCapsule_GetPointer(args[0], prepared_name);
     computed_steps s;
     double *right, *z, *states, *lam_b;
-    if (!x || !steps_taken(args[1], &x->plan, &s))
+    if (!x || !of_a_scene(x) || !steps_taken(args[1], &x->plan, &s))
         return NULL;
     const plan_real *p = &x->plan;
     npy_intp n = p->n_q + p->n_lam, any[] = {4, -1, p->n_q};
@@ -469,7 +545,7 @@ static PyObject *py_pull_back_steps(PyObject *const *args)
     Prepared *x = PyCapsule_GetPointer(args[0], prepared_name);
     computed_steps s;
     double *seeds[3], *on, *mu, *zeta;
-    if (!x || !steps_taken(args[1], &x->plan, &s))
+    if (!x || !of_a_scene(x) || !steps_taken(args[1], &x->plan, &s))
         return NULL;
     const plan_real *p = &x->plan;
     npy_intp of_q[] = {s.k, p->n_q}, of_lam[] = {s.k, p->n_lam}, of_on[] = {6, p->n_q}, steps;
@@ -497,7 +573,7 @@ static PyObject *py_rest(PyObject *const *args)
 {
     enum { STATE, KNOWN = 4, FACTORS = 8, ALL = 11 };
     Prepared *x = PyCapsule_GetPointer(args[0], prepared_name);
-    if (!x)
+    if (!x || !of_a_scene(x))
         return NULL;
     const plan_real *p = &x->plan;
     npy_intp of_q = p->n_q, of_lam = p->n_lam, of_rules = sizeof(rest_rules) / sizeof(double);

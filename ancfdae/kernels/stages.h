@@ -58,8 +58,8 @@ static void stage_state(const stage_step *s, int i)
 static void stage_instant(const stage_step *s, int i)
 {
     const plan_real *p = s->plan;
-    s->room->c[0] = p->numbers.part_0;
-    if (!p->still)
+    s->room->c[0] = p->listed ? s->of_joints + i : p->numbers.part_0;
+    if (!p->still && !p->listed)
         coefficients_real(p->constraints, &p->numbers, 0, 0, 1,
                           s->of_joints + i * p->constraints->n_parts, s->room->at_end, s->room->c);
 }
@@ -108,6 +108,7 @@ static double stage_residuals(stage_step *s)
         reaction_of_real(p, r, r->lam, r->reaction);
         force_at_real(p, r, s->of_loads + i * p->n_factors, r->q, r->v);
         memset(R, 0, (size_t)n_q * sizeof(double));
+        mass_at_real(p, r, r->q);
         csr_times_real(&p->M, r->A, R);
         for (npy_intp e = 0; e < n_q; e++) {
             R[e] += r->reaction[e] - r->Q[e];

@@ -253,6 +253,8 @@ class Traced:
     """
 
     __slots__ = ("_operations", "at")
+    #: Kind of the arrays that hold it, so that `np.result_type` knows.
+    dtype = np.dtype(object)
 
     def __init__(self, operations: Operations, at: int) -> None:
         self._operations, self.at = operations, at

@@ -131,8 +131,8 @@ def _damped(budget: _Budget, model: Scene | MechanicalSystem) -> Iterator[str]:
         return
     if done:
         yield (
-            f"Its waves are damped too little for this step: with damping_time={damping_time:.3g} where "
-            "materials have less, it reached the end."
+            "Its waves are damped too little for this step: with damping_time="
+            f"{damping_time:.3g} where materials have less, it reached the end."
         )
 
 

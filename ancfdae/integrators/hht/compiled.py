@@ -12,7 +12,7 @@ from typing import TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem, PlannedSystem
+from ancfdae.equations import ListedSystem, MechanicalSystem, planned
 from ancfdae.integrators.hht.equations import Node
 from ancfdae.integrators.hht.small_steps import PLACES
 from ancfdae.integrators.recorder import Recorder, StateRows
@@ -20,6 +20,7 @@ from ancfdae.kernels import (
     INDEFINITE,
     NEEDS_GAUSS,
     RULES,
+    ListPlan,
     MatrixLayout,
     Plan,
     differentiate_steps,
@@ -44,7 +45,7 @@ class Prepared:
     """A plan and the matrices of a run as kernels take them; the rules are `StepSolver.rules`."""
 
     def __init__(
-        self, plan: Plan, layout: MatrixLayout, matrices: SaddlePoint, rules: Array
+        self, plan: Plan | ListPlan, layout: MatrixLayout, matrices: SaddlePoint, rules: Array
     ) -> None:
         self.plan, self._matrices, self._rules = plan, matrices, rules
         self.arrays = prepare(plan, layout, rules)
@@ -52,7 +53,7 @@ class Prepared:
     @classmethod
     def of(cls, system: MechanicalSystem, matrices: SaddlePoint, rules: Array) -> Prepared | None:
         """Return None for a system that is no plan, or whose matrices need another solver."""
-        plan = system.plan if isinstance(system, PlannedSystem) else None
+        plan = planned(system)
         layout = matrices.layout(band=False) or matrices.layout_in_fronts()
         return plan and layout and cls(plan, layout, matrices, rules)
 
@@ -77,6 +78,8 @@ class CompiledPasses:
         """Return the passes of a system; None if it has no plan for the kernel."""
         rules = np.zeros(RULES)
         rules[0] = alpha
+        if isinstance(system, ListedSystem):
+            return None  # Its passes take matrices of many steps together.
         prepared = Prepared.of(system, matrices, rules)
         return prepared and cls(prepared)
 

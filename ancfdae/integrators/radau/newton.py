@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import PlannedSystem, reaction
+from ancfdae.equations import planned, reaction
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.stages import (
@@ -30,6 +30,7 @@ from ancfdae.kernels import (
     STAGES_NOT_FINITE,
     STAGES_SINGULAR,
     STAGES_SOLVED,
+    ListPlan,
     Plan,
     finite,
     norm,
@@ -81,10 +82,10 @@ class StageSolver:
         self._rules = np.array([0.0, *rules, _POSITIONS])
         self._kernel = self._prepared()
 
-    def _prepared(self) -> tuple[Plan, object, Any] | None:
+    def _prepared(self) -> tuple[Plan | ListPlan, object, Any] | None:
         """Return plan, plan as a kernel takes it, and the matrix; None where there are none."""
         system, layout = self._problem.system, self._problem.matrices.layout(band=False)
-        plan = system.plan if isinstance(system, PlannedSystem) else None
+        plan = planned(system)
         coupled = self._matrices.arrays
         if plan is None or layout is None or coupled is None:
             return None
