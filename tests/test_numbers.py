@@ -29,6 +29,8 @@ from ancfdae import (
     RigidBody,
     Scene,
     Terminal,
+    Universal,
+    Weld,
     assemble,
     gradient,
     position,
@@ -258,14 +260,17 @@ def test_an_equilibrium_is_searched_on_the_structure_that_is_there(monkeypatch):
 
 
 def test_equal_joints_are_prepared_once_and_have_the_equations_of_each_alone(monkeypatch):
-    """Of twelve hinges three are computed: to ground, between beams, and with another axis."""
+    """Of six hinges three are computed: to ground, between beams, and with another axis."""
     section, counts = Rectangle(0.02, 0.03), []
     beams = [Beam(f"b{k}", (k, 0, 0), (k + 1, 0, 0), 1, section, STEEL) for k in range(12)]
     turned = [Revolute(beams[0].at_start, (0, 0.6, 0.8))]
-    turned += [
-        Revolute(left.at_end, (0, 0, 1) if k == 7 else (0, 0.6, 0.8), right.at_start)
-        for k, (left, right) in enumerate(pairwise(beams))
-    ]
+    axis = (0, 0.6, 0.8)
+    for k, (left, right) in enumerate(pairwise(beams)):
+        points = left.at_end, right.at_start
+        hinge = Revolute(points[0], (0, 0, 1) if k == 7 else axis, points[1])
+        others = {2: Weld(*points), 3: Weld(*points), 5: Pin(*points), 6: Pin(*points)}
+        others |= {k: Universal(points[0], axis, (0, 0, 1), points[1]) for k in (8, 9)}
+        turned.append(others.get(k, hinge))
     coefficients = Revolute.coefficients
 
     def counted(self, p, reference):
@@ -276,7 +281,8 @@ def test_equal_joints_are_prepared_once_and_have_the_equations_of_each_alone(mon
     system = assemble(Scene(beams, turned, gravity=(0, 0, -9.81)))
     assert counts.count("f") == 3
     shared = system.inputs.joints().slots
-    monkeypatch.setattr(AxisJoint, "by_slopes", False)
+    for kind in (AxisJoint, Pin, Weld, Universal):
+        monkeypatch.setattr(kind, "by_slopes", False)
     alone = assemble(system._scene).inputs.joints().slots
     # Every beam has a right angle at each end, and no joint repeats that of another.
     assert sum(len(slot.item.dropped) for slot in alone) == 0

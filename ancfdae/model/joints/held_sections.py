@@ -101,6 +101,11 @@ class Weld(Joint):
     takes_part = SECTION
     holds_position = True
 
+    @property
+    def by_slopes(self) -> bool:
+        """Return true: places coincide, wherever they are."""
+        return True
+
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence, and one equation for every turn."""
         d, (section, other) = reference.shape[1], sections(self.points, reference)

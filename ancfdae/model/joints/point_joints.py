@@ -41,6 +41,11 @@ class Pin(Joint):
     design_fields = (("ground", require_vector),)
     holds_position = True
 
+    @property
+    def by_slopes(self) -> bool:
+        """To ground the place of the point matters as well."""
+        return self.other is not None
+
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """r(point) - r(other), or r(point) - ground."""
         n, d = reference.shape

@@ -75,6 +75,11 @@ class Universal(Joint):
                 "Give the direction of the other axis of the cross.",
             )
 
+    @property
+    def by_slopes(self) -> bool:
+        """To ground the place of the point matters as well."""
+        return self.other is not None
+
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence, and F axis . F' cross as in the reference."""
         *directions, ground = self.split(p)
