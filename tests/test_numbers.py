@@ -188,7 +188,7 @@ def closed(scene, design):
 
 
 def stretched():
-    """A crank and a rod that are a little too short, so that bodies are strained."""
+    """A crank and a rod that are 1 % too short, so that bodies are strained."""
     scene = flexible_slider_crank(2)
     crank, rod = scene.beams
     end = Pin(rod.at_end, ground=(0.552, 0.0))
@@ -238,7 +238,7 @@ def test_small_mechanisms_close_by_arrays_as_large_ones_do_by_sparse_matrices(
 
 
 def test_an_equilibrium_is_searched_on_the_structure_that_is_there(monkeypatch):
-    """Its own loads and gravity; the start of a moved system is that of an assembly there."""
+    """The equilibrium has its own loads and gravity; the start of a moved system is that of an assembly there."""
     rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.02, 0.02), Material(1000, 1e7, 0.0))
     pull = PointForce(rod.at_end, (0.0, -0.1), name="pull")
     rest = AtRest(loads=[pull], gravity=(0.0, -3.0))

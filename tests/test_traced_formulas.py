@@ -547,7 +547,7 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
 
 
 class InPython:
-    """Its steps are those of Python's loops."""
+    """A system without lists for the kernel: Python's loops take the steps."""
 
     list_plan = None
 
@@ -561,7 +561,7 @@ class SwingInPython(InPython, Swing):
 
 
 class SymmetricSwing(SwingInSpace):
-    """Its matrices stand in an envelope."""
+    """A pendulum whose matrices are stored as an envelope."""
 
     traits = Traits(symmetric=True)
 

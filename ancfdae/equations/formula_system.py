@@ -35,7 +35,7 @@ _RATES = ("q", "v", "a", "j")
 _TRACING: ContextVar[frozenset[type]] = ContextVar("_TRACING", default=frozenset())
 # Kind and formulas of the system whose `with_values` runs; formulas are None if not traceable.
 _HANDED: ContextVar[tuple[type, Formulas | None] | None] = ContextVar("_HANDED", default=None)
-# Values of a list and of the functions may differ by so much, relative to the largest.
+# Largest difference between values of a list and of the functions, relative to the largest value.
 _SAME = 1e-9
 
 

@@ -79,7 +79,7 @@ class Formulas:
         numbers = Traced.numbers(self._operations, value)
         if numbers.shape != shape:
             where, rule = f"{self.kind.__name__}.{name}", f"must have shape {shape}"
-            raise InvalidInput(where, rule, numbers.shape, "Return an array.")
+            raise InvalidInput(where, rule, numbers.shape, f"Return an array of the shape {shape}.")
         return numbers
 
     def values(self, of: Value, *which: Any, rows: int | None = None, **at: Any) -> list[Array]:

@@ -207,7 +207,7 @@ def require_axial(where: str, value: object, dimension: int | None = None) -> No
 def require_array(
     where: str, value: object, shape: tuple[int, ...] | None = None
 ) -> np.ndarray[tuple[Any, ...], np.dtype[np.float64]]:
-    """Return a copy as an array of floats; raise InvalidInput for what is none.
+    """Return a copy of `value` as an array of floats.
 
     Raises InvalidInput if an entry is not a finite number, rows differ in length, or the shape is
     not `shape`.

@@ -164,7 +164,9 @@ class Problem:
                 raise InvalidInput(where, rule, "another start", repair)
         if run.t[-1] > t_end * (1 + 1e-9):
             rule = f"must end at {t_end:.6g} or before"
-            raise InvalidInput(where, rule, f"{run.t[-1]:.6g}", "Raise t_end.")
+            raise InvalidInput(
+                where, rule, f"{run.t[-1]:.6g}", "Raise `t_end` to the last time of the run."
+            )
 
 
 def vector_sizes(x: Array, d: int) -> Array:

@@ -149,13 +149,15 @@ class Modes:
         where = f"derivative of the shape of mode {mode}"
         others = next((group for group in self.coincide if mode in group), None)
         if others is None and mode not in self.cut:
-            raise InvalidInput(where, "goes forward", "an adjoint", "Use method=Direct().")
+            raise InvalidInput(
+                where, "must come from direct differentiation", "an adjoint", "Use method=Direct()."
+            )
         more = " with others that were not asked for" if mode in self.cut else ""
         raise InvalidInput(
             where,
             "needs a mode that is alone at its frequency",
             f"modes {', '.join(map(str, others or self.cut))} that coincide{more}",
-            "Change the design a little, or use the derivatives of their frequencies.",
+            "Move the design apart from it, or use the derivatives of their frequencies.",
         )
 
     def _known(self) -> ModeDerivatives:

@@ -12,8 +12,8 @@ from ancfdae.modes.pairs import Eigenpairs, coincident
 from ancfdae.modes.precise import NoModes
 from ancfdae.modes.undamped import undamped
 
-# A group that coincides is completed by so many modes beside those asked for, as a pair of a square
-# bar is; a larger one is cut. Its end is sought up to that many where it is differentiated; a
+# A group of modes that coincide is completed by at most GROUP modes beyond those asked for, as a
+# pair of a square bar is; a larger group is cut. Its end is sought up to that many where it is differentiated; a
 # minute.
 GROUP, _CROWD = 8, 800
 

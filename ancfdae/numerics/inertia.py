@@ -34,7 +34,7 @@ _BOUNDS = 40
 _ROUNDINGS = 64
 # Fewer motions than this are looked at all at once; eigenvalues first sought around a centre.
 _DENSE, _AROUND = 100, 12
-# Of a large system so many are searched for a vibration that grows.
+# Motions of a large system that are searched for a growing vibration.
 _LOWEST = 20
 # Up to this many coordinates dense matrices may be formed: about a second.
 _LARGE = 800

@@ -424,7 +424,7 @@ class Fifth(_Steps):
 
     @property
     def lost(self) -> list[Array]:
-        """That of the other sequence: they begin with the same waves; all of those that fade."""
+        """Waves that runs of the sequence of the motion lose; until those resolve them, all that fade."""
         return self._seer.lost if self._seer.resolved else self._seer.whole
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
