@@ -96,10 +96,10 @@ class EstimatedErrors:
     The errors of all steps are added up. On undamped scenes the sums are within a factor of
     three (motion) and ten (derivatives) of the true errors, also where steps do not resolve the
     waves; strong damping, which removes errors again, makes them too large
-    (docs/reports/error-bars). Where the motion amplifies errors, or steps pass over a pulse, they
-    are too small: of 130 runs of ``HHT(rtol)`` on random scenes 126 erred by at most three times
-    the estimate, the others by 3.5, 18, 22 and 670 times. For an objective and its gradient see
-    `error_bars`.
+    (docs/reports/error-bars). Where the motion amplifies errors, or steps pass over a kink or a
+    pulse, they are too small: of 130 runs of ``HHT(rtol)`` on random scenes 126 erred by at most
+    three times the estimate, the others by 3.5, 18, 22 and 670 times. For an objective and its
+    gradient see `error_bars`.
 
     Attributes
     ----------

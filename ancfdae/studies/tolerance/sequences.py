@@ -51,8 +51,6 @@ _PER_RTOL = 1.0
 _STABLE, _FOLLOWED = 5.7, 1e-3
 # Steps that it takes at least, so that more are tried where they are too few.
 _FEWEST = 20.0
-# Steps over those that follow laws and objectives from which on errors fall with the order.
-_OF_FEATURES = 4
 # Differences over the tolerance whose order need not be seen.
 _SMALL = 0.05
 # What all unresolved waves may change, over the tolerance, for the order to be believed; and bars
@@ -225,15 +223,15 @@ class Second(_Steps):
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
         """Judge a vector; its order is believed where it is seen and no wave can be a part of it.
 
-        The improvement of numbers by extrapolation is not believed then. Steps that just follow a
-        pulse err by where they meet it, and those that jump over a kink of forces by where.
+        The improvement of numbers by extrapolation is not believed then. Steps that jump over a
+        kink of forces err by where they meet it, to first order.
         """
         earlier, runs = runs[:-1], runs[-3:]
         kinked = len(earlier) == 4 and not (
             self._seen(earlier[:3], self.counts[-5:-2])
             or self._seen(earlier[1:], self.counts[-4:-1])
         )
-        if kinked or self.counts[-2] < _OF_FEATURES * self._least:
+        if kinked:
             return refined(runs, self.counts[-3:], self.order, False, self._wanted.along)
         if self._wanted.along:
             return self._over_time(runs)
