@@ -129,7 +129,7 @@ def test_a_slack_wire_of_too_few_elements_is_warned_of(element, n, span):
 
 @pytest.mark.parametrize("n", [2, 3, 4, 8])
 def test_a_limp_wire_of_few_elements_is_warned_of_where_it_pulls_wrongly(n):
-    """The weight of the wire shapes it: 3 elements pull rightly to 2 %, whatever part of U is the mesh's."""
+    """The weight shapes the wire: 3 elements pull rightly to 2 %, whatever part of U is theirs."""
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         found = equilibrium(wire(CABLE_2D, n, 0.95, radius=2e-6))

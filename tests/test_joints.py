@@ -341,7 +341,7 @@ def test_coefficients_are_symmetric_and_of_the_shape_of_the_equations(one):
 
 @pytest.mark.parametrize("name", [x for x, joint in VARIANTS.items() if joint.by_slopes])
 def test_a_joint_by_slopes_stands_anywhere(name):
-    """The equations of a joint by slopes are shared by joints of one kind: positions must not enter them."""
+    """Joints of one kind share the equations by slopes: positions must not enter them."""
     system, places = setting_of(name).system, len(VARIANTS[name].points)
     item, _ = system.inputs.joint(VARIANTS[name])
     moved = item.reference.copy()

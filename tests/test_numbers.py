@@ -238,7 +238,7 @@ def test_small_mechanisms_close_by_arrays_as_large_ones_do_by_sparse_matrices(
 
 
 def test_an_equilibrium_is_searched_on_the_structure_that_is_there(monkeypatch):
-    """The equilibrium has its own loads and gravity; the start of a moved system is that of an assembly there."""
+    """A moved system, of other loads and gravity, has the start of an assembly there."""
     rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.02, 0.02), Material(1000, 1e7, 0.0))
     pull = PointForce(rod.at_end, (0.0, -0.1), name="pull")
     rest = AtRest(loads=[pull], gravity=(0.0, -3.0))

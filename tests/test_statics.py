@@ -469,7 +469,7 @@ def test_a_mechanism_that_is_free_to_move_is_refused_with_its_motion(words):
 
 @pytest.mark.parametrize("n", [2, 4, 8])
 def test_a_rod_that_spins_on_two_links_is_a_family_of_equilibria(n):
-    """The weight of the rod bends it by 2 mm: it turns in its bent shape, at no stiffness but round-off."""
+    """The weight bends the rod by 2 mm: the bent shape turns, at no stiffness but round-off."""
     steel = Material(7850.0, 2.1e11, 0.3)
     bar = Beam("rod", (0, -1, 0), (1, -1, 0), n, Circle(0.005), steel)
     links = [

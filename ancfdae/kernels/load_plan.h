@@ -14,8 +14,8 @@ typedef struct {
     const npy_int32 *first, *columns, *op, *a, *b, *output, *places;
 } load_plan;
 
-/* A list of operations by itself: numbers are inputs, constants and results, as above. Instants are
- * evaluated so many at once. */
+/* A list of operations by itself: numbers are inputs, constants and results, as above. It is
+ * evaluated at LIST_LANES time points at once. */
 enum { LIST_LANES = 8 };
 typedef struct {
     npy_intp n_inputs, n_constants, n_operations, n_outputs, n_numbers;

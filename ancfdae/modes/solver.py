@@ -13,8 +13,8 @@ from ancfdae.modes.precise import NoModes
 from ancfdae.modes.undamped import undamped
 
 # A group of modes that coincide is completed by at most GROUP modes beyond those asked for, as a
-# pair of a square bar is; a larger group is cut. Its end is sought up to that many where it is differentiated; a
-# minute.
+# pair of a square bar is; a larger group is cut. Where it is differentiated its end is sought up to
+# _CROWD modes: a minute.
 GROUP, _CROWD = 8, 800
 
 

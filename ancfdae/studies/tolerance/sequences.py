@@ -422,7 +422,7 @@ class Fifth(_Steps):
 
     @property
     def lost(self) -> list[Array]:
-        """Waves that runs of the sequence of the motion lose; until those resolve them, all that fade."""
+        """Waves that runs of the motion lose; all that fade until those runs resolve them."""
         return self._seer.lost if self._seer.resolved else self._seer.whole
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:

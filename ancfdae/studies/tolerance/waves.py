@@ -12,7 +12,7 @@ three). From s follow the amplitude x of the wave, its frequency and its physica
 (twice what a single wave has). The wave is x cos(omega t) e^(-c t); a run has x cos(omega t)
 rho^(t/h) of it, rho(omega h, c h) with the physical damping in the recurrence. Each is added to the
 states of the run: by what the numbers of the two differ is what the run may miss. A wave that
-physical damping takes away faster than the recurrence does is hardly missed. The derivative of the
+physical damping takes away faster than the recurrence does changes little. The derivative of the
 phase, omega t / 2, comes from another frequency.
 """
 
