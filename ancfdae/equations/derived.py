@@ -26,7 +26,7 @@ from ancfdae.numerics.patterns import Pattern
 # Methods that forces, masses and constraints do not determine: where a system stands, which states
 # no body can have, which root of a constraint is meant, and which functions of time there are.
 _UNDETERMINED = frozenset(
-    {"centred", "coarse", "folded", "mirrored", "off_root", "over_time", "turn_rate"}
+    {"centred", "coarse", "folded", "mirrored", "off_root", "over_time", "strained", "turn_rate"}
 )
 
 

@@ -32,7 +32,7 @@ from ancfdae.sensitivity.observables import Observable
 from ancfdae.sensitivity.observables.states import States
 from ancfdae.statics.critical import CriticalLoad, find_critical
 from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, find_equilibrium
-from ancfdae.studies.calls import as_system, cheapest, differentiable
+from ancfdae.studies.calls import as_system, cheapest, differentiable, warn_of_strains
 
 _STEPS = "For example 100."
 
@@ -64,7 +64,8 @@ def equilibrium(
     -------
     Equilibrium
         A load that cannot be carried is reported by `outcome`, and what was carried is kept. Warns
-        of beams whose elements are too few for their bends (`CoarseMesh`).
+        of beams whose elements are too few for their bends (`CoarseMesh`), or that are strained
+        beyond what their elements are made for (`LargeStrain`).
 
     Raises
     ------
@@ -93,6 +94,8 @@ def equilibrium(
             CoarseMesh,
             stacklevel=2,
         )
+    if found.outcome.success:
+        warn_of_strains("equilibrium", system, found.q[None])
     return found
 
 
