@@ -87,6 +87,8 @@ def test_no_success_on_the_other_side_of_a_dead_point(integrator, distance, hang
     and Explicit leave joints open by their tolerance, which the dead point magnifies by up to
     1/sqrt(d/l).
     """
+    if hangs and distance < 1e-5 and integrator == IDA(1e-4):
+        pytest.skip("joints are open by more than the distance (docs/limits.md): chance decides")
     begin = R + L - distance - STROKE
     crank, scene = pushed(begin, Harmonic(STROKE, RATE), hangs=hangs)
     run = simulate(scene, 0.25, integrator)
