@@ -1,4 +1,4 @@
-"""Elements that are folded, or too few: turned inside out, bent back, crushed; stretched by bends.
+"""Elements that are folded, too few, or strained too far: inside out, bent back, crushed, curved.
 
 Energies are polynomials of the coordinates, finite where the body passes through itself, so that
 an equation of balance has solutions that no body can have. Of an element, with
@@ -19,6 +19,11 @@ what is linear in xi (the loads), the energy E A eps^2/2 is an error of the mesh
 
 the error of the stiffness: 12 (l/h)^2 (phi^3/1920)^2 times 0.1 in a beam without tension. A wire
 turns by fractions of a radian until that is more than all its bending.
+
+The laws of beams and cables are linear in Green and Lagrange's strain E = (lambda^2 - 1)/2: a force
+of E A e in a body of Hooke's law in the stretch e = lambda - 1 is 1 + 3 e/2 times as large here.
+The bending of beams errs by about the square of the strain of their outermost fibres, measured on
+half a circle (docs/howto/elements.md); that of cables, M = E I dtheta/ds, does not.
 """
 
 from __future__ import annotations
@@ -48,6 +53,9 @@ _SHARE = 0.04
 # element above the first number, as of limp cables, pulls are right whatever the share, until one
 # of the elements turns by more than the second one, in rad: by 20 % and more they err then.
 _LIMP, _TURN = 25.0, 0.5
+# Strain of a fibre up to which elements are made: of bending it moves a shape by 1 %, its gradient
+# by 2.4 %; of stretching it is 15 % of a force.
+_STRAIN = 0.1
 # Weights of Boole's rule twice, and what of a strain at the places is not linear in xi.
 _WEIGHTS = np.array([7, 32, 12, 32, 14, 32, 12, 32, 7]) / 180.0
 _LINE = np.stack([np.ones(9), np.sqrt(3.0) * (2.0 * _PLACES - 1.0)])
@@ -81,6 +89,15 @@ class Folds:
         shares = {beam.name: beam.share(Z) for beam in self._beams}
         return {name: share for name, share in shares.items() if share > _SHARE}
 
+    def strained(self, q: Array) -> dict[str, float]:
+        """Return the beams that are strained beyond what elements are made for, at coordinates q.
+
+        With each the largest strain of a fibre.
+        """
+        Z = q.real.reshape(-1, self._d)
+        strains = {beam.name: beam.strain(Z) for beam in self._beams}
+        return {name: strain for name, strain in strains.items() if strain > _STRAIN}
+
 
 @final
 class _Beam:
@@ -93,6 +110,9 @@ class _Beam:
         kind, n_s = beam.element_type(), beam.element.n_s
         self._has_sections = n_s == beam.dimension + 1
         y, z = kind.section.outline(kind.sizes(parameters))
+        # Distance of the outermost fibres from the axis, of cables none.
+        reach = [np.max(np.abs(x), axis=1) * self._has_sections for x in (y, z)]
+        self._reach = np.stack(reach[: max(1, n_s - 2)], axis=1)
         on_axis = np.zeros((len(y), 1))
         self._offsets = [np.concatenate([on_axis, x], axis=1) for x in (y, z)]
         # The reference, of which the chord is given per unit length.
@@ -154,6 +174,15 @@ class _Beam:
         if (limp and turn <= 2.0 * np.sin(0.5 * _TURN)) or rest <= 0:
             return 0.0
         return float(np.sum(error)) / rest
+
+    def strain(self, Z: Array) -> float:
+        """Return the largest strain of a fibre by stretching or bending, without the sign."""
+        X = Z[self._ends]
+        stretch = np.sum(self._tangents(X) ** 2, axis=-1) / self._stretch_o
+        axial = 0.5 * np.max(np.abs(stretch - self._free), initial=0.0)
+        change = np.sqrt(self._bends(X)) - np.sqrt(self._bend_o)
+        bending = np.max(np.abs(change / self._lengths * self._reach), initial=0.0)
+        return float(max(axial, bending))
 
     def _bends(self, X: Array) -> Array:
         """Return the integral of kappa^2 ds times the length for each axis, shape (n, 1 or 2).

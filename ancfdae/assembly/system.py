@@ -274,6 +274,10 @@ class AncfSystem(PlannedSystem):
         """Beams whose elements are too few, with the share of the energy that is the mesh's."""
         return self._folds.coarse(q)
 
+    def strained(self, q: Array) -> dict[str, float]:
+        """Beams strained beyond what their elements are made for, with the strain of a fibre."""
+        return self._folds.strained(q)
+
     def constraint(self, t: float, *motion: Array) -> Array:
         """Constraints Phi or a time derivative, shape (n_lam,), by the number of rates given."""
         return self._constraints.constraint(t, *motion)

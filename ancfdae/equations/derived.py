@@ -34,6 +34,7 @@ _UNDETERMINED = frozenset(
         "mirrored",
         "off_root",
         "over_time",
+        "strained",
         "stress_force",
         "turn_rate",
     }

@@ -141,7 +141,7 @@ class MechanicalSystem(ComplexSteps):
     #: Names of points and joints for the solution; None for a system without any.
     naming: Naming | None = None
     #: Components of a vector: every `vector_size` coordinates in a row are those of one vector in
-    #: space, and tolerances of a step are relative to its length. One where there are no vectors.
+    #: space, and tolerances of a step are relative to its size. One where there are no vectors.
     vector_size: int = 1
 
     @cached_property
@@ -278,6 +278,10 @@ class MechanicalSystem(ComplexSteps):
 
     def coarse(self, q: Array) -> dict[str, float]:
         """Return the parts whose mesh is too coarse at q, with the error of the energy of each."""
+        return {}
+
+    def strained(self, q: Array) -> dict[str, float]:
+        """Return the parts strained beyond the range of their laws at q, each with its strain."""
         return {}
 
     def constraints_q(self, t: Array, q: Array) -> Array:

@@ -31,6 +31,7 @@ from ancfdae.errors.kinds import (
     FailedDesign,
     InconsistentStart,
     InvalidInput,
+    LargeStrain,
     ManySteps,
     MissingPackage,
     NotTraced,

@@ -101,6 +101,11 @@ class CoarseMesh(UserWarning):
 
 
 @final
+class LargeStrain(UserWarning):
+    """Fibres that are strained beyond what their elements are made for; the message names them."""
+
+
+@final
 class FailedDesign(UserWarning):
     """A design that an optimiser tried has no values; the message says why."""
 

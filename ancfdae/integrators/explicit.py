@@ -173,7 +173,7 @@ class _ExplicitMarch(March):
         return np.inf
 
     def _sizes(self, rows: Array) -> Array:
-        """Return the lengths of vectors of a state, of positions from the place of the system."""
+        """Return the sizes of vectors of a state, of positions from the place of the system."""
         rows = rows.copy()
         rows[0, 0] -= self._problem.scales.place
         return vector_sizes(rows, self._problem.system.vector_size)

@@ -1,12 +1,12 @@
 """What a run begins with: a system, its consistent start and the sizes of its unknowns.
 
 **Sizes.** Coordinates are compared in the weighted form sqrt(w_i) q_i, which has one unit for all
-of them. Positions count from the mean position of the start, the place p of the system, and
-the size of a coordinate is the length of its vector, so that no size depends on where a scene
-stands or how it is turned. The scale of q is the root mean square of q - p at the start in the
-weighted form; that of v is the speed
-that the start has or that its accelerations reach over that length; that of the multipliers follows
-from the forces at the start through the rows of Phi_q. Forces that are round-off count as zero: of
+of them. Positions count from the mean position of the start, the place p of the system, and the
+size of a coordinate is the root mean square of its vector, so that no size depends on where a
+scene stands or how it is turned. The scale of q is the root mean square of q - p at the start in
+the weighted form; that of v is the speed that the start has or that its accelerations reach over
+that length; that of the multipliers follows from the forces at the start through the rows of
+Phi_q. Forces that are round-off count as zero: of
 a mechanism at rest they would give a speed of no meaning, 1e-8 of that which it is to have.
 """
 
@@ -122,7 +122,7 @@ class Problem:
         return cls(system, matrices, initial, scales)
 
     def size(self, q: Array) -> Array:
-        """Return for every coordinate the length of its vector from the place p, shape (n_q,)."""
+        """Return for every coordinate the size of its vector from the place p, shape (n_q,)."""
         return vector_sizes(q.real - self.scales.place, self.system.vector_size)
 
     @cached_property
@@ -170,6 +170,9 @@ class Problem:
 
 
 def vector_sizes(x: Array, d: int) -> Array:
-    """Return for every coordinate the length of its vector; the last axis holds vectors of d."""
-    lengths = np.sqrt(np.sum(x.reshape(*x.shape[:-1], -1, d) ** 2, axis=-1))
-    return np.repeat(lengths, d, axis=-1)
+    """Return for every coordinate the root mean square of its vector; the last axis holds vectors.
+
+    They have d components.
+    """
+    sizes = np.sqrt(np.mean(x.reshape(*x.shape[:-1], -1, d) ** 2, axis=-1))
+    return np.repeat(sizes, d, axis=-1)

@@ -13,12 +13,14 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import (
     InvalidInput,
+    LargeStrain,
     StabilityWarning,
     require_kind,
     require_positive,
     require_sequence,
     uninterrupted,
 )
+from ancfdae.errors.text import listed
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
@@ -33,6 +35,9 @@ from ancfdae.studies.remedies import with_remedies
 
 if TYPE_CHECKING:
     from ancfdae.studies.tolerance.observables import Observed
+
+# States of a run, the end included, at which strains are looked at: all would cost half a run.
+_LOOKS = 9
 
 
 @overload
@@ -74,7 +79,9 @@ def simulate(
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
 
     Warns of errors estimated larger than the motion (`StabilityWarning`), of very many steps under
-    error control (`ManySteps`) and of a tolerance out of reach (`ToleranceMissed`).
+    error control (`ManySteps`), of a tolerance out of reach (`ToleranceMissed`), and of beams that
+    are strained beyond what their elements are made for (`LargeStrain`) at one of nine instants,
+    the end included.
 
     Parameters
     ----------
@@ -111,7 +118,32 @@ def simulate(
     run = Run(system, t_end, _required(integrator), progress, after)
     if keep is not None:
         return _thinned(run, keep)
-    return _warned(with_remedies(model, run, uninterrupted(run.solution())))
+    solution = with_remedies(model, run, uninterrupted(run.solution()))
+    if solution.outcome.success:
+        warn_of_strains("simulate", system, solution.q)
+    return _warned(solution)
+
+
+def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 3) -> None:
+    """Warn, once, of parts that are strained too far in a call, at some states, rows of q.
+
+    `level` is that of the caller of the call, as in `warnings.warn`.
+    """
+    strained: dict[str, float] = {}
+    for k in np.unique(np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int)):
+        for name, strain in system.strained(q[k]).items():
+            strained[name] = max(strain, strained.get(name, 0.0))
+    if strained:
+        worst = max(strained.values())
+        warnings.warn(
+            f"{call}: fibres of {listed(map(repr, strained))} are strained by up to "
+            f"{100 * worst:.2g} %, beyond what beam elements are made for. A force in such a "
+            f"stretch differs from Hooke's law by {150 * worst:.2g} %, a shape bent so by about "
+            f"{100 * worst**2:.2g} % (its gradient by twice that; cables bend exactly): take the "
+            "results as estimates.",
+            LargeStrain,
+            stacklevel=level,
+        )
 
 
 def _thinned(run: Run, keep: Keep) -> Solution:

@@ -29,7 +29,7 @@ from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import States
 from ancfdae.statics.critical import CriticalLoad, find_critical
 from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, find_equilibrium
-from ancfdae.studies.calls import as_system, cheapest, differentiable
+from ancfdae.studies.calls import as_system, cheapest, differentiable, warn_of_strains
 
 _STEPS = "For example 100."
 
@@ -61,7 +61,8 @@ def equilibrium(
     -------
     Equilibrium
         A load that cannot be carried is reported by `outcome`, and what was carried is kept. Warns
-        of beams whose elements are too few for their bends (`CoarseMesh`).
+        of beams whose elements are too few for their bends (`CoarseMesh`), or that are strained
+        beyond what their elements are made for (`LargeStrain`).
 
     Raises
     ------
@@ -77,9 +78,12 @@ def equilibrium(
     if start is not None:
         _require_start_of(system, start)
     state = None if start is None else (start.q, start.lam)
-    return uninterrupted(
+    found = uninterrupted(
         find_equilibrium(system, start=state, max_steps=max_steps, sensitivities=bool(system.n_b))
     )
+    if found.outcome.success:
+        warn_of_strains("equilibrium", system, found.q[None])
+    return found
 
 
 def critical_load(

@@ -76,7 +76,7 @@ class ControlledSteps(StepControl):
     Parameters
     ----------
     rtol : float
-        What the errors of all steps may add up to, relative to the length of every vector (slope,
+        What the errors of all steps may add up to, relative to the size of every vector (slope,
         or position from the mean position at the start); the step follows from it. The run errs
         by up to 10 times as much (docs/theory/13-errors.md).
     atol : float, optional

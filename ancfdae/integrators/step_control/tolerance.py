@@ -5,9 +5,9 @@ that is what the tolerance bounds (error per unit step):
 
     e^2 = mean over i of (T delta_i / h / (rtol |r_i| + atol Q_i))^2
 
-with T the length of the run, |r_i| the length of the vector to which coordinate i belongs, from the
-place of the system, and Q_i the size of coordinate i (`Problem`, `Scales`). A step is accepted if
-e <= 1.
+with T the length of the run, |r_i| the root mean square of the vector to which coordinate i
+belongs, positions from the place of the system, and Q_i the size of coordinate i (`Problem`,
+`Scales`). A step is accepted if e <= 1.
 
 Where derivatives are integrated too, each design variable j has its own e, from the derivative of
 delta in the design, with

@@ -1,0 +1,96 @@
+"""Strains beyond what elements are made for are told, and cost what the documentation says."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    CABLE_2D,
+    CABLE_3D,
+    HHT,
+    Beam,
+    Clamp,
+    LargeStrain,
+    Material,
+    Moment,
+    NodeState,
+    PointForce,
+    Rectangle,
+    Scene,
+    assemble,
+    equilibrium,
+    position,
+    simulate,
+    static_gradient,
+)
+
+E, WIDTH = 1e6, 0.1
+SOFT = Material(1000.0, E, 0.3)
+
+
+def half_circle(strain, n, element=None):
+    """A strip of 1 m under the moment that makes it half a circle, with a fibre strain."""
+    height = 2 * strain / np.pi
+    more = {} if element is None else {"element": element}
+    rod = Beam("rod", (0, 0), (1, 0), n, Rectangle(height, WIDTH), SOFT, **more)
+    moment = np.pi * E * WIDTH * height**3 / 12
+    return Scene([rod], [Clamp(rod.at_start)], loads=[Moment(rod.at_end, moment)]), rod
+
+
+@pytest.mark.filterwarnings("ignore::ancfdae.LargeStrain")
+@pytest.mark.parametrize(("strain", "n"), [(0.13, 12), (0.065, 24), (0.03, 52)])
+def test_half_a_circle_errs_by_the_squared_strain_of_its_fibres(strain, n):
+    scene, rod = half_circle(strain, n)
+    found = equilibrium(scene).solution.position(rod.at_end)[0]
+    error = np.hypot(*(found - [0.0, 2 / np.pi]))
+    assert 0.7 * strain**2 < error < 1.0 * strain**2
+    moved = [
+        E
+        * static_gradient(scene, position(rod.at_end, k), design=["rod.youngs_modulus"]).gradient[0]
+        for k in (0, 1)
+    ]
+    # x = sin(a)/a, y = (1 - cos(a))/a at a = pi, with E da/dE = -a.
+    exact = np.array([1.0, 2 / np.pi])
+    assert np.hypot(*(moved - exact)) < 2.5 * strain**2 * np.hypot(*exact)
+
+
+@pytest.mark.parametrize(("strain", "told"), [(0.105, 1), (0.095, 0)])
+@pytest.mark.parametrize("element", [None, CABLE_2D])
+def test_bending_of_beams_beyond_the_range_is_told_once(strain, told, element):
+    scene, _ = half_circle(strain, 16, element)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        equilibrium(scene)
+    assert [x.category for x in caught] == [LargeStrain] * (told if element is None else 0)
+    assert all(x.filename == __file__ for x in caught)
+
+
+@pytest.mark.parametrize("element", [None, CABLE_3D])
+@pytest.mark.parametrize(("stretch", "told"), [(1.09, 0), (1.11, 1)])
+def test_stretches_beyond_the_range_are_told(element, stretch, told):
+    """N = E A lambda (lambda^2 - 1)/2, and Green and Lagrange's strain (lambda^2 - 1)/2."""
+    more = {} if element is None else {"element": element}
+    rod = Beam("rod", (0, 0, 0), (1, 0, 0), 2, Rectangle(0.02, 0.02), SOFT, **more)
+    force = E * 4e-4 * stretch * (stretch**2 - 1) / 2
+    scene = Scene([rod], [Clamp(rod.at_start)], loads=[PointForce(rod.at_end, (force, 0, 0))])
+    system = assemble(scene)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = equilibrium(system)
+    strain = (stretch**2 - 1) / 2
+    assert found.solution.position(rod.at_end)[0, 0] == pytest.approx(stretch, rel=1e-9)
+    assert [x.category for x in caught] == [LargeStrain] * told
+    assert list(system.strained(found.q).values()) == pytest.approx([strain] * len(caught))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_run_tells_of_its_strains_once():
+    scene, rod = half_circle(0.13, 12)
+    with pytest.warns(LargeStrain):
+        bent = equilibrium(scene).solution.nodes("rod")[0]
+    free = Scene([rod], [Clamp(rod.at_start)], start=[NodeState("rod", bent)])
+    with pytest.warns(LargeStrain, match="simulate: fibres of 'rod' .* by up to 13 %") as caught:
+        simulate(free, 1e-3, HHT(1e-4))
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
