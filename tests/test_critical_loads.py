@@ -1,5 +1,6 @@
 """Critical loads: closed forms, printed values, derivatives of the very call, other branches."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -705,3 +706,23 @@ def test_a_shaft_on_two_bearings_leaves_in_two_directions_at_once_above_greenhil
         lost.append(found.outcome.stable_to * shares[1])
     # To one per cent in steps; meshes err by 13 and 4.5 %, with order two, the limit by 2 %.
     assert lost[1] + (lost[1] - lost[0]) / 3 == pytest.approx(1.0, abs=0.04)
+
+
+@pytest.mark.parametrize(("n", "h", "near"), [(500, 0.01, 1e-4), (100, 1e-4, 1e-5)])
+def test_finely_divided_columns_bifurcate(n, h, near):
+    """500 elements of a fifth of their height: round-off had made a limit point of it.
+
+    K has round-off of (n/h)^2 1e-16; shear takes (pi h/2)^2 E/(5/6 G)/12 of the load.
+    """
+    euler = -(np.pi**2) * E * h**4 / 12 / 4
+    found = critical_load(column(n, h=h), "load.force_x", 3 * euler, design=["rod.height"])
+    assert found.kind == "bifurcation"
+    np.testing.assert_allclose(found.value, euler, rtol=near)
+    np.testing.assert_allclose(found.gradient * h / found.value, [3.0], rtol=10 * near)
+
+
+def test_a_straight_column_is_no_coarse_mesh():
+    """Its axial strains and its bending are round-off: their ratio says nothing."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert equilibrium(column(500, h=1e-3)).outcome.success

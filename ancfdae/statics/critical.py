@@ -215,7 +215,10 @@ def _lost_in_words(place: _Place) -> str:
     if place.follows:
         return f"equilibria are unstable, or not to be followed, beyond {place.p:g}. {_FLUTTER}"
     where = f"stiffness is lost beyond {place.p:g}"
-    return f"{where}, but Newton's method finds no critical point there"
+    return (
+        f"{where}, but Newton's method finds no critical point there. Where beams are thin and "
+        "have hundreds of elements round-off hides it: use fewer elements, or CABLE_2D or CABLE_3D"
+    )
 
 
 @final
@@ -393,7 +396,10 @@ class _Search:
         return point, "bifurcation"
 
     def limit_point(self) -> tuple[HeldPoint, Kind] | None:
-        """Solve tau = tau_a = 0; None where that leads to no limit point."""
+        """Solve tau = tau_a = 0; None where that leads to no such point.
+
+        It is a bifurcation where the parameter does no work on the motion, tau_p = 0.
+        """
 
         def equations(x: HeldPoint) -> tuple[Array, Array]:
             tau_aa, tau_ab = x.in_a
@@ -401,7 +407,11 @@ class _Search:
             return matrix, np.array([x.tau, x.tau_a])
 
         point = self._newton(equations)
-        return None if point is None else (point, "limit point")
+        if point is None:
+            return None
+        k = self._k
+        works = abs(point.tau_b[k]) > _NONE * point.reach[k]
+        return point, "limit point" if works else "bifurcation"
 
     def _newton(self, equations: Callable[[HeldPoint], tuple[Array, Array]]) -> HeldPoint | None:
         """Return a solution ahead of the place and not far away; None if it finds none."""
