@@ -49,6 +49,9 @@ _EPS = float(np.finfo(float).eps)
 # Newton's method may miss the extrapolated state by this part of the step. A step of the parameter
 # that failed is tried again from a place nearer than this part of it.
 _BEND, _AGAIN = 0.5, 0.25
+# A critical point is on the path if its state is no farther than this part of the size of the system;
+# or if, so much of the way there, the state is no farther than this part of the distance.
+_AT_HAND, _WAY, _COME = 1e-3, 0.9, 0.7
 # A change of p by this part of the way shows how tau_p changes.
 _SLOPE = 3e-3
 _FLUTTER = (
@@ -428,7 +431,8 @@ class _Search:
             small = max(_CONVERGED * left, _DIGITS * self._size)
             digits = 4 * _EPS * max(abs(p), self._size)
             if (abs(dp) >= 0.5 * last and last <= small) or abs(dp) <= digits:
-                return point if point.held and self._is_ahead(p) else None
+                found = point.held and self._is_ahead(p) and self._is_reached(point)
+                return point if found else None
             a, p, last = a - da, p - dp, abs(dp)
             if not abs(p - place.p) <= _FAR * left:
                 return None
@@ -436,6 +440,20 @@ class _Search:
             q = point.q - da * point.motion[0] - dp * point.paths[0][:, k]
             lam = point.lam - da * point.motion[1] - dp * point.paths[1][:, k]
         return None
+
+    def _is_reached(self, point: HeldPoint) -> bool:
+        """Whether the path leads there: Newton's method may have found a point of another one.
+
+        At nine tenths of the way there the state has come nearer to it, by the root of what is
+        left of the load or faster. What is near at hand is on the path.
+        """
+        place, weights = self._place, point.system.weights
+        way = norm(point.q - place.at.q, weights)
+        if way <= _AT_HAND * Balance(place.system, 0.0, place.at.q, place.at.lam).extent:
+            return True
+        p = place.p + _WAY * (float(point.system.b[self._k]) - place.p)
+        at = _followed(_moved(place.system, self._k, p), place)
+        return at is not None and norm(point.q - at.q, weights) <= _COME * way
 
     def _is_ahead(self, p: float) -> bool:
         """Whether p is in the range, and about where stability is lost, to the digits it has."""
