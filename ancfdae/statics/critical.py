@@ -49,7 +49,7 @@ _EPS = float(np.finfo(float).eps)
 # Newton's method may miss the extrapolated state by this part of the step. A step of the parameter
 # that failed is tried again from a place nearer than this part of it.
 _BEND, _AGAIN = 0.5, 0.25
-# A critical point is on the path if its state is no farther than this part of the size of the system;
+# A critical point is on the path if its state is no farther than this part of the system's size;
 # or if, so much of the way there, the state is no farther than this part of the distance.
 _AT_HAND, _WAY, _COME = 1e-3, 0.9, 0.7
 # A change of p by this part of the way shows how tau_p changes.
