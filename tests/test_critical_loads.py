@@ -1,10 +1,11 @@
 """Critical loads: closed forms, printed values, derivatives of the very call, other branches."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 from scipy.special import ellipe, ellipk
 
 from ancfdae import (
@@ -705,3 +706,77 @@ def test_a_shaft_on_two_bearings_leaves_in_two_directions_at_once_above_greenhil
         lost.append(found.outcome.stable_to * shares[1])
     # To one per cent in steps; meshes err by 13 and 4.5 %, with order two, the limit by 2 %.
     assert lost[1] + (lost[1] - lost[0]) / 3 == pytest.approx(1.0, abs=0.04)
+
+
+@pytest.mark.parametrize(("n", "h", "near"), [(500, 0.01, 1e-4), (100, 1e-4, 1e-5)])
+def test_finely_divided_columns_bifurcate(n, h, near):
+    """500 elements of a fifth of their height: round-off had made a limit point of it.
+
+    K has round-off of (n/h)^2 1e-16; shear takes (pi h/2)^2 E/(5/6 G)/12 of the load.
+    """
+    euler = -(np.pi**2) * E * h**4 / 12 / 4
+    found = critical_load(column(n, h=h), "load.force_x", 3 * euler, design=["rod.height"])
+    assert found.kind == "bifurcation"
+    np.testing.assert_allclose(found.value, euler, rtol=near)
+    np.testing.assert_allclose(found.gradient * h / found.value, [3.0], rtol=10 * near)
+
+
+def test_a_straight_column_is_no_coarse_mesh():
+    """Its axial strains and its bending are round-off: their ratio says nothing."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert equilibrium(column(500, h=1e-3)).outcome.success
+
+
+def portal(h, pinned, loads, n=4):
+    """A frame of three equal bars, loaded at its corners by forces down."""
+    steel = Material(7850, E, 0.3)
+    left, top, right = (
+        Beam(name, start, end, n, Rectangle(h, h), steel)
+        for name, start, end in (
+            ("left", (0, 0), (0, 1)), ("top", (0, 1), (1, 1)), ("right", (1, 0), (1, 1))
+        )
+    )  # fmt: skip
+    foot = Pin if pinned else Clamp
+    joints = [foot(left.at_start), foot(right.at_start)]
+    joints += [Weld(left.at_end, top.at_start), Weld(right.at_end, top.at_end)]
+    corners = zip((left.at_end, right.at_end), "PQ", strict=True)
+    forces = [
+        PointForce(at, (0.0, -load), name=name)
+        for (at, name), load in zip(corners, loads, strict=True)
+    ]
+    return Scene([left, top, right], joints, loads=forces)
+
+
+def of_sway(h, pinned):
+    """The force on each corner of a frame that sways, k^2 E I: k tan k = 6 or tan k = -k/6."""
+    if pinned:
+        k = brentq(lambda k: k * np.sin(k) - 6 * np.cos(k), 1.0, 1.5)
+    else:
+        k = brentq(lambda k: 6 * np.sin(k) + k * np.cos(k), 2.0, 3.0)
+    return k * k * E * h**4 / 12
+
+
+@pytest.mark.parametrize("pinned", [True, False])
+@pytest.mark.parametrize("h", [0.01, 0.02])
+def test_frames_sway_at_the_load_of_their_bars(h, pinned):
+    P = of_sway(h, pinned)
+    load = DesignVariable("load", {"P.force_y": -1e-6 * P, "Q.force_y": -1e-6 * P})
+    found = critical_load(portal(h, pinned, (1e-6 * P, 1e-6 * P)), load, 2e6)
+    assert found.kind == "bifurcation"
+    # Shortening and shear: 2.5 h^2.
+    assert found.value == pytest.approx(1e6, rel=2.5 * h * h + 1e-5)
+
+
+@pytest.mark.parametrize(("pinned", "n"), [(True, 4), (False, 8)])
+def test_a_frame_loaded_at_one_corner_sways_until_its_own_limit(pinned, n):
+    """The path without sway is broken: its other half has a limit point that nothing leads to.
+
+    It was returned, and once a point of a path far away at 0.6 of the load.
+    """
+    P = of_sway(0.02, pinned)
+    found = critical_load(portal(0.02, pinned, (0.0, 0.0), n), "P.force_y", -4 * P)
+    assert found.kind == "limit point"
+    outcome = equilibrium(portal(0.02, pinned, (2.4 * P, 0.0), n)).outcome
+    # The path of loads ends where its steps fall below 1e-6.
+    assert -found.value == pytest.approx(2.4 * P * outcome.fraction, rel=1e-5)

@@ -51,8 +51,9 @@ _NAMED = 3
 _SHARE = 0.04
 # What else is asked, fitted, not derived. Where tension shapes an element, N l^2/EI of the mean
 # element above the first number, as of limp cables, pulls are right whatever the share, until one
-# of the elements turns by more than the second one, in rad: by 20 % and more they err then.
-_LIMP, _TURN = 25.0, 0.5
+# of the elements turns by more than the second one, in rad: by 20 % and more they err then. Below
+# the third one elements were 3e5 times as long as high; straight beams have a share of round-off.
+_LIMP, _TURN, _STRAIGHT = 25.0, 0.5, 0.1
 # Strain of a fibre up to which elements are made: of bending it moves a shape by 1 %, its gradient
 # by 2.4 %; of stretching it is 15 % of a force.
 _STRAIN = 0.1
@@ -171,7 +172,7 @@ class _Beam:
         turn = np.max(np.sqrt(np.sum((ends[1] - ends[0]) ** 2, axis=1)))
         force = np.abs(self._EA * (strain @ _WEIGHTS)[:, None])
         limp = np.mean(force * self._lengths**2 / self._EI) > _LIMP
-        if (limp and turn <= 2.0 * np.sin(0.5 * _TURN)) or rest <= 0:
+        if turn <= 2.0 * np.sin(0.5 * (_TURN if limp else _STRAIGHT)) or rest <= 0:
             return 0.0
         return float(np.sum(error)) / rest
 

@@ -49,6 +49,9 @@ _EPS = float(np.finfo(float).eps)
 # Newton's method may miss the extrapolated state by this part of the step. A step of the parameter
 # that failed is tried again from a place nearer than this part of it.
 _BEND, _AGAIN = 0.5, 0.25
+# A critical point is on the path if its state is no farther than this part of the system's size;
+# or if, so much of the way there, the state is no farther than this part of the distance.
+_AT_HAND, _WAY, _COME = 1e-3, 0.9, 0.7
 # A change of p by this part of the way shows how tau_p changes.
 _SLOPE = 3e-3
 _FLUTTER = (
@@ -216,7 +219,10 @@ def _lost_in_words(place: _Place) -> str:
     if place.follows:
         return f"equilibria are unstable, or not to be followed, beyond {place.p:g}. {_FLUTTER}"
     where = f"stiffness is lost beyond {place.p:g}"
-    return f"{where}, but Newton's method finds no critical point there"
+    return (
+        f"{where}, but Newton's method finds no critical point there. Where beams are thin and "
+        "have hundreds of elements round-off hides it: use fewer elements, or CABLE_2D or CABLE_3D"
+    )
 
 
 @final
@@ -394,7 +400,10 @@ class _Search:
         return point, "bifurcation"
 
     def limit_point(self) -> tuple[HeldPoint, Kind] | None:
-        """Solve tau = tau_a = 0; None where that leads to no limit point."""
+        """Solve tau = tau_a = 0; None where that leads to no such point.
+
+        It is a bifurcation where the parameter does no work on the motion, tau_p = 0.
+        """
 
         def equations(x: HeldPoint) -> tuple[Array, Array]:
             tau_aa, tau_ab = x.in_a
@@ -402,7 +411,11 @@ class _Search:
             return matrix, np.array([x.tau, x.tau_a])
 
         point = self._newton(equations)
-        return None if point is None else (point, "limit point")
+        if point is None:
+            return None
+        k = self._k
+        works = abs(point.tau_b[k]) > _NONE * point.reach[k]
+        return point, "limit point" if works else "bifurcation"
 
     def _newton(self, equations: Callable[[HeldPoint], tuple[Array, Array]]) -> HeldPoint | None:
         """Return a solution ahead of the place and not far away; None if it finds none."""
@@ -419,7 +432,8 @@ class _Search:
             small = max(_CONVERGED * left, _DIGITS * self._size)
             digits = 4 * _EPS * max(abs(p), self._size)
             if (abs(dp) >= 0.5 * last and last <= small) or abs(dp) <= digits:
-                return point if point.held and self._is_ahead(p) else None
+                found = point.held and self._is_ahead(p) and self._is_reached(point)
+                return point if found else None
             a, p, last = a - da, p - dp, abs(dp)
             if not abs(p - place.p) <= _FAR * left:
                 return None
@@ -427,6 +441,20 @@ class _Search:
             q = point.q - da * point.motion[0] - dp * point.paths[0][:, k]
             lam = point.lam - da * point.motion[1] - dp * point.paths[1][:, k]
         return None
+
+    def _is_reached(self, point: HeldPoint) -> bool:
+        """Whether the path leads there: Newton's method may have found a point of another one.
+
+        At nine tenths of the way there the state has come nearer to it, by the root of what is
+        left of the load or faster. What is near at hand is on the path.
+        """
+        place, weights = self._place, point.system.weights
+        way = norm(point.q - place.at.q, weights)
+        if way <= _AT_HAND * Balance(place.system, 0.0, place.at.q, place.at.lam).extent:
+            return True
+        p = place.p + _WAY * (float(point.system.b[self._k]) - place.p)
+        at = _followed(_moved(place.system, self._k, p), place)
+        return at is not None and norm(point.q - at.q, weights) <= _COME * way
 
     def _is_ahead(self, p: float) -> bool:
         """Whether p is in the range, and about where stability is lost, to the digits it has."""
