@@ -29,11 +29,14 @@ from ancfdae.errors import SingularMatrix
 from ancfdae.integrators.hht import compiled
 from ancfdae.integrators.index_1 import Accelerations, ListedAccelerations, accelerations
 from ancfdae.kernels import (
+    RULES,
     OperationList,
     index_1_projected,
     index_1_rows,
     index_1_stages,
     list_values,
+    prepare,
+    rest,
 )
 from ancfdae.numerics.extrapolation import scaled_derivative
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
@@ -745,3 +748,33 @@ def test_a_constraint_that_cannot_be_traced_is_refused():
 
     with pytest.raises(InvalidInput, match=r"Checked\.with_values: .*b\[0\] <= 0.*comparison"):
         Checked()
+
+
+WRONG_PLANS = {
+    "lists": [(), (1,) * 6, "reversed"],
+    "b": [np.ones(9), np.ones(11)],
+    "weights": [np.ones(3), np.ones(5)],
+    "inverse_weights": [np.ones(3)],
+    "velocity": [False],
+    "B": ["short"],
+    "K": ["short"],
+}
+
+
+@pytest.mark.parametrize("field", WRONG_PLANS)
+def test_plans_of_lists_that_do_not_fit_are_refused(field):
+    system = Elbow()
+    plan, rules = system.list_plan, np.zeros(RULES)
+    layout = saddle_point(system, 0.0).layout(band=True)
+    prepared = prepare(plan, layout, rules)
+    for value in WRONG_PLANS[field]:
+        if isinstance(value, str) and value == "reversed":
+            value = plan.lists[::-1]
+        elif isinstance(value, str):
+            first, columns, values = getattr(plan, field)
+            value = first, columns[:-1], values[:-1]
+        with pytest.raises((ValueError, TypeError)):
+            prepare(plan._replace(**{field: value}), layout, rules)
+    # What needs a scene does not take lists.
+    with pytest.raises(ValueError, match="only march"):
+        rest(prepared, (), (), (), rules)
