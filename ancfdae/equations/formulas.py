@@ -15,9 +15,11 @@ that what the protocol derives from values by complex steps is exact to round-of
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
@@ -26,10 +28,12 @@ from ancfdae.equations.complex_steps import FORGOTTEN
 from ancfdae.errors import InvalidInput
 from ancfdae.kernels import OperationList, list_values
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.operations import Operations, Traced
+from ancfdae.numerics.operations import NotTraceable, Operations, Traced
 
 # A method of `Formulas` that returns numbers of the list of operations.
 Value: TypeAlias = Callable[..., tuple[Array, ...]]
+# What ends a trace.
+_FAILURES = (NotTraceable, TypeError, ValueError, AttributeError, ArithmeticError, IndexError)
 # What a motion consists of: each is the rate of the one before.
 _MOTION = ("q", "v", "a", "j")
 
@@ -65,15 +69,37 @@ class Formulas:
         self._one = np.array([operations.constant(1.0)])
         self._made: dict[tuple[str, int], Array] = {}
         self._lists: dict[tuple[Any, ...], _List] = {}
+        self.kind, self.called = type(system), dict[str, str]()
+        where = f"{self.kind.__name__}.with_values"
         (t,), q, v, b = (Traced.array(operations, self._at[x]) for x in ("t", "q", "v", "b"))
-        self.kind = type(system)
-        moved = system.with_values(b)
+        moved = self._traced_or_refused(where, lambda: system.with_values(b))
         if not np.array_equal(Traced.numbers(operations, moved.b), self._at["b"]):
-            raise InvalidInput(f"{self.kind.__name__}.with_values", *FORGOTTEN)
-        self._M = self._numbers("mass_matrix", moved.mass_matrix(q.copy()), (n, n))
-        self._Q = self._numbers("force", moved.force(t, q.copy(), v.copy()), (n,))
-        Phi = moved.position_constraint(t, q.copy())
+            raise InvalidInput(where, *FORGOTTEN)
+        self._M = self._or_called("mass_matrix", (n, n), lambda: moved.mass_matrix(q.copy()))
+        self._Q = self._or_called("force", (n,), lambda: moved.force(t, q.copy(), v.copy()))
+        where = f"{self.kind.__name__}.position_constraint"
+        Phi = self._traced_or_refused(where, lambda: moved.position_constraint(t, q.copy()))
         self._Phi = self._numbers("position_constraint", Phi, (system.n_lam,))
+
+    def _or_called(self, name: str, shape: tuple[int, ...], value: Callable[[], Any]) -> Array:
+        """Return numbers of a value; NaN in their place, and why, if it cannot be traced."""
+        try:
+            return self._numbers(name, value(), shape)
+        except _FAILURES as error:
+            if isinstance(error, InvalidInput):
+                raise
+            self.called[name] = told(error)
+            return np.full(shape, self._operations.constant(np.nan))
+
+    def _traced_or_refused(self, where: str, value: Callable[[], Any]) -> Any:
+        try:
+            return value()
+        except _FAILURES as error:
+            if isinstance(error, InvalidInput):
+                raise
+            repair = "Write it so, or write all values by formulas (MechanicalSystem)."
+            rule = "must be made of functions of NumPy that take symbols"
+            raise InvalidInput(where, rule, told(error), repair) from error
 
     def _numbers(self, name: str, value: Any, shape: tuple[int, ...]) -> Array:
         numbers = Traced.numbers(self._operations, value)
@@ -236,3 +262,16 @@ class Formulas:
             for x, dx in zip(self._at[name].tolist(), by.tolist(), strict=True)
         ]
         return self._operations.along(values, dict(pairs))
+
+
+def told(error: Exception) -> str:
+    """Return the line of a user's code at which tracing ended, and why."""
+    own = str(Path(np.__file__).parent), str(Path(__file__).parents[1])
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [x for x in frames if not x.filename.startswith(own)]
+    known = isinstance(error, NotTraceable)
+    why = f"asks for {error}" if known else f"fails on symbols ({type(error).__name__}: {error})"
+    if not lines:
+        return why
+    last = lines[-1]
+    return f"line {last.lineno} of {Path(last.filename).name}, `{last.line}`, {why}."

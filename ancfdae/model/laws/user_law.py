@@ -10,7 +10,7 @@ from ancfdae.errors import InvalidInput, require_function
 from ancfdae.model.design import require_numbers
 from ancfdae.model.laws.law import Law
 from ancfdae.numerics.arrays import Array, Numbers
-from ancfdae.numerics.contour import FAILURES, require_derivative
+from ancfdae.numerics.complex_step import FAILURES, require_derivative
 from ancfdae.numerics.jets import Jet
 
 # Instants of all sizes at which a function is tried; where it is not finite it is not judged.

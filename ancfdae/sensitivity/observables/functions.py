@@ -14,7 +14,7 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.contour import FAILURES
+from ancfdae.numerics.complex_step import FAILURES
 
 # Analytic on the whole real line, or infinite at their poles.
 _WHOLE = (

@@ -13,7 +13,7 @@ from ancfdae.assembly.beam_elements import StatePartials
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.contour import require_derivative
+from ancfdae.numerics.complex_step import require_derivative
 from ancfdae.sensitivity.observables.expression import (
     Expression,
     Operation,

@@ -9,7 +9,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import InvalidInput, require_function, require_kind
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.contour import require_derivative
+from ancfdae.numerics.complex_step import require_derivative
 from ancfdae.sensitivity.observables.functions import Function, require_vectorised
 from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import Named, States, known_system
