@@ -72,6 +72,7 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
+    "'what is' for a noun": 1,
     "as far as": 14,
     "is none": 69,
     "that of, those of": 531,
@@ -79,8 +80,8 @@ AT_MOST: dict[str, int] = {
     "tells": 81,
     "all of them": 49,
     "the other": 34,
-    "instants": 507,
-    "array without a shape": 345,
+    "instants": 504,
+    "array without a shape": 339,
     "number without a unit": 8,
     "long sentence": 243,
 }

@@ -311,7 +311,7 @@ class Assembly:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Joint of every equation."""
+        """Name of the joint of every constraint equation."""
         joints = self._declared.constraints.structure.joints
         return tuple(joint.name for joint in joints for _ in range(joint.rows))
 

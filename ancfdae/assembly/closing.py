@@ -138,14 +138,14 @@ class Closing:
         return lam
 
     def jacobian(self, q: Array, T: Array) -> scipy.sparse.csr_array:
-        """J, dimensionless, shape (n_rows, n_free)."""
+        """Jacobian J of the scaled joint equations in the free motions, shape (n_rows, n_free)."""
         constraints = self.declared.constraints
         B = constraints.structure.pattern.csr(constraints.constraint_q(0.0, q).real)[: self.rows]
         rows = scipy.sparse.diags_array(self.weights[: self.rows])
         return (rows @ B @ (self.motions.matrix(T) @ self._freedom)).tocsr()
 
     def matrix_at(self, y: Unknowns) -> scipy.sparse.csr_array:
-        """F_(x, sigma, rho) for `at`."""
+        """Jacobian of `at` with respect to the unknowns y = (x, sigma, rho)."""
         x, sigma, rho = (part.real for part in y)
         Z, motion, constraints = self.declared.Z.real, self.motion(x), self.declared.constraints
         q = self.motions.place(Z, motion).ravel()

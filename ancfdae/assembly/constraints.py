@@ -57,7 +57,7 @@ class JointConstraints:
 
     @cached_property
     def factors(self) -> JointFactors:
-        """Factors of driven joints."""
+        """Factors of time of the driven joints."""
         return JointFactors(self.structure.slots)
 
     @cached_property
@@ -168,7 +168,7 @@ class JointConstraints:
     # -- what drives do, many instants ---------------------------------------------------------
 
     def works(self, q: Array, lam: Array, t: Array) -> Array:
-        """Lam . Phi_t, shape (k,)."""
+        """Power of the driven joints, lam . Phi_t, shape (k,); W."""
         return np.asarray(np.sum(lam * self._by_time(q, t), axis=1))
 
     def works_partials(self, q: Array, lam: Array, t: Array) -> tuple[Array, Array, Array]:

@@ -32,7 +32,7 @@ class RigidMotions:
 
     @property
     def none(self) -> Array:
-        """No motion at all."""
+        """The zero motion of all bodies, shape (n_bodies, n_x)."""
         return np.zeros((self._count, self.n_x))
 
     def place(self, Z: Array, x: Array) -> Array:

@@ -386,7 +386,7 @@ class AncfSystem(PlannedSystem):
         return dot(f_q, mu), on_v, on_b
 
     def _tangents(self, q: Array, v: Array, t: Array) -> tuple[Array, Array | None]:
-        """Return -Q_q and -Q_v."""
+        """Return values of -Q_q and -Q_v on the pattern; None for Q_v if Q ignores velocities."""
         K, D = self._elastic.internal_q(q, v), None
         if self._elastic.damped:
             D = self._elastic.internal_v(q)

@@ -40,7 +40,7 @@ class Vectors:
 
     @staticmethod
     def of_points(vectors: Sequence[PointVector], d: int, n_q: int, n_b: int) -> Vectors:
-        """Return the map of vectors."""
+        """Return the map from coordinates to vectors of points, with its design derivatives."""
         sizes, columns = [0], [np.zeros(0, dtype=np.int64)]
         values, values_b = [np.zeros(0)], [np.zeros((0, n_b))]
         for vector in vectors:

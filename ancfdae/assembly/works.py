@@ -59,7 +59,7 @@ class _UnitRate(Law):
     design_fields = (("law", require_law),)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Return x, 1, 0, 0."""
+        """Return the law with its rates replaced by 1, 0, 0, so that a power is per unit rate."""
         x = self.law.derivative(p, t, 0)
         return x if order == 0 else np.full_like(x, float(order == 1))
 
@@ -80,7 +80,7 @@ class LoadWork:
     n_b: int
 
     def value(self, t: Array, q: Array, v: Array) -> Array:
-        """Return the power, shape (k,)."""
+        """Return the power of the load in k states, shape (k,); W."""
         return self._power(self.item, t, q, v)
 
     def partials(self, t: Array, q: Array, v: Array) -> tuple[Array, Array, Array]:

@@ -83,7 +83,7 @@ class Differentiator:
 
     @cached_property
     def reach(self) -> Reach:
-        """How far circles reach."""
+        """Radii up to which values may be followed into the complex plane."""
         reach = Reach.of(self.base)
         return reach if self._of_forces else replace(reach, v=np.inf)
 
@@ -96,7 +96,7 @@ class Differentiator:
         *,
         t: complex = 0.0,
     ) -> Motion:
-        """Replace omitted arguments by zeros."""
+        """Return a motion (q, v, a, lam) with zeros for what is left out."""
         n_q, n_lam = self._system.n_q, self._system.n_lam
         q, v, a = (np.zeros(n_q) if x is None else np.asarray(x) for x in (q, v, a))
         return Motion(q, v, a, np.zeros(n_lam) if lam is None else np.asarray(lam), t)

@@ -31,7 +31,7 @@ class ComplexSteps(abc.ABC):
 
     @cached_property
     def n_b(self) -> int:
-        """Number of design variables."""
+        """Number of design variables n_b."""
         return len(self.design_names)
 
     @abc.abstractmethod

@@ -33,7 +33,7 @@ class Finding:
 
     @property
     def passed(self) -> bool:
-        """Whether the error is explained."""
+        """Whether the error is within its tolerance."""
         return self.error <= self.tolerance
 
     def __str__(self) -> str:

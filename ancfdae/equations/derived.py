@@ -95,7 +95,7 @@ class Derived:
 
 @final
 class Related(Derived):
-    """The values that others determine."""
+    """Values of a system that its other values determine, for `check_system`."""
 
     def mass_along(self, q: Array, dq: Array) -> Array:
         """M_q dq from `mass` by differences, values on the pattern."""

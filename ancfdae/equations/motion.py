@@ -44,12 +44,12 @@ class Motion(NamedTuple):
         return Motion(q, self.v + s * self.a, self.a, self.lam, self.t + s)
 
     def plus(self, e: complex, change: Motion) -> Motion:
-        """Add e times a change."""
+        """Return the motion plus e times a change of it."""
         return Motion(*(x + e * dx for x, dx in zip(self, change, strict=True)))
 
     @property
     def is_zero(self) -> bool:
-        """Whether every part is zero."""
+        """Whether every array of the motion is zero."""
         return not any(np.any(x) for x in self)
 
     def parts(self) -> tuple[Motion, Motion]:

@@ -153,7 +153,7 @@ class Place:
         return np.asarray(np.linalg.solve(R, Q.T).T)
 
     def _factorised(self) -> scipy.sparse.linalg.SuperLU | None:
-        """Factorise [I B^T; B 0]."""
+        """Return the factors of [I B^T; B 0], sparse; None if it is singular."""
         B, one = self._form.sparse(self._values), scipy.sparse.eye_array(self._form.shape[1])
         try:
             return scipy.sparse.linalg.splu(scipy.sparse.bmat([[one, B.T], [B, None]], "csc"))
@@ -161,7 +161,7 @@ class Place:
             return None
 
     def _lifted(self, y: Array) -> Array:
-        """Return P y."""
+        """Return P y, shape (n_used,), by the sparse factors."""
         assert self._factors is not None
         n_used = self._form.shape[1]
         return np.asarray(self._factors.solve(np.concatenate([np.zeros(n_used), y]))[:n_used])

@@ -113,7 +113,7 @@ class Dop853:
 
     @property
     def after(self) -> Array:
-        """The state after the step."""
+        """State (positions, velocities) after the step, shape (2, ...)."""
         state: Array = self.states[_AFTER]
         return state
 

@@ -245,7 +245,7 @@ class _ExplicitMarch(March):
 
 
 def _mean(x: Array) -> float:
-    """Root of the mean square."""
+    """Return the root mean square of the entries of x."""
     return math.sqrt(np.vdot(x, x) / x.size)
 
 

@@ -35,7 +35,7 @@ class Pace:
         self.restart(0.0)
 
     def restart(self, t: float) -> None:
-        """Begin to count at t."""
+        """Start to count steps at time t."""
         self._mark = self._half = self._quarter = t
         self._taken = 0
 

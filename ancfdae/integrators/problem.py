@@ -56,7 +56,7 @@ class Scales:
 
     @property
     def lam(self) -> Array:
-        """Size of the multipliers."""
+        """Scale of the multipliers: load over row of the constraints."""
         return self.load / self.row
 
     @property
@@ -108,7 +108,7 @@ class Problem:
 
     @classmethod
     def of(cls, system: MechanicalSystem, t_end: float) -> Self:
-        """Find the consistent start."""
+        """Return the problem of a system up to t_end, with its consistent start and scales."""
         require_positive("t_end", t_end)
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
@@ -117,7 +117,7 @@ class Problem:
 
     @cached_property
     def accelerations(self) -> Accelerations:
-        """Accelerations and multipliers of states."""
+        """Solver of the accelerations and multipliers that belong to q and v."""
         return Accelerations(self.system, self.matrices)
 
     def differentiated(self) -> Self:

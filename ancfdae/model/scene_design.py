@@ -50,7 +50,7 @@ class SceneDesign(Designable):
 
     @property
     def elements(self) -> Elements:
-        """The elements of all beams."""
+        """Types of element of all beams, by the name of the beam."""
         return Elements(self.dimension, {beam.name: beam.element for beam in self.beams})
 
     @property
@@ -61,7 +61,7 @@ class SceneDesign(Designable):
 
     @property
     def point_masses(self) -> tuple[PointMass, ...]:
-        """The masses at points."""
+        """Point masses among the bodies of the scene."""
         return tuple(body for body in self.bodies if isinstance(body, PointMass))
 
     @property
@@ -71,7 +71,7 @@ class SceneDesign(Designable):
 
     @property
     def body_starts(self) -> list[RigidMotion | NodeState]:
-        """How single bodies start."""
+        """Starts that belong to one body each, without `AtRest`."""
         return [start for start in self.start if not isinstance(start, AtRest)]
 
     def beam(self, name: str) -> BeamBody:

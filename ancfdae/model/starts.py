@@ -104,7 +104,7 @@ class AtRest:
     gravity: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        """Freeze the loads and validate."""
+        """Check the loads and store them as a tuple."""
         if self.loads is not None:
             loads = require_each("AtRest.loads", self.loads, (Load,), "Add a PointForce.")
             object.__setattr__(self, "loads", loads)

@@ -74,7 +74,7 @@ class Jet(Carried):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the value."""
+        """Shape of the value and of each derivative."""
         return np.shape(self.derivatives[0])
 
     def map(self, linear: Callable[[Array], Array]) -> Jet:

@@ -107,7 +107,7 @@ class Factorization:
     solver: Callable[[Array, bool], Array]
 
     def solve(self, right: Array) -> Array:
-        """Solve with the matrix."""
+        """Return the solution of the factorised matrix for right-hand sides, (n,) or (n, k)."""
         return self.solver(right, False)
 
     def solve_transposed(self, right: Array) -> Array:
@@ -216,7 +216,7 @@ class SaddlePoint:
         return factors or self._exchanging(terms, B)
 
     def _exchanging(self, terms: Terms, B: Array) -> Factorization:
-        """Factorise with exchanges of rows."""
+        """Return a factorisation with row exchanges of the sum of terms and B."""
         (s, K), *more = terms
         K = K if s == 1.0 else s * K
         for s, values in more:
@@ -247,7 +247,7 @@ class SaddlePoint:
 
     @cached_property
     def _storage(self) -> _Storage:
-        """What factorises with exchanges."""
+        """Storage of the matrix for a factorisation with row exchanges: band, fronts or sparse."""
         if self._in_band:
             return self._band
         if self._places.fronts.by_columns:

@@ -71,12 +71,12 @@ class LinearSteps:
 
     @cached_property
     def local(self) -> Linearisation:
-        """f_q, f_v and Phi_q."""
+        """f_q, f_v and Phi_q of the steps of the chunk, at their states."""
         return self.system.linearise(self.t, *self.states)
 
     @cached_property
     def constraints_q(self) -> Array:
-        """Phi_q / (beta h^2)."""
+        """Phi_q / (beta h^2) of the steps of the chunk, values on the pattern."""
         return np.asarray(self.local.Phi_q / (self.c.beta * self.c.h**2))
 
     def packet(self, compiled: CompiledPasses, part: slice, matrices: Array) -> Packet:

@@ -89,7 +89,7 @@ class HHTStepper(OneStepMethod[State]):
         return rescaled(node, ratio), node_b and rescaled_sensitivity(node_b, ratio)
 
     def advance(self, h: float, before: State, t: float) -> State | Failure:
-        """Solve the equations at t."""
+        """Return the state at t = t_n + h, or a Failure if Newton's method does not converge."""
         (last, node_b), c = before, self._coefficients
         if c.h != h:
             c = self._coefficients = Coefficients(h, self._alpha)

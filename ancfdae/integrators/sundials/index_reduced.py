@@ -123,7 +123,7 @@ class IndexReduced(abc.ABC):
 
     @final
     def residual(self, t: float, y: Array, yp: Array) -> Array:
-        """Return F, shape (n,)."""
+        """Return the residual F(t, y, y') of the form of reduced index, shape (n,)."""
         system, at = self._system, self._at(self._system, t, y, yp)
         x, xp = at.x, at.xp
         drift, *sides = self._residual(at)

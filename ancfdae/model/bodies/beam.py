@@ -176,7 +176,7 @@ class Beam(BeamBody):
 
     @property
     def _origin(self) -> Array:
-        """Where `end` is taken from."""
+        """Position from which `end` counts: the origin, or the point of a body at `start`."""
         return np.zeros(self.dimension) if isinstance(self.start, Point) else np.array(self.start)
 
     @property

@@ -84,7 +84,7 @@ class BeamBody(Placed):
 
     @abc.abstractmethod
     def reference(self) -> ReferenceShape:
-        """Return the reference configuration."""
+        """Return the reference configuration: nodes, directions and lengths of elements."""
 
     def at_origin(self, point: Point) -> Array:
         """Return the place of a point from the vectors at both ends of its element."""

@@ -51,7 +51,7 @@ class _Line:
 
     @classmethod
     def of(cls, batch: Batch, xi: Array) -> _Line:
-        """Return that of some elements."""
+        """Return the axial law of elements at the points xi."""
         tau, initial = ElementParameter.DAMPING_TIME, ElementParameter.INITIAL_STRAIN
         return cls(xi, batch.lengths, batch.of(tau), batch.of(initial))
 

@@ -74,7 +74,7 @@ class ElementType:
 @final
 @dataclass(frozen=True)
 class Batch:
-    """Some elements of one type."""
+    """Elements of one type as arrays: parameters, (n, n_p), and unit relative node vectors."""
 
     kind: ElementType
     parameters: Array  # (n, 10): columns as in `ElementParameter`; real or complex
@@ -83,7 +83,7 @@ class Batch:
     Y_unit: Array
 
     def __getitem__(self, rows: slice | Array) -> Batch:
-        """Return some of the elements."""
+        """Return the batch of the elements with these indices."""
         return Batch(self.kind, self.parameters[rows], self.Y_unit[rows])
 
     @property
@@ -98,12 +98,12 @@ class Batch:
         return self.kind.energy
 
     def of(self, which: ElementParameter) -> Array:
-        """Return one parameter, shape (n,)."""
+        """Return one parameter of all elements, shape (n,)."""
         return self.parameters[:, which]
 
     @property
     def lengths(self) -> Array:
-        """Element lengths l, shape (n,)."""
+        """Element lengths l, shape (n,); m."""
         return self.of(ElementParameter.LENGTH)
 
     @property
@@ -165,7 +165,7 @@ class InvariantPartial:
 @final
 @dataclass(frozen=True)
 class Invariants:
-    """Invariants of n elements."""
+    """Arrays of n elements from which energy, forces and mass follow (eqs. 10, 15)."""
 
     A: Array  # (n, n_g, n_g): elastic invariant
     # (n, n_g): packed Gram matrix of the elements free of stress: the reference configuration less
@@ -251,7 +251,7 @@ class BeamElement(abc.ABC):
 
     @property
     def n_s(self) -> int:
-        """Node vectors per node."""
+        """Number of vectors per node: the position and the slopes."""
         return len(self.quantities)
 
     @property

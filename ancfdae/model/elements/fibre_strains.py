@@ -79,7 +79,7 @@ class Frames:
 
     @classmethod
     def straight(cls, d: int) -> Frames:
-        """Return frames of unit vectors."""
+        """Return the frames of straight elements: unit vectors along the axes of the beam."""
         normal, inverse = np.eye(d)[None, None, 0], np.eye(d - 1)[None, None]
         return cls(True, normal, np.zeros((1, 1, d, d - 1)), inverse, np.ones((1, 1)))
 

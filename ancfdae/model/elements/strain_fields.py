@@ -82,7 +82,7 @@ class StrainPlaces:
     turned: Array  # and as a twist does
 
     def count(self, assumed: bool) -> int:
-        """Return how many there are."""
+        """Return the number of strains of a section, with or without the assumed ones."""
         return int(self.turned[-1] + 1 if assumed else self.turns[0])
 
 

@@ -92,5 +92,5 @@ class SectionLoad(Load):
     """A load on the sections of its points, on the slopes that span them."""
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Slopes of the sections."""
+        """Return the slopes that span the sections on which the load acts."""
         return section_of(self.points, elements)

@@ -43,7 +43,7 @@ class CarriedAxes:
 
     @property
     def ground(self) -> bool:
-        """Whether directions stand still."""
+        """Whether the directions belong to the ground and are fixed in space."""
         return len(self.U_o) == 0
 
     def of(self, rows: Array) -> Any:
