@@ -172,7 +172,7 @@ def _placed(
 def _masses(
     structure: Structure, geometry: Geometry, block: ElementBlock, b: Array
 ) -> tuple[Inertia, TurningForces | None]:
-    """Return masses with gravity, and what a turning frame adds."""
+    """Return inertia with gravity, and the forces of a rotating frame; None without a frame."""
     scene, numbering, n_b, d = structure.scene, structure.numbering, len(b), structure.numbering.d
     p, p_b = structure.mapping.numbers("scene", b)
     gravity, frame = (np.zeros(d), np.zeros((d, n_b))), (p, p_b)

@@ -96,7 +96,7 @@ class Differentiator:
         *,
         t: complex = 0.0,
     ) -> Motion:
-        """Return a motion (q, v, a, lam) with zeros for what is left out."""
+        """Return a motion (q, v, a, lam), with zeros for omitted arrays."""
         n_q, n_lam = self._system.n_q, self._system.n_lam
         q, v, a = (np.zeros(n_q) if x is None else np.asarray(x) for x in (q, v, a))
         return Motion(q, v, a, np.zeros(n_lam) if lam is None else np.asarray(lam), t)

@@ -168,7 +168,7 @@ class _ExplicitMarch(March):
         return np.inf
 
     def _accept(self) -> None:
-        """Go on to the end of the step, and keep its stages for the integrals."""
+        """Accept the step; store its stages for the dense output if integrals are wanted."""
         method = self._method
         self.steps += 1
         self._t, self._between = method.end, []

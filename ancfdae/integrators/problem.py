@@ -66,7 +66,7 @@ class Scales:
 
     @staticmethod
     def of(system: MechanicalSystem, initial: InitialState, t_end: float) -> Scales:
-        """Return the sizes for a run from the given start to `t_end`."""
+        """Return the scales of coordinates, velocities and forces for a run to `t_end`."""
         t, q = initial.t, initial.q
         root, count = np.sqrt(system.weights), np.sqrt(system.n_q)
         reactions = reaction(system, t, q, initial.lam)

@@ -55,7 +55,7 @@ class Question:
     max_steps: int
 
     def numbers(self, system: MechanicalSystem, integrator: HHT) -> Array:
-        """Return what `RungRun` holds; derivatives are zero in variables that a rung lacks."""
+        """Return value and scaled derivatives; zero for variables that the model lacks."""
         numbers = np.zeros(len(self.scale))
         if not system.n_b:
             solution = simulate(system, self.t_end, integrator)

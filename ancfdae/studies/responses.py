@@ -333,7 +333,7 @@ class Response:
         return np.array(evaluation.jacobian[self.index])
 
     def _beyond(self, evaluation: Evaluation) -> tuple[float, Array]:
-        """Value and gradient of a design that has none."""
+        """Return substitutes for value and gradient of a design without a result."""
         assert evaluation.near is not None  # of every design with an error
         near, k = self.responses.at(evaluation.near), self.index
         if near.error is not None:

@@ -132,7 +132,7 @@ class CompiledSteps:
         return prepared and cls(prepared, recorder)
 
     def march(self, before: Node, h: Array, ends: Array, rows: StateRows) -> tuple[int, Node]:
-        """Take as many steps as go; states are written to rows of q, v, A and lam."""
+        """Take steps until one needs Python; write the states to rows of q, v, A and lam."""
         t, q, v, a, lam, A, motion = before
         starts = np.concatenate([[t], ends[:-1]])
         of_loads = self._kernel.plan.load_factors

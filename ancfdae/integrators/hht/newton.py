@@ -134,7 +134,7 @@ class SolvedStep(NamedTuple):
 
 @final
 class _Shrinking:
-    """Rates at which corrections shrink; the slowest of those above round-off."""
+    """Convergence rates of Newton's corrections; `slowest` is the largest rate above round-off."""
 
     def __init__(self) -> None:
         self._last, self.slowest = math.inf, 0.0

@@ -154,7 +154,7 @@ class RadauStepper(OneStepMethod[State]):
         return solved
 
     def _controlled(self, x: Array, before: State, after: State) -> State:
-        """Add the estimated errors, and derivatives with theirs."""
+        """Return the state `after` with its estimated errors and, if asked for, derivatives."""
         middle = linearised(self._problem.system, *(row[2:3] for row in after.rows))
         rates = after.rows[2].real, before.rows[3][-1].real
         errors = self._embedded(middle, after.h, rates, x.real)

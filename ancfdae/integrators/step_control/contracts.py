@@ -112,7 +112,7 @@ class Controller(abc.ABC):
 
     @abc.abstractmethod
     def state(self) -> tuple[float, ...]:
-        """Return the numbers with which `StepControl.controller` goes on."""
+        """Return the numbers with which `StepControl.controller` continues a run."""
 
 
 class StepControl(abc.ABC):

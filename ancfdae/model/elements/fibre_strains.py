@@ -54,7 +54,7 @@ class Fibres:
     shear_centre: Array  # (n, 1, 2)
 
     def any(self) -> bool:
-        """Whether anything differs from zero; radii and centroid follow from the rest."""
+        """Whether a number of the fibres is nonzero; radii and centroid follow from the others."""
         parts = (self.offsets, self.volume, self.factors, self.shear_centre)
         return any(bool(np.any(part)) for part in parts)
 

@@ -208,7 +208,7 @@ class _Assumed:
         self._middle = Axis.of(d, np.array([0.5]))
 
     def curvature(self, i: int) -> Array:
-        """Return its mean, that of a.b."""
+        """Return the mean of the assumed curvature: a . b_i at the middle of the element."""
         return _gram(np.eye(1, self._middle.a.shape[-1]), self._middle.b[i])
 
     def wave(self, i: int) -> Array:

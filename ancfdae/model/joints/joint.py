@@ -189,7 +189,7 @@ class Travelling(DrivenJoint):
         return True
 
     def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Return the prescribed travel, m, or its time derivative of an order."""
+        """Return the prescribed travel, m, or its time derivative of the given order."""
         return self.travel.derivative(self.split(p)[1], t, order)[None]
 
 

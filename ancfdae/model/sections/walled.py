@@ -80,7 +80,7 @@ class Box(_Walled):
         return 2 * (a * b) ** 2 / (a / t_w + b / t_f)
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Corners, as of the flanges, and where webs end, outside."""
+        """Return y and z of the corners and of the outer ends of the webs, (n, 8) each; m."""
         h, w, _, t_f = sizes.T
         (y, z), (y_w, z_w) = corners(h, w), corners(h - 2 * t_f, w)
         return np.concatenate([y, y_w], axis=1), np.concatenate([z, z_w], axis=1)

@@ -57,7 +57,7 @@ _OF_A_SMALL = 250.0
 
 
 class _Steps(Runs):
-    """Runs at fixed steps."""
+    """Runs of one integrator at fixed steps, each finer than the one before."""
 
     order: ClassVar[int]
     _taken = 0
@@ -320,7 +320,7 @@ class Fifth(_Steps):
 
     @property
     def setting(self) -> Integrator:
-        """Radau at the fixed step of the next run."""
+        """Return Radau at the fixed step of the next run."""
         return Radau(self._t_end / self.count)
 
     @property
@@ -469,7 +469,7 @@ class Eighth(Runs):
         return self.work + self._of(self._steps(self._rtol / _TIGHTER))
 
     def judged(self) -> list[Estimate]:
-        """Return bars by what the last two runs differ by; a third one if HHT contradicts them."""
+        """Return error bars from the last two runs; from a third one if HHT contradicts them."""
         if len(self.samples) < 2 or (len(self.samples) == 2 and not self.agrees(self._seer)):
             return []
         before, after = (x.vectors for x in self.samples[-2:])
