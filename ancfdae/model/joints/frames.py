@@ -70,7 +70,7 @@ class Ground(Carrier):
     def meet(
         self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
-        """Add factor times (direction . weighted sum of vectors) to a row of linear coefficients."""
+        """Add factor times (direction . weighted sum of vectors) to a row: linear coefficients."""
         c.linear[row] += factor * np.outer(weights, direction)
 
 
