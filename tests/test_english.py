@@ -72,9 +72,9 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "as far as": 14,
+    "as far as": 13,
     "is none": 68,
-    "that of, those of": 530,
+    "that of, those of": 526,
     "inversion": 1,
     "tells": 81,
     "all of them": 49,
@@ -82,7 +82,7 @@ AT_MOST: dict[str, int] = {
     "instants": 504,
     "array without a shape": 339,
     "number without a unit": 8,
-    "long sentence": 243,
+    "long sentence": 241,
 }
 
 Hit = tuple[Text, str]

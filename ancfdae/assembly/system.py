@@ -128,7 +128,7 @@ class AncfSystem(PlannedSystem):
 
     @property
     def plan(self) -> Plan | None:
-        """What a kernel marches with: real numbers, in a frame at rest."""
+        """Arrays for steps in the compiled kernel; None for complex b or a rotating frame."""
         if np.iscomplexobj(self.b) or self._turning is not None:
             return None
         steady, rows = self._loads.timed()

@@ -304,7 +304,7 @@ class MechanicalSystem(ComplexSteps):
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
         """Return the Jacobians of f and Phi at k instants; states are rows (k, n).
 
-        Without v those of f + Q.
+        If v is None the force Q is left out: they are those of M a + Phi_q^T lam and Phi.
         """
         traits, instants = self.traits, list(_instants(t, q, v, a, lam))
         M = np.array([self.mass(x) for x in (q[:1] if traits.constant_mass else q)])
@@ -320,7 +320,7 @@ class MechanicalSystem(ComplexSteps):
     ) -> DesignPartials:
         """Return the partials of f and Phi with respect to the design at k instants.
 
-        Without v those of f + Q and Phi.
+        If v is None the force Q is left out: they are those of M a + Phi_q^T lam and Phi.
         """
         f_b, Phi_b = [], []
         for s, states in _instants(t, q, v, a, lam):

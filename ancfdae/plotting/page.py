@@ -1,4 +1,4 @@
-"""A film as one page of HTML that needs nothing else: the data stands in it, beside its program.
+"""An animation as one HTML file that contains data and viewer and loads no other file.
 
 Places are kept as 16 bit integers over the extent of the film, colours as 8 bit.
 """

@@ -256,7 +256,7 @@ class Run:
         return replace(self, system=at_values(self.system, b), after=None)
 
     def repeating(self, solution: Solution) -> Run:
-        """Return the run at the steps of a solution, as far as that got."""
+        """Return a run that repeats the steps of `solution`, up to the time that it reached."""
         done = solution.outcome.success or len(solution.t) < 2
         t_end = self.t_end if done else float(solution.t[-1])
         frozen = self.integrator.frozen(solution)
