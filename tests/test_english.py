@@ -123,23 +123,28 @@ def _near(words: str, mark: re.Pattern[str], name: str) -> list[str]:
     return [x for x in near if not any(phrase in x for phrase in EXCEPTIONS.get(name, ()))]
 
 
-def new(name: str) -> list[Hit]:
-    """Return hits added since the commit that last changed this file; all of them without git."""
+@cache
+def earlier() -> dict[str, Counter[str]]:
+    """Return the hits at the commit that last changed this file; none without git."""
     this = Path(__file__).relative_to(ROOT).as_posix()
     run = partial(subprocess.run, cwd=ROOT, capture_output=True, check=True)
-    now = hits()[name]
     try:
         commit = run(["git", "log", "-1", "--format=%H", "--", this], text=True).stdout.strip()
         folders = [x for x in FOLDERS if (ROOT / x).is_dir()]
         packed = run(["git", "archive", commit, "README.md", *folders]).stdout
     except (OSError, subprocess.CalledProcessError):
-        return now
+        return {name: Counter() for name in CHECKS}
     with TemporaryDirectory() as folder:
         with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
             archive.extractall(folder, filter="data")
-        before = Counter(near for _, near in hits(Path(folder))[name])
-    added = []
-    for text, near in now:
+        found = hits(Path(folder))
+    return {name: Counter(near for _, near in found[name]) for name in CHECKS}
+
+
+def new(name: str) -> list[Hit]:
+    """Return the hits that were not there when this file was last changed; all without git."""
+    before, added = earlier()[name].copy(), []
+    for text, near in hits()[name]:
         before[near] -= 1
         if before[near] < 0:
             added.append((text, near))
