@@ -72,16 +72,15 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "as far as": 13,
+    "as far as": 6,
     "is none": 68,
     "that of, those of": 526,
     "inversion": 1,
-    "tells": 81,
+    "tells": 80,
     "all of them": 49,
     "the other": 35,
     "instants": 504,
     "array without a shape": 339,
-    "number without a unit": 8,
     "long sentence": 241,
 }
 

@@ -16,7 +16,7 @@ it may be overridden where a formula is faster, and `check_system` compares each
 default that it replaces.
 
 **Rates.** The constraints and their time derivatives are one object by order: a motion
-(q, v, a, j) is given as far as it is needed, and the order is the number of rates in it.
+(q, v, a, j) is given up to the rates needed, and the order is the number of rates in it.
 
     constraint(t, q, v, a)       d^2 Phi/dt^2 = Phi_q a + (Phi_q v)_q v + 2 Phi_qt v + Phi_tt
     constraint_q(t, q, v, a)     d^2 Phi_q/dt^2 = (d^2 Phi/dt^2)_q

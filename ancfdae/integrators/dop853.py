@@ -79,14 +79,17 @@ class Dop853:
         Return a, shape (...), at a time and a state (y, u) of shape (2, ...). What it raises
         leaves the state before the step as it was.
     t : float
+        Time of the start; s.
     state : array, shape (2, ...)
+        Positions and velocities at the start; units of the coordinates.
 
     Attributes
     ----------
     t, end : float
         Times at which the step begins and ends; s.
     states, accelerations : array, shape (16, 2, ...) and (16, ...)
-        Those at the stages, before the step first, after it, and where only `between` needs them.
+        States and accelerations at the stages, in units of the coordinates: before the step, within
+        and after it, and at the points that only `between` needs.
     """
 
     def __init__(

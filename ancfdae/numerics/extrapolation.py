@@ -20,7 +20,7 @@ _STEPS = tuple(0.05 / _DIVISOR**k for k in range(6))
 def real_derivative(f: Callable[[float], Array]) -> Array:
     """Return f'(0) of a function that varies over arguments of the order of one.
 
-    Every entry of the array is extrapolated as far as serves it.
+    Every entry of the array is extrapolated as long as that reduces its error.
     """
     before: list[Array] = []
     best, change = np.zeros(()), np.array(np.inf)

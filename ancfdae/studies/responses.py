@@ -165,7 +165,7 @@ class Responses:
     method : GradientMethod, optional
         As in `gradients`.
     scale : float or array, shape (n_b,)
-        Functions take x = b / scale, the design values over it. Optimisers require variables of
+        Functions take x = b / scale, relative design values. Optimisers require variables of
         similar size: the values at the start are a good scale.
     strict : bool
         Whether a design without values, whose run ends early or which cannot be assembled,
