@@ -297,7 +297,7 @@ class Assembly:
     # -- what stays open -----------------------------------------------------------------------
 
     def _gaps(self, x: Array) -> Array:
-        """Return what a motion leaves of every equation."""
+        """Return the size of the residual of every joint equation after a motion x."""
         q = self.closing.placed(self._declared, x)
         return np.asarray(np.abs(self.closing.all_left(self._declared, q).real))
 

@@ -84,7 +84,7 @@ class JointConstraints:
 
     @property
     def constant(self) -> bool:
-        """Whether they are linear and the same at all times and designs."""
+        """Whether the constraints are linear and the same at all times and designs."""
         return self._tangent is not None and not self.active
 
     @property

@@ -101,7 +101,7 @@ class JointPartials:
 
     @cached_property
     def arrays(self) -> tuple[Array, ...]:
-        """What `constraint_totals` takes: variable, number, first, part, entry, value."""
+        """Arguments of `constraint_totals`: variable, number, first, part, entry, value."""
         numbers, variable, first, changes = [], [0], [0], [(np.zeros(0, dtype=np.int64),) * 3]
         for i in range(self.n_b):
             for number, change in self._reached(i):

@@ -74,7 +74,7 @@ class LoadForces:
                 self._timed.append((item, row))
 
     def plans(self) -> tuple[tuple[LoadPlan, bool], ...]:
-        """Return what a kernel takes of the loads that move, and whether they use velocities."""
+        """Return plans of the moving loads for the kernels, and whether they use velocities."""
         return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
 
     @property

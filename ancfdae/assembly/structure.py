@@ -25,7 +25,7 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """What values of the design do not change; made with the first numbers.
+    """The parts of a system that do not depend on design values: sizes, patterns, numbering.
 
     `soft` maps the design to the elements that deform, which stand at `places` of the pattern.
     `constraint_names` are the joints of the equations, `reach` is the largest coordinate in m of a

@@ -344,7 +344,7 @@ class ComplexStepSystem(MechanicalSystem):
 
     @cached_property
     def rows(self) -> RowCalls:
-        """What evaluates Phi, M and Q at many states."""
+        """Evaluator of Phi, M and Q at many states in one call."""
         return RowCalls({self.n_q, 2 * self.n_q, self.n_lam})
 
     @cached_property

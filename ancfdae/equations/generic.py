@@ -48,7 +48,7 @@ class Generic(MechanicalSystem):
         self._grown = np.exp(b_sizes @ (b - system.b))
 
     def with_values(self, b: Array) -> Generic:
-        """Return it at other design values."""
+        """Return the same generic system at other design values."""
         return Generic(self._of, self._m, self._sizes, b)
 
     def start(self) -> tuple[Array, Array]:

@@ -53,4 +53,4 @@ class Naming(abc.ABC):
 
     @abc.abstractmethod
     def packed(self) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Return all that a file keeps: arrays, and what JSON holds."""
+        """Return the arrays and the JSON data that a solution file stores."""

@@ -57,7 +57,7 @@ def sensitivity_table(q_b: Array, names: tuple[str, ...]) -> Any:
 @final
 @dataclass(frozen=True)
 class Statistics:
-    """What a run cost.
+    """Counters and elapsed time of a run.
 
     Attributes
     ----------

@@ -52,7 +52,7 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True)
 class Traits:
-    """What is known of a system before any state.
+    """Properties of a system that hold in every state, such as a constant mass.
 
     Attributes
     ----------

@@ -57,7 +57,7 @@ _SINGULAR = 1e-13
 
 @final
 class Form:
-    """How coordinates and rows of Phi_q are compared, whatever their units.
+    """Scales by which coordinates and rows of Phi_q are compared, whatever their units.
 
     Coordinates are sqrt(w_i) q_i; rows have the length one in them at a first place of the motion.
     `used` are the coordinates that stand in constraints.

@@ -66,7 +66,7 @@ class SceneDesign(Designable):
 
     @property
     def rest(self) -> AtRest | None:
-        """How the scene starts from an equilibrium, None if it does not."""
+        """The `AtRest` of the scene; None if it does not start from an equilibrium."""
         return next((start for start in self.start if isinstance(start, AtRest)), None)
 
     @property
@@ -307,7 +307,7 @@ class SceneDesign(Designable):
         return values[0]
 
     def offset(self, variable: DesignVariable, text: str) -> float:
-        """Return what a target holds beside its factor times the variable."""
+        """Return the constant part of a target: its value less its factor times the variable."""
         if not variable.shares or text == next(iter(variable.targets)):
             return 0.0
         held, share = self._single(text), variable.factor(text) * self.value(variable)
@@ -322,7 +322,7 @@ class SceneDesign(Designable):
         return held[0]
 
     def _held(self, text: str) -> list[float]:
-        """Return what a target holds; of a beam whose elements differ several values."""
+        """Return the present values of a target, one per element if elements differ."""
         target = self.resolve(text)
         if not self.is_of_elements(target):
             return [float(self.numbers(target.owner)[target.indexed])]

@@ -43,7 +43,7 @@ _LINEAR = (np.add, np.subtract, np.negative, np.positive)
 
 
 class Carried(NDArrayOperatorsMixin, abc.ABC):
-    """What stands for an array in a formula: operations of NumPy on it give more of its kind."""
+    """Stand-in for an array in a formula: NumPy's operations on it return more of its kind."""
 
     @abc.abstractmethod
     def angle(self, x: Any) -> Any:

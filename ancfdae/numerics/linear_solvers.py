@@ -116,7 +116,7 @@ class Factorization:
 
 
 class _Storage(abc.ABC):
-    """Where values of K, of B and of B again go, and how they are factorised."""
+    """Indices of the values of K, B and B^T in a stored matrix, and its factorisation."""
 
     @abc.abstractmethod
     def factor(self, K: Array, B: Array) -> Factorization:
@@ -169,7 +169,7 @@ class SaddlePoint:
 
     @cached_property
     def constrained(self) -> ConstrainedPattern:
-        """Where entries stand in matrices whose negative directions are counted."""
+        """Pattern of the matrices whose negative directions are counted."""
         places = self._places if self._in_band else self._sparse
         return ConstrainedPattern(*self._patterns, places.order)
 
@@ -279,7 +279,7 @@ class _Places:
 
     @cached_property
     def envelope(self) -> _Envelope:
-        """Where they stand in an envelope."""
+        """Indices of the entries in an envelope."""
         return _Envelope(self.order, self.rows, self.columns, *self._sizes)
 
     @cached_property
@@ -289,7 +289,7 @@ class _Places:
 
     @cached_property
     def flat(self) -> Array:
-        """Where they stand in LAPACK's band with room for fill-in.
+        """Indices of the entries in LAPACK's band with room for fill-in.
 
         Entry (i, j) is at row 2 k + i - j of column j.
         """

@@ -42,7 +42,7 @@ def write_page(
 def page_data(
     shown: Mechanism, seconds: float, title: str, camera: tuple[float, float] = CAMERA
 ) -> dict[str, Any]:
-    """Return what the program in the page reads."""
+    """Return the data that the program in the page reads, as JSON can hold them."""
     low, high = (_spatial(x) for x in shown.bounds)
     span, faces = high - low, shown.faces
     x = _spatial(np.concatenate([*shown.places], axis=1))

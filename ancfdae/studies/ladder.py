@@ -45,7 +45,7 @@ _SEEN = 3
 @final
 @dataclass(frozen=True)
 class Question:
-    """What is asked of every rung; `scale` has 1 and the values of the design variables."""
+    """The task of every model; `scale` has 1 and the values of the design variables."""
 
     objective: Objective
     t_end: float

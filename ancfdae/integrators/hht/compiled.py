@@ -81,7 +81,7 @@ class CompiledPasses:
         return prepared and cls(prepared)
 
     def packet(self, h: Array, t: Array, states: tuple[Array, ...], matrices: Array) -> Packet:
-        """Return what kernels take of steps with these states q, v and lam after them."""
+        """Return the kernel's data for steps with these states q, v and lam at their ends."""
         plan = self.kernel.plan
         of_joints = plan.joint_factors(t, 1)[0] if plan.joint_factors else np.ones((1, 1))
         q, v, lam, of_joints, of_loads = (

@@ -80,7 +80,7 @@ class LinearSteps:
         return np.asarray(self.local.Phi_q / (self.c.beta * self.c.h**2))
 
     def packet(self, compiled: CompiledPasses, part: slice, matrices: Array) -> Packet:
-        """Return what kernels take, of some steps; the matrices are theirs."""
+        """Return the kernel's data for a part of the steps."""
         q, v, _, lam = (x[part] for x in self.states)
         h = np.array(self.c.h[part, 0])
         return compiled.packet(h, self.t[part], (q, v, lam), matrices)

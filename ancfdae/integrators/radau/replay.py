@@ -61,7 +61,7 @@ class RadauReplay(RunInParts):
         return linear_passes.through_start(self._problem, on, seeds, gradient)
 
     def no_covectors(self) -> Array:
-        """Return those on q and v."""
+        """Return zero adjoint vectors on q and v, shape (2, n_q)."""
         return np.zeros((2, self._problem.system.n_q))
 
     def _stepper(self, recorder: Recorder) -> RadauStepper:

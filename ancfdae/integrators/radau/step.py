@@ -56,7 +56,7 @@ _SHORTEST = 1e-3
 
 
 class State(NamedTuple):
-    """What a step leaves: its size; start, stages and end as rows (t, q, v, a, lam).
+    """State after a step: its size, and start, stages and end as rows (t, q, v, a, lam).
 
     The start of a run is one row. Derivatives q_b, v_b, a_b, lam_b alike; the estimated errors are
     of q and v, q_b and v_b.

@@ -37,7 +37,7 @@ _SMALL = 1e-2
 
 @final
 class AdjointSeeds:
-    """What the objective contributes at a time: densities, and values at instants."""
+    """Derivatives of the objective at a time: densities of integrals, and values at times."""
 
     def __init__(self, problem: Problem, solution: Solution, seeds: Seeds) -> None:
         system, s = problem.system, problem.scales

@@ -51,7 +51,7 @@ class ElementParameter(IntEnum):
 
     @property
     def is_size(self) -> bool:
-        """Whether it is a size of the section."""
+        """Whether the parameter is a size of the section."""
         return self >= ElementParameter.SIZE_1
 
 
@@ -113,7 +113,7 @@ class Batch:
 
     @property
     def stiffness(self) -> tuple[Array, ...]:
-        """What the energy says of E and nu, see `StrainEnergy.stiffness`."""
+        """Elastic moduli by E and nu; see `StrainEnergy.stiffness`."""
         return self.energy.stiffness(self.d, *self.moduli)
 
     @property
@@ -195,7 +195,7 @@ class Integrals(abc.ABC):
 @final
 @dataclass(frozen=True)
 class SectionPlace:
-    """Where a section lies in a run of neighbouring elements."""
+    """Location of a section: its element in a run of neighbouring elements, and xi."""
 
     element: int  # its element in the run, which holds those beside it on `smooth` nodes
     xi: float
@@ -247,7 +247,7 @@ class BeamElement(abc.ABC):
     @property
     @abc.abstractmethod
     def quantities(self) -> tuple[Quantity, ...]:
-        """What the vectors of a node are: position and slopes."""
+        """Vectors of a node: position and slopes, as `Quantity`."""
 
     @property
     def n_s(self) -> int:
@@ -340,11 +340,11 @@ class BeamElement(abc.ABC):
 
     @abc.abstractmethod
     def section_law(self, batch: Batch, place: SectionPlace) -> SectionLaw:
-        """Return what gives the forces in a section of a run of elements."""
+        """Return the evaluator of forces in a section of a run of elements."""
 
     @abc.abstractmethod
     def stress_law(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
-        """Return what gives stresses at fibres of sections of some elements.
+        """Return the evaluator of stresses at fibres of sections of elements.
 
         The sections lie at xi, (n_xi,), and the fibres at y and z in them, (n, n_f) each; m.
         """

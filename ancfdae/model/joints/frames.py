@@ -54,7 +54,7 @@ def normal_of(spanning: Array) -> Array:
 
 
 class Carrier(abc.ABC):
-    """What carries directions of the reference configuration along."""
+    """Base of a section or the ground, which carries directions of the reference along."""
 
     @abc.abstractmethod
     def meet(

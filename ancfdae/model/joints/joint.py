@@ -130,7 +130,7 @@ class Joint(Part):
         return c
 
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
-        """Return what goes with each of the `factors`; arguments as in `coefficients`."""
+        """Return the coefficients that go with each of the `factors`; see `coefficients`."""
         return ()
 
     def factors(self, p: Array, t: Array, order: int) -> Array:
@@ -162,7 +162,7 @@ class DrivenJoint(Joint):
 
     @abc.abstractmethod
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
-        """Return what goes with each of the factors."""
+        """Return the coefficients that go with each of the factors of time."""
 
     @abc.abstractmethod
     def factors(self, p: Array, t: Array, order: int) -> Array:

@@ -73,7 +73,7 @@ class Integrated(abc.ABC):
 
     @abc.abstractmethod
     def partials(self) -> ObjectivePartials:
-        """As `Objective.partials`; b is the total derivative if sensitivities were integrated."""
+        """Return the partials; b is the total derivative if sensitivities were integrated."""
 
 
 Totals = Mapping[object, Integrated]

@@ -90,7 +90,7 @@ class _Steps(Runs):
         super().take(sample)
 
     def _growth(self, order: float, most: float) -> float:
-        """How many times the steps lead to the tolerance from the last error, and at most."""
+        """Return the factor of the number of steps that leads to the tolerance, at most `most`."""
         error = (
             self.error if self.estimates else self.relative(self._gaps, self.samples[-1].vectors)
         )
@@ -148,7 +148,7 @@ class _Steps(Runs):
     @property
     @abc.abstractmethod
     def lost(self) -> list[Array]:
-        """What the vectors may miss by waves that numerical damping takes away; none: empty."""
+        """Possible errors of the vectors by waves that numerical damping removes; empty if none."""
 
 
 @final
@@ -202,7 +202,7 @@ class Second(_Steps):
 
     @property
     def words(self) -> str:
-        """What is known of the waves."""
+        """A sentence on the waves of the motion and whether runs of HHT damp them."""
         if self.damps:
             waves = f"waves of about {self._speed:.2g} rad/s" if self._speed else "fast waves"
             return f"{self.name} damps {waves}, which its steps pass over; bars hold their share"
@@ -315,7 +315,7 @@ class Fifth(_Steps):
 
     @property
     def lost(self) -> list[Array]:
-        """What waves lose, by the runs of HHT: runs of Radau start with the same waves."""
+        """Possible errors by waves, from the runs of HHT, which start with the same waves."""
         return self._seer.lost
 
     @property
@@ -346,7 +346,7 @@ class Fifth(_Steps):
         return self._work(self.count) + self._work(2 * self.count)
 
     def _of_a_step(self, steps: float) -> float:
-        """Return that of a compiled step, or of one in Python."""
+        """Return the work of a compiled step, or of one in Python, microseconds."""
         if not self._compiled:
             return 6500.0
         return 100.0 + 25.0 * self._n + 6.0 * self._of_laws
