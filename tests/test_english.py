@@ -73,15 +73,15 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "opens with what": 99,
+    "opens with what": 45,
     "as far as": 6,
-    "is none": 68,
-    "that of, those of": 526,
+    "is none": 67,
+    "that of, those of": 525,
     "inversion": 1,
-    "tells": 79,
+    "tells": 78,
     "all of them": 49,
     "the other": 35,
-    "instants": 498,
+    "instants": 495,
     "array without a shape": 337,
     "long sentence": 241,
 }

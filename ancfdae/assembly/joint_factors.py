@@ -1,4 +1,4 @@
-"""What time and the design change in the coefficients of all joints."""
+"""Dependence of the coefficients of all joints on time and on the design."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -140,7 +140,7 @@ class JointPartials:
         return reached
 
     def contract(self, on_l: Array, on_c: Array, t: Array) -> Array:
-        """Return what partials in entries of L, (k, n_l), and coefficients, (k, n, n_c), are in b.
+        """Return partials in b from those in entries of L, (k, n_l), and coefficients, (k, n, n_c).
 
         The n are orders of time derivatives.
         """

@@ -1,4 +1,4 @@
-"""What turns coordinates into vectors of named points, and multipliers into those of a joint."""
+"""Maps from coordinates to vectors of named points, and from multipliers to those of a joint."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ class RigidMotions:
         return scipy.sparse.csr_array((values.ravel(), tuple(at)), shape=(size, size))
 
     def collect(self, T: Array, f: Array) -> Array:
-        """Return what forces f, shape (n_q,), do on each motion: T^T f, shape (n_bodies, n_x)."""
+        """Return T^T f, shape (n_bodies, n_x): forces f, (n_q,), on the rigid motions."""
         work = np.einsum("vix,vi->vx", T, f.reshape(-1, self._d))
         total = np.zeros((self._count, self.n_x), dtype=work.dtype)
         np.add.at(total, self._owner, work)

@@ -1,4 +1,4 @@
-"""What a scene is at every value of its design: owners, numbering, forms of joints, patterns."""
+"""Parts of a system that do not depend on design values: owners, numbering, joints, patterns."""
 
 from __future__ import annotations
 

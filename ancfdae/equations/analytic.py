@@ -1,4 +1,4 @@
-"""What complex arithmetic needs of a system: analytic functions, and how far they are smooth."""
+"""Conditions for complex steps: analytic functions, and the radii up to which they are smooth."""
 
 import warnings
 from collections.abc import Callable

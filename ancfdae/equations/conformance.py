@@ -44,7 +44,7 @@ class Finding:
 @final
 @dataclass(frozen=True)
 class Conformance:
-    """What `check_system` found of a system of the class `name`; print it."""
+    """Findings of `check_system` on a system of the class `name`; print it."""
 
     name: str
     findings: tuple[Finding, ...]

@@ -1,4 +1,4 @@
-"""What a solution asks of the names of a system: points, joints and coordinates."""
+"""Protocol by which a solution finds points, joints and coordinates of a system by name."""
 
 from __future__ import annotations
 

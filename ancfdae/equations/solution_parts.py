@@ -1,4 +1,4 @@
-"""What comes with a trajectory: its cost, errors and design derivatives; tables of pandas."""
+"""Parts of a solution beside the trajectory: cost, errors, design derivatives; pandas tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a mechanical system is to everything that integrates it.
+"""The protocol of a mechanical system, by which integrators and sensitivity methods see it.
 
     M(q, b) a + Phi_q^T lam = Q(t, q, v, b),     Phi(t, q, b) = 0          (eq. 1)
 

@@ -1,4 +1,4 @@
-"""What the integrators of high order share: instants, start, recording.
+"""Common parts of the integrators of high order: output times, start, recording.
 
 They choose their steps themselves and report Gauss-Lobatto instants in equal intervals, with
 accelerations and multipliers recomputed from positions and velocities by one linear solve: more

@@ -1,4 +1,4 @@
-"""What an integrator integrates beside the motion: functions of the states, on panels of points.
+"""Integrals along a motion: functions of the states, on panels of quadrature points.
 
 The integrator says where the points lie and which weights they have; what is made of the values
 there is the integrand's.

@@ -1,4 +1,4 @@
-"""What every integrator offers: same call, same solution, same statistics."""
+"""Base class of all integrators: same call, same solution, same statistics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run begins with: a system, its consistent start and the sizes of its unknowns.
+"""The problem of a run: a system, its consistent start and the scales of its unknowns.
 
 **Sizes.** Coordinates are compared in the weighted form sqrt(w_i) q_i, which has one unit for all
 of them. The scale of q is the root mean square of the start in that form; that of v is the speed

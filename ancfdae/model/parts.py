@@ -1,4 +1,4 @@
-"""What joints and loads share: a name, points of beams or bodies, and design targets."""
+"""Base class of joints and loads: a name, points of beams or bodies, and design targets."""
 
 import abc
 import re

@@ -1,4 +1,4 @@
-"""What design variables drive in a scene: targets, their values, and scenes at other values."""
+"""Design targets of a scene, their values, and scenes at other values."""
 
 from __future__ import annotations
 

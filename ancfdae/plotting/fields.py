@@ -1,4 +1,4 @@
-"""What colours a mechanism: numbers at the points of its meshes at every instant."""
+"""Fields that colour a mechanism: numbers at the points of its meshes at every time."""
 
 import abc
 from dataclasses import dataclass

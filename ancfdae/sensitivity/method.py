@@ -1,4 +1,4 @@
-"""What every method of differentiating a run offers."""
+"""Base class of the methods that differentiate a run."""
 
 from __future__ import annotations
 

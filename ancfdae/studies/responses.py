@@ -102,7 +102,7 @@ class Evaluations(Generic[R]):
         return known
 
     def result(self, x: Array) -> R:
-        """Return what values at x come from; raises the error of a design that has none."""
+        """Return the run behind the values at x; raise the error of a design without a result."""
         known = self.at(x, derivatives=False)
         if known.error is not None:
             raise known.error

@@ -99,7 +99,7 @@ class IndexReduced(abc.ABC):
 
     @abc.abstractmethod
     def _residual(self, at: _Instant) -> list[Array]:
-        """Return what F adds to q' - v, and its rows below those of the forces."""
+        """Return the terms that F adds to q' - v, and its rows below those of the forces."""
 
     @abc.abstractmethod
     def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:

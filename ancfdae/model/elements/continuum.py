@@ -102,7 +102,7 @@ class ContinuumBeam(BeamElement):
         return _ContinuumIntegrals(batch, owners)
 
     def section_law(self, batch: Batch, place: SectionPlace) -> SectionLaw:
-        """Return what elements transmit from node to node."""
+        """Return the law of section forces, which elements transmit from node to node."""
         A = _ContinuumIntegrals(batch, np.full(len(batch.parameters), "section force")).values[0]
         return ContinuumSectionLaw(batch, A, place)
 

@@ -1,4 +1,4 @@
-"""What an element has to state so that everything else can be built from it.
+"""Protocol of an element, from which invariants, forces and stresses are built.
 
 An element of node vectors X (n_a x d: position and slopes of both nodes)
 declares the vectors of its points, r = sum_a s_a X_a and the slopes, and its

@@ -1,4 +1,4 @@
-"""What a joint states: scalar equations between position and slope vectors of points.
+"""Base class of joints: scalar equations between position and slope vectors of points.
 
 A joint never touches coordinates. It names the vectors U_i of material points
 that take part and gives the coefficients of its equations,

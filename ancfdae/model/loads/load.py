@@ -1,4 +1,4 @@
-"""What a load states: forces on vectors of points as functions of these vectors.
+"""Base class of loads: forces on vectors of points as functions of these vectors.
 
 A load names vectors U_i of material points and gives the generalised force F_i
 that works on each, delta W = sum_i F_i . delta U_i, in operations that carry

@@ -1,4 +1,4 @@
-"""What a cross-section has to state: where its area lies, how it shears and how it twists."""
+"""Base class of cross-sections: distribution of the area, shear factors and torsion."""
 
 import abc
 from collections.abc import Mapping, Sequence

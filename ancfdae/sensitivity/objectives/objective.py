@@ -1,4 +1,4 @@
-"""What an objective is: one number per run, Psi(b) of eq. (20), with partials in the states."""
+"""Base class of objectives: one number per run, Psi(b) of eq. (20), with partials in the states."""
 
 from __future__ import annotations
 

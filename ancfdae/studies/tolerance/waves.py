@@ -72,14 +72,14 @@ class Wave(NamedTuple):
 
 
 class Missed(NamedTuple):
-    """What a number may miss by a wave: of its own, and of its logarithmic derivatives."""
+    """Possible errors by a wave: of a number and of its logarithmic derivatives."""
 
     value: Array
     slope: Array
 
 
 class Lost(NamedTuple):
-    """What numbers may miss by waves, and the frequency of those of the motion; 1/s."""
+    """Possible errors of numbers by waves, and the frequency of the waves of the motion; 1/s."""
 
     parts: list[Missed]
     speed: float
@@ -163,7 +163,7 @@ def missed(
     numbers: Numbers,
     integrated: Sequence[bool],
 ) -> Lost:
-    """Return what numbers may miss by the waves of a run; infinite where it cannot be told.
+    """Return possible errors of numbers by the waves of a run; infinite if they are unknown.
 
     Where a number is `integrated` over the instants, it sees the mean of a wave.
     """
@@ -213,7 +213,7 @@ def _of_the_motion(
 def _of_a_derivative(
     wave: Wave, states: States, numbers: Numbers, plain: Sequence[Array]
 ) -> list[float]:
-    """Return what derivatives of numbers miss by a wave of a derivative of the motion."""
+    """Return errors of derivatives of numbers by a wave in a derivative of the motion."""
     h = float(states.t[1] - states.t[0])
     small = _SMALL * (float(np.abs(states.q).max()) or 1.0) / (float(np.abs(wave.q).max()) or 1.0)
     scaled = wave._replace(q=small * wave.q, lam=small * wave.lam)
