@@ -67,7 +67,7 @@ def packed_gram(Y: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class StrainPlaces:
-    """Indices of each strain of a section in the vector of strains; the first is a.a of the axis.
+    """Index of each strain of a section in the vector of strains; the first is a.a of the axis.
 
     Indices i and j run over y and z. What stands behind `thickness` is of assumed strains only.
     """
