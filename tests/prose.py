@@ -145,7 +145,22 @@ def _of_markdown(path: Path, name: str) -> Iterator[Text]:
         line += paragraph.count("\n") + 2
 
 
-_READERS = {".py": _of_python, ".h": _of_c, ".c": _of_c, ".md": _of_markdown}
+def _of_rst(path: Path, name: str) -> Iterator[Text]:
+    """Yield the paragraphs without directives and programs, as of Markdown."""
+    line = 1
+    for paragraph in re.split(r"\n\s*\n", path.read_text()):
+        if not re.match(r"\s*(\.\. |>>> |:)", paragraph) and len(paragraph.split()) > 3:
+            yield Text("markdown", name, line, paragraph.strip())
+        line += paragraph.count("\n") + 2
+
+
+_READERS = {
+    ".py": _of_python,
+    ".h": _of_c,
+    ".c": _of_c,
+    ".md": _of_markdown,
+    ".rst": _of_rst,
+}
 
 
 def prose(root: Path = ROOT) -> list[Text]:

@@ -55,7 +55,7 @@ def in_space():
 
 
 def weighed():
-    """A pendulum that its weight holds: it settles downhill."""
+    """A pendulum with no stiffness but gravity; the search uses pseudo-transient continuation."""
     beam = rod()
     return Scene([beam], [Pin(beam.at_start)], (0.0, -9.81))
 

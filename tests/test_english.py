@@ -27,6 +27,7 @@ PATTERNS = {
         ("docstring",),
         r"\A(That|Those|These|It|They|Its|Their|By which)\b",
     ),
+    "opens with what": (("docstring",), r"\A(Return )?[Ww]hat\b"),
     "so many for a number": (SPOKEN, r"\bso (many|much|few|often)\b(?! that)"),
     "'what is' for a noun": (
         SPOKEN,
@@ -72,17 +73,17 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "as far as": 14,
-    "is none": 69,
-    "that of, those of": 529,
+    "opens with what": 45,
+    "as far as": 6,
+    "is none": 67,
+    "that of, those of": 523,
     "inversion": 1,
-    "tells": 81,
-    "all of them": 49,
-    "the other": 34,
-    "instants": 505,
-    "array without a shape": 345,
-    "number without a unit": 8,
-    "long sentence": 243,
+    "tells": 78,
+    "all of them": 48,
+    "the other": 35,
+    "instants": 495,
+    "array without a shape": 337,
+    "long sentence": 241,
 }
 
 Hit = tuple[Text, str]
@@ -123,23 +124,28 @@ def _near(words: str, mark: re.Pattern[str], name: str) -> list[str]:
     return [x for x in near if not any(phrase in x for phrase in EXCEPTIONS.get(name, ()))]
 
 
-def new(name: str) -> list[Hit]:
-    """Return hits added since the commit that last changed this file; all of them without git."""
+@cache
+def earlier() -> dict[str, Counter[str]]:
+    """Return the hits at the commit that last changed this file; none without git."""
     this = Path(__file__).relative_to(ROOT).as_posix()
     run = partial(subprocess.run, cwd=ROOT, capture_output=True, check=True)
-    now = hits()[name]
     try:
         commit = run(["git", "log", "-1", "--format=%H", "--", this], text=True).stdout.strip()
         folders = [x for x in FOLDERS if (ROOT / x).is_dir()]
         packed = run(["git", "archive", commit, "README.md", *folders]).stdout
     except (OSError, subprocess.CalledProcessError):
-        return now
+        return {name: Counter() for name in CHECKS}
     with TemporaryDirectory() as folder:
         with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
             archive.extractall(folder, filter="data")
-        before = Counter(near for _, near in hits(Path(folder))[name])
-    added = []
-    for text, near in now:
+        found = hits(Path(folder))
+    return {name: Counter(near for _, near in found[name]) for name in CHECKS}
+
+
+def new(name: str) -> list[Hit]:
+    """Return the hits that were not there when this file was last changed; all without git."""
+    before, added = earlier()[name].copy(), []
+    for text, near in hits()[name]:
         before[near] -= 1
         if before[near] < 0:
             added.append((text, near))
@@ -159,6 +165,7 @@ def test_no_sentence_is_added_that_the_guide_would_rewrite(name):
     ("name", "bad", "good"),
     [
         ("opens with a pronoun", "Those of both laws.", "Breakpoints of the two laws."),
+        ("opens with what", "Return what gives the forces.", "Return the law of the forces."),
         ("so many for a number", "At least so many steps.", "So many steps that it ends."),
         ("'what is' for a noun", "Refuse what is no law.", "Refuse a value that is no law."),
         ("former, latter, dear", "The latter as pairs.", "The pairs."),

@@ -25,7 +25,7 @@ def packages_after(program: str) -> set[str]:
 
 
 def third_party(packages: set[str]) -> set[str]:
-    """Top-level ones that are neither Python's nor this one."""
+    """Return the top-level packages that belong neither to Python nor to this package."""
     return {name.partition(".")[0] for name in packages} - sys.stdlib_module_names - {"ancfdae"}
 
 

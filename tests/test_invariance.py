@@ -218,7 +218,7 @@ def scene_at(name, place):
 
 
 def design_of(name):
-    """Return targets: of a size, a modulus and a place, as far as the scene has them."""
+    """Return targets: of a size, a modulus and a place, those that the scene has."""
     beam = scene_at(name, HERE).beams[0] if scene_at(name, HERE).beams else None
     if beam is None:
         return ["rod.mass"]

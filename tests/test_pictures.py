@@ -765,7 +765,7 @@ def test_nonsense_is_refused_in_words(planar, spatial, tmp_path, monkeypatch):
         (lambda: snapshots(scene, solution, colour=Sensitivity("x")), "Known names"),
         (lambda: snapshots(scene, solution, limits=(0, 1)), "increasing numbers"),
         (lambda: snapshots(scene, solution, colour=Speed(), limits=(1, 1)), "increasing numbers"),
-        (lambda: snapshots(scene, solution, camera=(0, 0)), "in space"),
+        (lambda: snapshots(scene, solution, camera=(0, 0)), "left out for a planar scene"),
         (lambda: BendingMoment(3), "must be 1 or 2"),
         (lambda: animate(scene, solution, tmp_path / "a.avi"), "ends with"),
         (lambda: animate(scene, solution, 3), "name of a file"),

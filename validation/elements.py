@@ -46,7 +46,7 @@ _ROOT: Final = 1.8751040687119611
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `elements`; add its text, tables and figures."""
     counts = (1, 2, 4) if quick else (1, 2, 4, 8, 16, 32, 64)
     report.heading("Method")
     report.text(_METHOD)

@@ -63,7 +63,7 @@ class _Found:
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `error-bars`; add its text, tables and figures."""
     report.heading("Method")
     report.text(_METHOD)
     found = [row for case in _cases(quick) for row in _measured(case, quick)]

@@ -10,7 +10,7 @@ __all__ = ["run"]
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `external-dae`; add its text, tables and figures."""
     report.heading("Method")
     report.text(_METHOD)
     requirements = [*slider_crank(report, quick), *pendulum(report, quick)]

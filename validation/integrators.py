@@ -55,7 +55,7 @@ _QUICK = _Extent(2 * _SPACING, (7, 8, 9), (1e-4, 1e-5), 1e-7)
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `integrators`; add its text, tables and figures."""
     extent = _QUICK if quick else _FULL
     report.heading("Method")
     report.text(_METHOD)

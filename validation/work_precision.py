@@ -38,7 +38,7 @@ _GROUPS = {
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `work-precision`; add its text, tables and figures."""
     report.heading("Method")
     report.text(_METHOD)
     found = [measured(case, quick) for case in cases(quick)]

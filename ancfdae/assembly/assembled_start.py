@@ -111,7 +111,7 @@ class AssembledStart:
         return Assembly(closing, self._moves, scene.project_start)
 
     def _declared(self, i: int | None) -> Declared:
-        """Return what is declared, moved in design variable i by an imaginary step."""
+        """Return the declaration, with design variable i (if given) moved by an imaginary step."""
         joints, reference = self.joints, self.reference
         if i is not None:
             joints, reference = joints.moved(i), reference.moved(i)

@@ -295,7 +295,7 @@ class Assembly:
     # -- what stays open -----------------------------------------------------------------------
 
     def _gaps(self, x: Array) -> Array:
-        """Return what a motion leaves of every equation."""
+        """Return the size of the residual of every joint equation after a motion x."""
         q = self.closing.placed(self._declared, x)
         return np.asarray(np.abs(self.closing.all_left(self._declared, q).real))
 
@@ -309,7 +309,7 @@ class Assembly:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Joint of every equation."""
+        """Name of the joint of every constraint equation."""
         joints = self._declared.constraints.structure.joints
         return tuple(joint.name for joint in joints for _ in range(joint.rows))
 

@@ -75,7 +75,7 @@ class BeamElements:
         return np.concatenate([chord, X[..., 1:n_s, :], X[..., n_s + 1 :, :]], axis=-2)
 
     def spread(self, on_Y: Array) -> Array:
-        """Return the transpose of `relative`."""
+        """Return gradients in node vectors from those in relative ones: `relative` transposed."""
         n_s, chord = self.element.n_s, on_Y[..., :1, :]
         return np.concatenate([-chord, on_Y[..., 1:n_s, :], chord, on_Y[..., n_s:, :]], axis=-2)
 

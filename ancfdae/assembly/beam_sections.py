@@ -35,13 +35,13 @@ class BeamSections:
         self._stresses: dict[Point | str, StressPoints] = {}
 
     def forces(self, point: Point) -> SectionForces:
-        """Return what gives the forces in the section at a point of a beam."""
+        """Return the evaluator of the section forces at a point of a beam."""
         if point not in self._forces:
             self._forces[point] = self.forces_in(point.beam, *self._locate(point))
         return self._forces[point]
 
     def forces_in(self, beam: str, element: int, xi: float) -> SectionForces:
-        """Return what gives the forces in a section of an element of a beam."""
+        """Return the evaluator of the section forces at xi of an element of a beam."""
         nodes, count = self._acted_on(beam), self._layout.beam(beam).element_count
         smooth = element not in nodes, element + 1 not in nodes
         first = max(element - smooth[0], 0)
@@ -78,7 +78,7 @@ class BeamSections:
             )
 
     def stress_at(self, point: Point) -> StressPoints:
-        """Return what gives the stress at a point of a beam."""
+        """Return the evaluator of the stress at a point of a beam."""
         if point not in self._stresses:
             element, xi = self._element(point)
             y, z = np.full((1, 1), point.y), np.full((1, 1), point.z)
@@ -87,7 +87,7 @@ class BeamSections:
         return self._stresses[point]
 
     def stress_over(self, beam: str) -> StressPoints:
-        """Return what gives stresses at the outer points of all sections of a beam."""
+        """Return the evaluator of stresses at the outer points of all sections of a beam."""
         if beam not in self._stresses:
             elements = self._elements(beam, slice(None))
             self._stresses[beam] = StressPoints(elements, _STRESS_PLACES, elements.outline)

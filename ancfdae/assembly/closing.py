@@ -28,7 +28,7 @@ Matrix: TypeAlias = Any
 @final
 @dataclass(frozen=True)
 class Declared:
-    """What a scene declares at a value of its design: joints, coordinates, and velocities.
+    """Joints, coordinates and velocities of a scene as declared at one value of its design.
 
     `velocities` gives v for the coordinates q and the turns x that brought the bodies there.
     """
@@ -63,7 +63,7 @@ class Closing:
 
     @cached_property
     def shift(self) -> Array:
-        """Which of the free numbers are displacements."""
+        """Whether each free component of the motions is a displacement, shape (n_free,)."""
         d = self.declared.Z.shape[1]
         is_shift = np.broadcast_to(np.arange(self.motions.n_x) < d, self.free.shape)
         return is_shift.ravel()[self._places]

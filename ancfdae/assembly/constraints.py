@@ -57,7 +57,7 @@ class JointConstraints:
 
     @cached_property
     def factors(self) -> JointFactors:
-        """Factors of driven joints."""
+        """Factors of time of the driven joints."""
         return JointFactors(self.structure.slots)
 
     @cached_property
@@ -84,7 +84,7 @@ class JointConstraints:
 
     @property
     def constant(self) -> bool:
-        """Whether they are linear and the same at all times and designs."""
+        """Whether the constraints are linear and the same at all times and designs."""
         return self._tangent is not None and not self.active
 
     @property
@@ -168,7 +168,7 @@ class JointConstraints:
     # -- what drives do, many instants ---------------------------------------------------------
 
     def works(self, q: Array, lam: Array, t: Array) -> Array:
-        """Lam . Phi_t, shape (k,)."""
+        """Power of the driven joints, lam . Phi_t, shape (k,); W."""
         return np.asarray(np.sum(lam * self._by_time(q, t), axis=1))
 
     def works_partials(self, q: Array, lam: Array, t: Array) -> tuple[Array, Array, Array]:

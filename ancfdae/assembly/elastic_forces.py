@@ -82,7 +82,7 @@ class ElasticForces:
 
     @property
     def damped(self) -> bool:
-        """Whether forces depend on velocities."""
+        """Whether a material is damped, so that forces depend on velocities."""
         return self._block.tau is not None
 
     def round_off(self, q: Array, weights: Array) -> float:
@@ -133,7 +133,7 @@ class ElasticForces:
         return forces_along(self._elements, q, v, u, z)
 
     def force_b(self, q: Array, v: Array) -> Array:
-        """(Q_s)_b, shape (k, n_q, n_b)."""
+        """Design partials of minus the elastic forces, shape (k, n_q, n_b)."""
         return -self._partials(q, v, None).mT
 
     def tangent_rates(

@@ -1,4 +1,4 @@
-"""What time and the design change in the coefficients of all joints."""
+"""Dependence of the coefficients of all joints on time and on the design."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -102,7 +102,7 @@ class JointPartials:
 
     @cached_property
     def arrays(self) -> tuple[Array, ...]:
-        """What `constraint_totals` takes: variable, number, first, part, entry, value."""
+        """Arguments of `constraint_totals`: variable, number, first, part, entry, value."""
         numbers, variable, first, changes = [], [0], [0], [(np.zeros(0, dtype=np.int64),) * 3]
         for i in range(self.n_b):
             for number, change in self._reached(i):
@@ -141,7 +141,7 @@ class JointPartials:
         return reached
 
     def contract(self, on_l: Array, on_c: Array, t: Array) -> Array:
-        """Return what partials in entries of L, (k, n_l), and coefficients, (k, n, n_c), are in b.
+        """Return partials in b from those in entries of L, (k, n_l), and coefficients, (k, n, n_c).
 
         The n are orders of time derivatives.
         """

@@ -130,7 +130,7 @@ class JointStructure:
         return replace(self, slots=slots, vectors=self.vectors.moved(i))
 
     def moving(self) -> tuple[Array, Array, Array, Array]:
-        """Return what moves: counts to the begin of each joint, entries, parts and values."""
+        """Return the moving coefficients: first index of each joint, entries, parts and values."""
         counts, moving = [0], [(np.zeros(0, dtype=np.int64),) * 2 + (np.zeros(0),)]
         for slot, c in zip(self.slots, self.parts, strict=True):
             part, at = np.nonzero(c[1:])

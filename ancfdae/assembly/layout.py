@@ -62,7 +62,7 @@ class BodyLayout:
         return ends
 
     def of_ends(self, nodes: Array) -> Array:
-        """Return its vectors from those of nodes, or of both ends of elements: see `NodeState`."""
+        """Return the vectors of the body from those of nodes or of both ends of elements."""
         X = nodes if nodes.ndim == 4 else np.stack([nodes[:-1], nodes[1:]], axis=1)
         vectors = np.zeros((self.count, X.shape[-1]), dtype=X.dtype)
         vectors[self.ends - self.first_vector] = X.reshape(*self.ends.shape, -1)

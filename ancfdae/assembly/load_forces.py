@@ -74,7 +74,7 @@ class LoadForces:
                 self._timed.append((item, row))
 
     def plans(self) -> tuple[tuple[LoadPlan, bool], ...]:
-        """Return what a kernel takes of the loads that move, and whether they use velocities."""
+        """Return plans of the moving loads for the kernels, and whether they use velocities."""
         return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
 
     @property
@@ -95,7 +95,7 @@ class LoadForces:
         return np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
-        """Q, shape (k, n_q)."""
+        """Return the sum Q of all loads in k states, shape (k, n_q)."""
         Q = np.broadcast_to(self._steady, (len(q), self._n_q))
         for item, row in self._timed:
             Q = Q + item.factor(t, 0)[:, None] * row
@@ -194,7 +194,7 @@ class LoadForces:
         return along.imag.T / STEP + total
 
     def force_b(self, q: Array, v: Array, t: Array) -> Array:
-        """Q_b, shape (k, n_q, n_b)."""
+        """Return the design partials of Q in k states, shape (k, n_q, n_b)."""
         return self._partial(lambda moved: moved.force(q.real, v.real, t), (len(q), self._n_q))
 
     def pull_back(self, q: Array, v: Array, t: Array, mu: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What turns coordinates into vectors of named points, and multipliers into those of a joint."""
+"""Maps from coordinates to vectors of named points, and from multipliers to those of a joint."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class PointVector:
 @final
 @dataclass(frozen=True)
 class SceneNaming(Naming):
-    """What turns coordinates into vectors of named points.
+    """Maps from coordinates to vectors of named points, and from joints to their multipliers.
 
     Vectors of points between nodes depend on the lengths of elements, (n_elements,), and so on the
     design through `lengths_b`, (n_elements, n_b).
@@ -134,7 +134,7 @@ class SceneNaming(Naming):
         return motions_in_words(self.layout, q.real, motions)
 
     def packed(self) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Return all that a file keeps: arrays, and what JSON holds."""
+        """Return the arrays and the JSON data of which `load_solution` makes the naming."""
         return {"lengths": self.lengths, "lengths_b": self.lengths_b}, self.layout.plain()
 
     def nodes(self, states: Array, name: str) -> Array:

@@ -38,7 +38,7 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Where bodies stand, and what joints and loads are made of."""
+    """Placement of the bodies, and inputs of joints and loads, at one value of the design."""
 
     naming: SceneNaming
     reference: Reference
@@ -58,7 +58,7 @@ class Geometry:
         return Geometry(naming, reference, inputs, inputs.joints(), inputs.loads())
 
     def at(self, b: Array) -> Geometry | None:
-        """Return it at other values, None where forms change.
+        """Return the geometry at other parameter values; None if the structure changes.
 
         So they do where a coefficient appears that had vanished, or a point comes to another
         element.
@@ -145,7 +145,7 @@ class Numbers:
 def _placed(
     structure: Structure, geometry: Geometry, b: Array
 ) -> tuple[JointConstraints, LoadForces, AssembledStart]:
-    """Return what depends on where parts stand."""
+    """Return constraints, loads and start, which depend on the places of parts."""
     pattern, mapping, n_b = structure.pattern, structure.mapping, len(b)
     constraints = JointConstraints.on(pattern, geometry.joints, n_b)
     reached = geometry.reached_by(structure)
@@ -165,7 +165,7 @@ def _placed(
 def _masses(
     structure: Structure, geometry: Geometry, block: ElementBlock, b: Array
 ) -> tuple[Inertia, TurningForces | None]:
-    """Return masses with gravity, and what a turning frame adds."""
+    """Return inertia with gravity, and the forces of a rotating frame; None without a frame."""
     scene, numbering, n_b, d = structure.scene, structure.numbering, len(b), structure.numbering.d
     p, p_b = structure.mapping.numbers("scene", b)
     gravity, frame = (np.zeros(d), np.zeros((d, n_b))), (p, p_b)

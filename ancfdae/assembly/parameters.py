@@ -18,7 +18,7 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class ParameterMap:
-    """Which element parameters each design variable writes to.
+    """Map from design variables to the element parameters that they set.
 
     One entry per pair (element, parameter) that a variable drives; the element's parameter
     is `weight` times the variable, plus `offset`.
@@ -66,7 +66,7 @@ class ParameterMap:
         return P
 
     def only(self, rows: Array) -> ParameterMap:
-        """Return what is written to some elements, numbered in the order given."""
+        """Return the map for the elements `rows` only, numbered in that order."""
         places = np.full(len(self.base), -1)
         places[rows] = np.arange(len(rows))
         chosen = places[self.elements]

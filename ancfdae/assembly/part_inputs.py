@@ -57,7 +57,7 @@ class Rigidity(Joint):
 @final
 @dataclass(frozen=True, eq=False)
 class PartInputs:
-    """What joints and loads are made of, at design values b."""
+    """Inputs of joints and loads, with their design derivatives, at design values b."""
 
     scene: Scene
     numbering: Numbering

@@ -47,7 +47,7 @@ class Reference:
 
     @cached_property
     def q(self) -> Array:
-        """Reference configuration, shape (n_q,)."""
+        """Coordinates of the reference configuration, shape (n_q,)."""
         return np.concatenate([self._vectors[body.name].ravel() for body in self._scene.members])
 
     @cached_property

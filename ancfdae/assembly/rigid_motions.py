@@ -32,7 +32,7 @@ class RigidMotions:
 
     @property
     def none(self) -> Array:
-        """No motion at all."""
+        """The zero motion of all bodies, shape (n_bodies, n_x)."""
         return np.zeros((self._count, self.n_x))
 
     def place(self, Z: Array, x: Array) -> Array:
@@ -99,7 +99,7 @@ class RigidMotions:
         return matrix.reshape(count * n_x, -1)
 
     def collect(self, T: Array, f: Array) -> Array:
-        """Return what forces f, shape (n_q,), do on each motion: T^T f, shape (n_bodies, n_x)."""
+        """Return T^T f, shape (n_bodies, n_x): forces f, (n_q,), on the rigid motions."""
         work = np.einsum("vix,vi->vx", T, f.reshape(-1, self._d))
         total = np.zeros((self._count, self.n_x), dtype=work.dtype)
         np.add.at(total, self._owner, work)

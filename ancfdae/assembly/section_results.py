@@ -66,7 +66,7 @@ class SectionForces:
         return self._elements.element.section_law(batch, self._place)
 
     def _of(self, law: SectionLaw, X: Array, U: Array) -> Array:
-        """All forces, shape (..., 6)."""
+        """Return the six components of forces and moments in sections, shape (..., 6)."""
         elements = self._elements
         return law.forces(elements.relative(X), elements.relative(U))
 

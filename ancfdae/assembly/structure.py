@@ -1,4 +1,4 @@
-"""What a scene is at every value of its design: owners, numbering, forms of joints, patterns."""
+"""Parts of a system that do not depend on design values: owners, numbering, joints, patterns."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """What values of the design do not change; made with the first numbers.
+    """The parts of a system that do not depend on design values: sizes, patterns, numbering.
 
     `soft` maps the design to the elements that deform, which have `forms` and stand at `places` of
     the pattern.

@@ -133,7 +133,7 @@ class AncfSystem(PlannedSystem):
 
     @property
     def plan(self) -> Plan | None:
-        """What a kernel marches with: real numbers, in a frame at rest."""
+        """Arrays for steps in the compiled kernel; None for complex b or a rotating frame."""
         if np.iscomplexobj(self.b) or self._turning is not None:
             return None
         steady, rows = self._loads.timed()
@@ -424,7 +424,7 @@ class AncfSystem(PlannedSystem):
         return dot(f_q, mu), on_v, on_b
 
     def _tangents(self, q: Array, v: Array, t: Array) -> tuple[Array, Array | None]:
-        """Return -Q_q and -Q_v."""
+        """Return values of -Q_q and -Q_v on the pattern; None for Q_v if Q ignores velocities."""
         K, D = self._elastic.internal_q(q, v), None
         if self._elastic.damped:
             D = self._elastic.internal_v(q)

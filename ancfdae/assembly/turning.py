@@ -35,7 +35,7 @@ class TurningForces:
     # -- the force and its tangents ----------------------------------------------------------------
 
     def force(self, q: Array, v: Array) -> Array:
-        """Return M c, shape (n_q,)."""
+        """Return the inertia force M c of the rotating frame, shape (n_q,)."""
         return self._inertia.times(self._c(q, v))
 
     def force_along(self, dq: Array, dv: Array) -> Array:

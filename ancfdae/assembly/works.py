@@ -58,7 +58,7 @@ class _UnitRate(Law):
     design_fields = (("law", require_law),)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Return x, 1, 0, 0."""
+        """Return the law with its rates replaced by 1, 0, 0, so that a power is per unit rate."""
         x = self.law.derivative(p, t, 0)
         return x if order == 0 else np.full_like(x, float(order == 1))
 
@@ -79,7 +79,7 @@ class LoadWork:
     n_b: int
 
     def value(self, t: Array, q: Array, v: Array) -> Array:
-        """Return the power, shape (k,)."""
+        """Return the power of the load in k states, shape (k,); W."""
         return self._power(self.item, t, q, v)
 
     def partials(self, t: Array, q: Array, v: Array) -> tuple[Array, Array, Array]:
@@ -109,7 +109,7 @@ def _product(item: LoadInput, U: Array, V: Array, t: Array) -> Array:
 
 @final
 class Works:
-    """What does work in a scene, by name; the layout knows the rows of the joints."""
+    """Power of driven joints and of loads, by name."""
 
     def __init__(self, scene: Scene, inputs: PartInputs, layout: Layout, n_b: int) -> None:
         self._scene, self._inputs, self._layout, self._n_b = scene, inputs, layout, n_b
@@ -117,7 +117,7 @@ class Works:
         self._loads: dict[str, LoadWork] = {}
 
     def of_joint(self, name: str, unit_rate: bool) -> JointWork:
-        """Return what gives the power of a driven joint, or at a unit rate its torque or force."""
+        """Return the evaluator of the power of a driven joint, or, at unit rate, of its force."""
         key = name, unit_rate
         if key not in self._joints:
             place = self._layout.joint(name)
@@ -130,7 +130,7 @@ class Works:
         return self._joints[key]
 
     def of_load(self, name: str) -> LoadWork:
-        """Return what gives the power of a load, or raise UnknownName."""
+        """Return the evaluator of the power of a load; raise UnknownName."""
         if name not in self._loads:
             load = named("load", name, self._scene.loads)
             self._loads[name] = LoadWork(self._inputs.load(load), self._n_b)

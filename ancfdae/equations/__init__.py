@@ -1,4 +1,4 @@
-"""What a mechanical system is to everything that integrates it, and what a run of it returns.
+"""The protocol of mechanical systems, and the solution that a run of one returns.
 
 `system` states the contract: eleven values, and all that follows from them. `formula_system`
 takes derivatives of a system that a user writes by M, Q and Phi; `conformance` and `proof` compare

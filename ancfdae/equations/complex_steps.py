@@ -23,7 +23,7 @@ _System = TypeVar("_System", bound="ComplexSteps")
 
 
 class ComplexSteps(abc.ABC):
-    """What has coordinates and design variables, and values that accept complex numbers."""
+    """A system with coordinates and design variables whose values accept complex numbers."""
 
     n_q: int
     design_names: tuple[str, ...]
@@ -31,7 +31,7 @@ class ComplexSteps(abc.ABC):
 
     @cached_property
     def n_b(self) -> int:
-        """Number of design variables."""
+        """Number of design variables n_b."""
         return len(self.design_names)
 
     @abc.abstractmethod

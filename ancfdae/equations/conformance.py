@@ -33,7 +33,7 @@ class Finding:
 
     @property
     def passed(self) -> bool:
-        """Whether the error is explained."""
+        """Whether the error is within its tolerance."""
         return self.error <= self.tolerance
 
     def __str__(self) -> str:
@@ -44,7 +44,7 @@ class Finding:
 @final
 @dataclass(frozen=True)
 class Conformance:
-    """What `check_system` found of a system of the class `name`; print it."""
+    """Findings of `check_system` on a system of the class `name`; print it."""
 
     name: str
     findings: tuple[Finding, ...]

@@ -1,4 +1,4 @@
-"""What the base class derives from the values of a system, by differences of real numbers.
+"""Derivatives that the base class takes from the values of a system, by real differences.
 
 A system is its values: M, Q, Phi and the start, the derivatives of M and Q along a direction, and
 those of Phi in time and in q. Every other member is a formula of `MechanicalSystem` in them with
@@ -108,7 +108,7 @@ class Derived:
 
 @final
 class Related(Derived):
-    """The values that others determine."""
+    """Values of a system that its other values determine, for `check_system`."""
 
     def mass_along(self, q: Array, dq: Array) -> Array:
         """M_q dq from `mass` by differences, values on the pattern."""

@@ -21,7 +21,7 @@ _REFUSED = OSError, CalledProcessError
 
 @contextmanager
 def saving(where: str, path: Path) -> Iterator[None]:
-    """Raise NotSaved where the disk is full or refuses."""
+    """Raise NotSaved if writing fails, as on a full disk or without permission."""
     try:
         yield
     except NotSaved:

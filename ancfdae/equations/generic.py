@@ -48,11 +48,11 @@ class Generic(MechanicalSystem):
         self._grown = np.exp(b_sizes @ (b - system.b))
 
     def with_values(self, b: Array) -> Generic:
-        """Return it at other design values."""
+        """Return the same generic system at other design values."""
         return Generic(self._of, self._m, self._sizes, b)
 
     def start(self) -> tuple[Array, Array]:
-        """Sizes of q and v."""
+        """Return start values of q and v that have the sizes of the system's own."""
         return self._sizes.q * self._grown, self._sizes.v * self._grown
 
     def mass(self, q: Array) -> Array:
@@ -77,7 +77,7 @@ class Generic(MechanicalSystem):
         return self.force(t, q, v) * (self._q @ dq + along_v + self._t * dt)
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
-        """All of Q, and Q_q."""
+        """Return Q as a load that turns with the motion, and Q_q on the pattern."""
         Q = self.force(t, q, self._m.v)
         return Q, self._product(self.pattern, Q)
 

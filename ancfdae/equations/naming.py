@@ -1,4 +1,4 @@
-"""What a solution asks of the names of a system: points, joints and coordinates."""
+"""Protocol by which a solution finds points, joints and coordinates of a system by name."""
 
 from __future__ import annotations
 
@@ -53,4 +53,4 @@ class Naming(abc.ABC):
 
     @abc.abstractmethod
     def packed(self) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Return all that a file keeps: arrays, and what JSON holds."""
+        """Return the arrays and the JSON data that a solution file stores."""

@@ -163,7 +163,8 @@ class Solution:
         The times increase and lie within the run; s. Between the steps of HHT: coordinates by the
         cubic through q and v at both ends, velocities by that through v and a, accelerations and
         multipliers linearly. Of Radau and of Gauss-Lobatto instants: the polynomial of a panel.
-        Derivatives alike. Statistics, outcome and estimated errors stay those of the run.
+        Design derivatives are interpolated in the same way. `statistics`, `outcome` and
+        `estimated_errors` are copied from the run unchanged.
         """
         asked = np.atleast_1d(require_array("times", times))
         good = asked.ndim == 1 and len(asked) > 0 and bool(np.all(np.diff(asked) > 0))

@@ -1,4 +1,4 @@
-"""What comes with a trajectory: its cost, errors and design derivatives; tables of pandas."""
+"""Parts of a solution beside the trajectory: cost, errors, design derivatives; pandas tables."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def sensitivity_table(q_b: Array, names: tuple[str, ...]) -> Any:
 @final
 @dataclass(frozen=True)
 class Statistics:
-    """What a run cost.
+    """Counters and elapsed time of a run.
 
     Attributes
     ----------

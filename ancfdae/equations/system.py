@@ -1,4 +1,4 @@
-"""What a mechanical system is to everything that integrates it.
+"""The protocol of a mechanical system, by which integrators and sensitivity methods see it.
 
     M(q, b) a + Phi_q^T lam = Q(t, q, v, b),     Phi(t, q, b) = 0          (eq. 1)
 
@@ -16,7 +16,7 @@ it may be overridden where a formula is faster, and `check_system` compares each
 default that it replaces.
 
 **Rates.** The constraints and their time derivatives are one object by order: a motion
-(q, v, a, j) is given as far as it is needed, and the order is the number of rates in it.
+(q, v, a, j) is given up to the rates needed, and the order is the number of rates in it.
 
     constraint(t, q, v, a)       d^2 Phi/dt^2 = Phi_q a + (Phi_q v)_q v + 2 Phi_qt v + Phi_tt
     constraint_q(t, q, v, a)     d^2 Phi_q/dt^2 = (d^2 Phi/dt^2)_q
@@ -52,7 +52,7 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True)
 class Traits:
-    """What is known of a system before any state.
+    """Properties of a system that hold in every state, such as a constant mass.
 
     Attributes
     ----------
@@ -328,7 +328,7 @@ class MechanicalSystem(ComplexSteps):
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
         """Return the Jacobians of f and Phi at k instants; states are rows (k, n).
 
-        Without v those of f + Q.
+        If v is None the force Q is left out: they are those of M a + Phi_q^T lam and Phi.
         """
         traits, instants = self.traits, list(_instants(t, q, v, a, lam))
         M = np.array([self.mass(x) for x in (q[:1] if traits.constant_mass else q)])
@@ -344,7 +344,7 @@ class MechanicalSystem(ComplexSteps):
     ) -> DesignPartials:
         """Return the partials of f and Phi with respect to the design at k instants.
 
-        Without v those of f + Q and Phi.
+        If v is None the force Q is left out: they are those of M a + Phi_q^T lam and Phi.
         """
         f_b, Phi_b = [], []
         for s, states in _instants(t, q, v, a, lam):

@@ -61,7 +61,7 @@ _SINGULAR = 1e-13
 
 @final
 class Form:
-    """How coordinates and rows of Phi_q are compared, whatever their units.
+    """Scales by which coordinates and rows of Phi_q are compared, whatever their units.
 
     Coordinates are sqrt(w_i) q_i; rows have the length one in them at a first place of the motion.
     `used` are the coordinates that stand in constraints.
@@ -160,7 +160,7 @@ class Place:
         return np.asarray(np.linalg.solve(R, Q.T).T)
 
     def _factorised(self) -> scipy.sparse.linalg.SuperLU | None:
-        """Factorise [I B^T; B 0]."""
+        """Return the factors of [I B^T; B 0], sparse; None if it is singular."""
         B, one = self._form.sparse(self._values), scipy.sparse.eye_array(self._form.shape[1])
         try:
             return scipy.sparse.linalg.splu(scipy.sparse.bmat([[one, B.T], [B, None]], "csc"))
@@ -168,7 +168,7 @@ class Place:
             return None
 
     def _lifted(self, y: Array) -> Array:
-        """Return P y."""
+        """Return P y, shape (n_used,), by the sparse factors."""
         assert self._factors is not None
         n_used = self._form.shape[1]
         return np.asarray(self._factors.solve(np.concatenate([np.zeros(n_used), y]))[:n_used])

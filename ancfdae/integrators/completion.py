@@ -130,7 +130,7 @@ class Completion:
         return on_q, system.mass_times(self.states[0][k], m), m, z, w, y
 
     def pull_back(self, m: Array, z: Array, w: Array, y: Array) -> Array:
-        """Return what covectors of `back`, (k, n), give the design directly, (n_b,)."""
+        """Return the direct part of the gradient, (n_b,), from adjoint vectors `back`, (k, n)."""
         system, t, (q, v, a, _) = self.system, self.t, self.states
         none = np.zeros_like(z)
         total = system.pull_back(t, (q, None, *self.moved), (m, none))

@@ -83,6 +83,7 @@ class Dop853:
         Return a, shape (...), at a time and a state (y, u) of shape (2, ...). What it raises
         leaves the state before the step as it was.
     t : float
+        Time of the start; s.
     state : array, shape (2, ...)
     stages : callable, optional
         Compute stages from a first to a last one together: the accelerations and the states, from
@@ -93,7 +94,8 @@ class Dop853:
     t, end : float
         Times at which the step begins and ends; s.
     states, accelerations : array, shape (16, 2, ...) and (16, ...)
-        Those at the stages, before the step first, after it, and where only `between` needs them.
+        States and accelerations at the stages, in units of the coordinates: before the step, within
+        and after it, and at the points that only `between` needs.
     """
 
     def __init__(
@@ -124,7 +126,7 @@ class Dop853:
 
     @property
     def after(self) -> Array:
-        """The state after the step."""
+        """State (positions, velocities) after the step, shape (2, ...)."""
         state: Array = self.states[_AFTER]
         return state
 

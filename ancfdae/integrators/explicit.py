@@ -35,8 +35,8 @@ _LEAST_RTOL = 3e-14
 # Absolute tolerance relative to the scales, per unit of rtol.
 _SMALL = 1e-2
 # Change of the step: part of what the error estimate asks for, least and largest. The error before
-# takes part (Soderlind's PI.4.2): steps at the limit of stability, or where the error swings, then
-# settle below it instead of being rejected time and again.
+# takes part (Soderlind's PI.4.2): near the stability limit, or where the error estimate oscillates,
+# the step then settles below the limit instead of being rejected repeatedly.
 _SAFETY, _LEAST, _LARGEST = 0.95, 0.2, 10.0
 _NOW, _BEFORE = 0.6, -0.2
 # Errors that count as no less, now and before.
@@ -179,7 +179,7 @@ class _ExplicitMarch(March):
         return vector_sizes(rows, self._problem.system.vector_size)
 
     def _accept(self) -> None:
-        """Go on to the end of the step, and keep its stages for the integrals."""
+        """Accept the step; store its stages for the dense output if integrals are wanted."""
         method = self._method
         self.steps += 1
         self._t, self._between = method.end, []
@@ -273,7 +273,7 @@ class _ExplicitMarch(March):
 
 
 def _mean(x: Array) -> float:
-    """Root of the mean square."""
+    """Return the root mean square of the entries of x."""
     return math.sqrt(np.vdot(x, x) / x.size)
 
 

@@ -1,4 +1,4 @@
-"""What the integrators of high order share: instants, start, recording.
+"""Common parts of the integrators of high order: output times, start, recording.
 
 They choose their steps themselves and report Gauss-Lobatto instants in equal intervals, with
 accelerations and multipliers recomputed from positions and velocities by one linear solve: more
@@ -53,7 +53,7 @@ _REMEDY = (
 
 
 def pace(t_end: float) -> Pace:
-    """Return what watches the times that a solver of high order reaches."""
+    """Return the counter that warns if a solver of high order will take many steps."""
     return Pace(t_end, _MANY, _REMEDY, sure=True)
 
 
@@ -83,7 +83,7 @@ class March(abc.ABC):
 
     @property
     def _stop(self) -> float:
-        """What the next step must not pass: the next breakpoint, or the end."""
+        """Time that the next step must not pass, s: the next breakpoint, or the end."""
         return next_end(self.stops, self._t, self._t_end)
 
     @final
@@ -115,7 +115,7 @@ class March(abc.ABC):
 
     @abc.abstractmethod
     def finish(self) -> None:
-        """Take the last steps into the integrals."""
+        """Add the last steps to the integrals."""
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ class Accelerations:
         )
 
     def solve(self, t: float, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return a and lam."""
+        """Return accelerations a, (n_q,), and multipliers lam, (n_lam,), of a state."""
         x, n = self.rows(t, q[None], v[None])[0], self._system.n_q
         return x[:n], x[n:]
 

@@ -1,4 +1,4 @@
-"""What an integrator integrates beside the motion: functions of the states, on panels of points.
+"""Integrals along a motion: functions of the states, on panels of quadrature points.
 
 The integrator says where the points lie and which weights they have; what is made of the values
 there is the integrand's.
@@ -75,7 +75,7 @@ class Points:
 @final
 @dataclass(frozen=True)
 class PartialIntegral:
-    """What an integrand makes of a part of the run.
+    """Integral of an integrand over a part of the run.
 
     `slopes` has the shape (n_b,); `size`, (n,), are integrals without signs. The error is
     estimated, relative to the size of the integral, nan if anything is not finite; `not_finite` is
@@ -99,7 +99,7 @@ class Integrand(abc.ABC):
 
     @abc.abstractmethod
     def add(self, part: PartialIntegral) -> None:
-        """Take the next part in, in the order of time."""
+        """Add the next part of the run, in the order of time."""
 
 
 class Density(abc.ABC):

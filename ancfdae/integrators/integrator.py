@@ -1,4 +1,4 @@
-"""What every integrator offers: same call, same solution, same statistics."""
+"""Base class of all integrators: same call, same solution, same statistics."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class Seeds:
     densities: tuple[tuple[float, Density], ...] = ()
 
     def rows(self, part: slice) -> tuple[Array | None, Array | None, Array | None]:
-        """Return those on q, v and lam of some instants."""
+        """Return the seeds on q, v and lam of the states `part`."""
         q, v, lam = (
             None if x is None else np.ascontiguousarray(x[part], dtype=float)
             for x in (self.q, self.v, self.lam)
@@ -151,7 +151,7 @@ class DefectIntegrator(AdjointIntegrator):
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
     ) -> float:
-        """Return what an objective would change without the defects of the steps.
+        """Return the change of an objective if the steps had no defects, in its unit.
 
         The arguments are those of `pull_back`; there are three instants at least.
         """
@@ -196,7 +196,7 @@ class RunInParts(abc.ABC):
 
     @abc.abstractmethod
     def no_covectors(self) -> Array:
-        """Return what `pull_back` begins with after the last part."""
+        """Return the zero adjoint vectors with which the backward pass starts."""
 
 
 class PartwiseIntegrator(Integrator):

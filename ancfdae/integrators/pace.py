@@ -35,12 +35,12 @@ class Pace:
         self.restart(0.0)
 
     def restart(self, t: float) -> None:
-        """Begin to count at t."""
+        """Start to count steps at time t."""
         self._mark = self._half = self._quarter = t
         self._taken = 0
 
     def stalls(self, t: float) -> bool:
-        """Take note of a step to t; return whether the last hundred led nowhere.
+        """Count a step to time t; return whether the last hundred steps made no progress.
 
         This ends runs that diverge, meet a jump too large to integrate, or integrate noise. The
         second half of a hundred says how many steps the run takes, unless steps still grow in it,

@@ -1,4 +1,4 @@
-"""What a run begins with: a system, its consistent start and the sizes of its unknowns.
+"""The problem of a run: a system, its consistent start and the scales of its unknowns.
 
 **Sizes.** Coordinates are compared in the weighted form sqrt(w_i) q_i, which has one unit for all
 of them. Positions count from the mean position of the start, the place p of the system, and the
@@ -60,7 +60,7 @@ class Scales:
 
     @property
     def lam(self) -> Array:
-        """Size of the multipliers."""
+        """Scale of the multipliers: load over row of the constraints."""
         return self.load / self.row
 
     @property
@@ -70,7 +70,7 @@ class Scales:
 
     @staticmethod
     def of(system: MechanicalSystem, initial: InitialState, t_end: float) -> Scales:
-        """Return the sizes for a run from the given start to `t_end`."""
+        """Return the scales of coordinates, velocities and forces for a run to `t_end`."""
         t, q = initial.t, initial.q
         root, count = np.sqrt(system.weights), np.sqrt(system.n_q)
         reactions = reaction(system, t, q, initial.lam)
@@ -114,7 +114,7 @@ class Problem:
 
     @classmethod
     def of(cls, system: MechanicalSystem, t_end: float) -> Self:
-        """Find the consistent start."""
+        """Return the problem of a system up to t_end, with its consistent start and scales."""
         require_positive("t_end", t_end)
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)

@@ -39,7 +39,7 @@ class Trajectory(NamedTuple):
     a: Array | None = None
 
     def taken(self, k: slice | Array) -> Trajectory:
-        """Return some of the instants."""
+        """Return the trajectory at the times with indices k only."""
         q_b, v_b, a = (None if x is None else x[k] for x in (self.q_b, self.v_b, self.a))
         return Trajectory(self.t[k], self.q[k], self.v[k], q_b, v_b, a)
 

@@ -76,7 +76,7 @@ class Recorder:
 
     @property
     def steps(self) -> int:
-        """Accepted steps so far."""
+        """Number of accepted steps so far."""
         return max(self.instants - 1, 0) // self._degree if self.accepted is None else self.accepted
 
     @property
@@ -139,7 +139,7 @@ class Recorder:
         self.instants, self._control = 1, ()
 
     def solution(self, outcome: Outcome) -> Solution:
-        """Return what was recorded."""
+        """Return the recorded states as a `Solution` with this outcome."""
         system = self._system
         t, q, v, a, lam, *derivatives = (array[: self.instants] for array in self._arrays)
         return Solution(

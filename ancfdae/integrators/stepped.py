@@ -90,7 +90,7 @@ class SteppedIntegrator(AdjointIntegrator):
     def _stepper(
         self, problem: Problem, t_end: float, sizes_b: Array, recorder: Recorder
     ) -> OneStepMethod[Any]:
-        """Return what takes the steps of a run; sizes are those of the derivatives."""
+        """Return the one-step method of a run; `sizes` are those of the derivatives."""
 
     @abc.abstractmethod
     def _state_after(self, run: Solution) -> Any:

@@ -44,7 +44,7 @@ class Block(NamedTuple):
 
 @final
 class Constraints(IntEnum):
-    """What is asked of constraints: Phi, values of Phi_q, or Phi_q^T lam."""
+    """Quantities that the kernel computes of constraints: Phi, values of Phi_q, or Phi_q^T lam."""
 
     RATE = 0
     VALUES = 1

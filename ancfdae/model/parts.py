@@ -1,4 +1,4 @@
-"""What joints and loads share: a name, points of beams or bodies, and design targets."""
+"""Base class of joints and loads: a name, points of beams or bodies, and design targets."""
 
 import abc
 import re
@@ -74,7 +74,7 @@ Vectors: TypeAlias = tuple[tuple[Point, Quantity] | Normal | CentreLine | FrameD
 
 
 def _is_vector(name: object) -> bool:
-    """Whether it is one of `Vectors`."""
+    """Whether an object is one of the vectors that `Vectors` allows."""
     if isinstance(name, tuple):
         return len(name) == 2 and isinstance(name[0], Point) and isinstance(name[1], Quantity)
     return isinstance(name, Normal | CentreLine | FrameDirection)

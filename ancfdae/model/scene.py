@@ -82,7 +82,7 @@ class Scene(SceneDesign):
     design_fields = (("gravity", require_vector), ("frame", require_frame))
 
     def __post_init__(self) -> None:
-        """Freeze the sequences and validate."""
+        """Store the sequences as tuples and check all parts and names."""
         self._freeze("beams", (BeamBody,), "Add a Beam.")
         self._freeze("bodies", (RigidBody, PointMass), "Add a RigidBody.")
         self._freeze("joints", (Joint,), "Add a Pin.")

@@ -1,4 +1,4 @@
-"""What design variables drive in a scene: targets, their values, and scenes at other values."""
+"""Design targets of a scene, their values, and scenes at other values."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class SceneDesign(Designable):
 
     @cached_property
     def elements(self) -> Elements:
-        """The elements of all beams."""
+        """Types of element of all beams, by the name of the beam."""
         return Elements(self.dimension, {beam.name: beam.element for beam in self.beams})
 
     @cached_property
@@ -61,17 +61,17 @@ class SceneDesign(Designable):
 
     @property
     def point_masses(self) -> tuple[PointMass, ...]:
-        """The masses at points."""
+        """Point masses among the bodies of the scene."""
         return tuple(body for body in self.bodies if isinstance(body, PointMass))
 
     @property
     def rest(self) -> AtRest | None:
-        """How the scene starts from an equilibrium, None if it does not."""
+        """The `AtRest` of the scene; None if it does not start from an equilibrium."""
         return next((start for start in self.start if isinstance(start, AtRest)), None)
 
     @property
     def body_starts(self) -> list[RigidMotion | NodeState]:
-        """How single bodies start."""
+        """Starts that belong to one body each, without `AtRest`."""
         return [start for start in self.start if not isinstance(start, AtRest)]
 
     def beam(self, name: str) -> BeamBody:
@@ -313,7 +313,7 @@ class SceneDesign(Designable):
         return values[0]
 
     def offset(self, variable: DesignVariable, text: str) -> float:
-        """Return what a target holds beside its factor times the variable."""
+        """Return the constant part of a target: its value less its factor times the variable."""
         if not variable.shares or text == next(iter(variable.targets)):
             return 0.0
         held, share = self._single(text), variable.factor(text) * self.value(variable)
@@ -328,7 +328,7 @@ class SceneDesign(Designable):
         return held[0]
 
     def _held(self, text: str) -> list[float]:
-        """Return what a target holds; of a beam whose elements differ several values."""
+        """Return the present values of a target, one per element if elements differ."""
         target = self.resolve(text)
         if not self.is_of_elements(target):
             return [float(self.numbers(target.owner)[target.indexed])]

@@ -70,7 +70,7 @@ class NodeState:
     body : str
         Name of the beam.
     coordinates : array, shape (n + 1, n_s, d) or (n, 2, n_s, d)
-        Position and slopes of every node, or of both ends of every element as `Solution.ends`
+        Position, m, and slopes of every node, or of both ends of every element as `Solution.ends`
         returns them, where the slope along the beam differs on both sides of a node (`Beam`,
         kinks).
     velocities : array, optional
@@ -104,7 +104,7 @@ class AtRest:
     gravity: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        """Freeze the loads and validate."""
+        """Check the loads and store them as a tuple."""
         if self.loads is not None:
             loads = require_each("AtRest.loads", self.loads, (Load,), "Add a PointForce.")
             object.__setattr__(self, "loads", loads)

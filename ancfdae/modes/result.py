@@ -89,7 +89,7 @@ class Modes:
 
     @property
     def frequencies(self) -> Array:
-        """Circular frequencies at which they vibrate, Im s, shape (count,); rad/s."""
+        """Damped angular frequencies Im s of the modes, shape (count,); rad/s."""
         return self.exponents.imag
 
     @property

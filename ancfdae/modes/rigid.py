@@ -108,7 +108,7 @@ def floor(small: Linearised, X: Array) -> Array:
 
 
 def _soft(small: Linearised, X: Array) -> Array:
-    """Return the combinations without stiffness as far as the round-off of all products tells."""
+    """Return the combinations without stiffness, to the round-off of all products."""
     _, sizes, Vt = np.linalg.svd(X.T @ small.times(small.K, X))
     X = X @ Vt.T
     return np.asarray(X[:, sizes <= ROUND_OFF * (floor(small, X) + EPS * sizes[0])])

@@ -23,11 +23,11 @@ class CoupledFactors:
         self._factors, self._copies, self._n = factors, copies, n
 
     def solve(self, right: Array) -> Array:
-        """Solve with the matrix."""
+        """Return the solution of the coupled matrix for a right-hand side."""
         return self._split(self._factors.solve(self._joined(right)))
 
     def solve_transposed(self, right: Array) -> Array:
-        """Solve with the transposed matrix."""
+        """Return the solution of the transposed coupled matrix for a right-hand side."""
         return self._split(self._factors.solve_transposed(self._joined(right)))
 
     def _joined(self, right: Array) -> Array:

@@ -27,7 +27,7 @@ _RESOLVED = 1e-2
 def real_derivative(f: Callable[[float], Array]) -> Array:
     """Return f'(0) of a function that varies over arguments of the order of one.
 
-    Every entry of the array is extrapolated as far as serves it.
+    Every entry of the array is extrapolated as long as that reduces its error.
     """
     return _extrapolated(f)[0]
 

@@ -109,7 +109,7 @@ def _orders(rows: Array, columns: Array, size: int) -> list[Array]:
 
 
 def _analysed(order: Array, rows: Array, columns: Array) -> tuple[Array, tuple[Any, ...], float]:
-    """Return the order in which fronts are eliminated, their arrays, and the work."""
+    """Return the elimination order of the fronts, their arrays, and the number of operations."""
     size, place = len(order), _places(order)
     row, column = place[rows], place[columns]
     entries = np.unique(np.maximum(row, column) * size + np.minimum(row, column))

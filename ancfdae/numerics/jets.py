@@ -51,7 +51,7 @@ _LINEAR = (np.add, np.subtract, np.negative, np.positive)
 
 
 class Carried(NDArrayOperatorsMixin, abc.ABC):
-    """What stands for an array in a formula: operations of NumPy on it give more of its kind."""
+    """Stand-in for an array in a formula: NumPy's operations on it return more of its kind."""
 
     @abc.abstractmethod
     def angle(self, x: Any) -> Any:
@@ -82,7 +82,7 @@ class Jet(Carried):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the value."""
+        """Shape of the value and of each derivative."""
         return np.shape(self.derivatives[0])
 
     def map(self, linear: Callable[[Array], Array]) -> Jet:

@@ -107,7 +107,7 @@ class Factorization:
     solver: Callable[[Array, bool], Array]
 
     def solve(self, right: Array) -> Array:
-        """Solve with the matrix."""
+        """Return the solution of the factorised matrix for right-hand sides, (n,) or (n, k)."""
         return self.solver(right, False)
 
     def solve_transposed(self, right: Array) -> Array:
@@ -116,7 +116,7 @@ class Factorization:
 
 
 class _Storage(abc.ABC):
-    """Where values of K, of B and of B again go, and how they are factorised."""
+    """Indices of the values of K, B and B^T in a stored matrix, and its factorisation."""
 
     @abc.abstractmethod
     def factor(self, K: Array, B: Array) -> Factorization:
@@ -169,7 +169,7 @@ class SaddlePoint:
 
     @cached_property
     def constrained(self) -> ConstrainedPattern:
-        """Where entries stand in matrices whose negative directions are counted."""
+        """Pattern of the matrices whose negative directions are counted."""
         places = self._places if self._in_band else self._sparse
         return ConstrainedPattern(*self._patterns, places.order)
 
@@ -216,7 +216,7 @@ class SaddlePoint:
         return factors or self._exchanging(terms, B)
 
     def _exchanging(self, terms: Terms, B: Array) -> Factorization:
-        """Factorise with exchanges of rows."""
+        """Return a factorisation with row exchanges of the sum of terms and B."""
         (s, K), *more = terms
         K = K if s == 1.0 else s * K
         for s, values in more:
@@ -247,7 +247,7 @@ class SaddlePoint:
 
     @cached_property
     def _storage(self) -> _Storage:
-        """What factorises with exchanges."""
+        """Storage of the matrix for a factorisation with row exchanges: band, fronts or sparse."""
         if self._in_band:
             return self._band
         if self._places.fronts.by_columns:
@@ -279,7 +279,7 @@ class _Places:
 
     @cached_property
     def envelope(self) -> _Envelope:
-        """Where they stand in an envelope."""
+        """Indices of the entries in an envelope."""
         return _Envelope(self.order, self.rows, self.columns, *self._sizes)
 
     @cached_property
@@ -289,7 +289,7 @@ class _Places:
 
     @cached_property
     def flat(self) -> Array:
-        """Where they stand in LAPACK's band with room for fill-in.
+        """Indices of the entries in LAPACK's band with room for fill-in.
 
         Entry (i, j) is at row 2 k + i - j of column j.
         """

@@ -179,7 +179,7 @@ class Listed(Carried):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the array."""
+        """Shape of the array of operation numbers."""
         return self.at.shape
 
     def __getitem__(self, key: Any) -> Listed:

@@ -41,7 +41,7 @@ class Pattern:
         self.columns = (flat % max(shape[1], 1)).astype(np.int32)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled and copied."""
+        """Return the attributes that are pickled and copied."""
         return {name: x for name, x in self.__dict__.items() if name != "beside"}
 
     @staticmethod

@@ -7,7 +7,7 @@ from typing import Any, final
 
 @final
 class _Hidden(ExitStack):
-    """A context that shows nothing."""
+    """A progress bar that shows nothing."""
 
     def update(self, count: float = 1) -> None:
         """Do nothing: this progress bar is hidden."""

@@ -38,7 +38,7 @@ def next_end(breakpoints: Iterable[float], t: float, t_end: float) -> float:
 @final
 @dataclass(frozen=True)
 class TimeGrid:
-    """Increasing instants in panels."""
+    """Increasing times in panels of `degree` intervals, with their quadrature."""
 
     t: Array  # (n_t,)
     # Degree p of the polynomial of a panel; a run that ended early may leave a last panel of fewer

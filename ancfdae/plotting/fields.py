@@ -1,4 +1,4 @@
-"""What colours a mechanism: numbers at the points of its meshes at every instant."""
+"""Fields that colour a mechanism: numbers at the points of its meshes at every time."""
 
 import abc
 from dataclasses import dataclass
@@ -113,7 +113,7 @@ class _SectionForce(_OfBeams):
 
     @final
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
-        """Return it, the same at all fibres of a section."""
+        """Return the section force, the same at all fibres of a section."""
         return section_forces(mesh, motion)[..., [self.component]]
 
 

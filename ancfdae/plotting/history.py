@@ -37,7 +37,7 @@ def history(
     observables : mapping of str to Observable
         By label with unit, ``{"tip [m]": position(rod.at_end, 1)}``; one panel each.
     percent : float
-        Relative change of each variable, in per cent, that the bands show.
+        Change of each variable that the bands show, relative to its value; per cent.
 
     Raises
     ------

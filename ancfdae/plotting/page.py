@@ -1,4 +1,4 @@
-"""A film as one page of HTML that needs nothing else: the data stands in it, beside its program.
+"""An animation as one HTML file that contains data and viewer and loads no other file.
 
 Places are kept as 16 bit integers over the extent of the film, colours as 8 bit.
 """
@@ -42,7 +42,7 @@ def write_page(
 def page_data(
     shown: Mechanism, seconds: float, title: str, camera: tuple[float, float] = CAMERA
 ) -> dict[str, Any]:
-    """Return what the program in the page reads."""
+    """Return the data that the program in the page reads, as JSON can hold them."""
     low, high = (_spatial(x) for x in shown.bounds)
     span, faces = high - low, shown.faces
     x = _spatial(np.concatenate([*shown.places], axis=1))

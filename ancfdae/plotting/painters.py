@@ -263,7 +263,7 @@ class SpacePainter(Painter):
             artist.set_clip_on(False)
 
     def _seen(self) -> Bbox:
-        """Return what the cube of the limits and its labels take; pixels."""
+        """Return the room that the cube of the limits and its labels take; pixels."""
         axes = self.axes
         limits = [getattr(axes, f"get_{axis}lim")() for axis in "xyz"]
         corners = np.stack(np.meshgrid(*limits), axis=-1).reshape(-1, 3)

@@ -64,7 +64,7 @@ class Arrows:
 
 @final
 class Symbols:
-    """What of a scene, with its reference configuration q_o, has no extent of its own."""
+    """Symbols of joints, loads, point masses and ground of a scene, with its reference q_o."""
 
     def __init__(self, scene: Scene, naming: SceneNaming, q_o: Array) -> None:
         self._scene, self._naming, self._q_o = scene, naming, q_o

@@ -1,4 +1,4 @@
-"""What every method of differentiating a run offers."""
+"""Base class of the methods that differentiate a run."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Searched(abc.ABC):
-    """What every call to a tolerance tells.
+    """Results that every call to a tolerance returns: the tolerance, the choice and all runs.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Searched(abc.ABC):
 @final
 @dataclass(frozen=True, repr=False)
 class Accuracy(Searched):
-    """How well value and gradient are known; also `Searched`.
+    """Estimated errors of value and gradient of a call to a tolerance.
 
     The tolerance is relative to the norm of the gradient scaled by the design values,
     (b_j dpsi/db_j); for a value to the larger of that and its own size.
@@ -182,7 +182,7 @@ class Gradient:
 @final
 @dataclass(frozen=True)
 class Run:
-    """What is integrated: a system from t = 0 to `t_end`, with a progress bar or without.
+    """A run to be made: a system from t = 0 to `t_end`, with a progress bar or without.
 
     `after` is a run to be continued, or the run itself if it reached `t_end`.
     """
@@ -256,7 +256,7 @@ class Run:
         return replace(self, system=at_values(self.system, b), after=None)
 
     def repeating(self, solution: Solution) -> Run:
-        """Return the run at the steps of a solution, as far as that got."""
+        """Return a run that repeats the steps of `solution`, up to the time that it reached."""
         done = solution.outcome.success or len(solution.t) < 2
         t_end = self.t_end if done else float(solution.t[-1])
         frozen = self.integrator.frozen(solution)
@@ -268,7 +268,7 @@ class GradientMethod(abc.ABC):
 
     @property
     def takes_runs(self) -> bool:
-        """Whether it differentiates a run that is there, `Run.after`, without another."""
+        """Whether the method can differentiate an existing run, `Run.after`."""
         return True
 
     @abc.abstractmethod

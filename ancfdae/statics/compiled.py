@@ -20,7 +20,7 @@ _CLEAR = 1e-13
 
 
 class RestStart(NamedTuple):
-    """What does not change in a search: its start, what is unbalanced there, sizes, and rules."""
+    """Constants of a search: its start, the unbalanced forces there, scales, and rules."""
 
     q_0: Array
     r_0: Array
@@ -33,7 +33,7 @@ class RestStart(NamedTuple):
 
 
 class RestEnd(NamedTuple):
-    """Where the kernel ends, and why; the path in s and `definite` are of a solution."""
+    """End of a search in the kernel: state, reason, and for a solution its path in s."""
 
     why: Rest
     q: Array

@@ -61,7 +61,7 @@ class Equilibrium:
 
     @property
     def statistics(self) -> Statistics:
-        """What the search cost; steps are those of the load."""
+        """Counters of the search; steps are those of the load."""
         return self.solution.statistics
 
     def __repr__(self) -> str:

@@ -107,7 +107,7 @@ class HeldPoint:
 
     @cached_property
     def round_off(self) -> float:
-        """What rounding of the coordinates and sums of forces leaves of tau."""
+        """Return the round-off of tau from rounding of coordinates and sums of forces."""
         system, y, q = self.system, np.abs(self.left[0]), self.q
         balance = Balance(system, 0.0, q, self.lam)
         blur = system.pattern.dot(np.abs(balance.tangent(1.0, q, self.lam)), np.abs(q))

@@ -88,7 +88,7 @@ class LoadOutcome:
         return self.verdict is Verdict.EQUILIBRIUM
 
     def of_run(self) -> Outcome:
-        """Return it as the outcome of a solution of one instant."""
+        """Return this outcome as that of a solution of one state."""
         return Outcome(self.verdict, 0.0, self.step, self.residual, self.fraction)
 
     def __str__(self) -> str:

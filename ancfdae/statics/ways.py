@@ -204,7 +204,7 @@ class Settling:
         return Verdict.STEP_LIMIT
 
     def _held(self, mu: float, dq: Array) -> float:
-        """Part of the load that a step has left to do."""
+        """Return |mu M_0 dq| over the load: the part that the step leaves unbalanced."""
         b = self._balance
         return b.strength(mu * b.system.pattern.dot(b.M_0, dq)) / b.load
 

@@ -79,6 +79,7 @@ class ErrorBars:
         Estimated bounds of the errors of value and gradient by ``"step"`` and, where meshes were
         compared, by ``"mesh"``; not proofs: docs/reports/error-bars says how often they hold.
     extrapolated_value : float
+        Better value by one order, where runs converge; unit of the objective.
     extrapolated_gradient : array, shape (n_b,)
         Better values by one order, where runs converge; those of the finest run if the
         integrator has no fixed order.

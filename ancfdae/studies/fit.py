@@ -211,7 +211,7 @@ class MeasuredFit(Fit, Generic[R]):
 
     @final
     def result(self, b: Array) -> R:
-        """Return what was computed at a design; raise the error of a design without a result."""
+        """Return the result computed at a design; raise the error of a design without one."""
         return self._designs.result(require_array("design values", b, (len(self.design_names),)))
 
     @cached_property

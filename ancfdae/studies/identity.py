@@ -1,4 +1,4 @@
-"""What a value is, in a digest that is the same in every process: of models and functions.
+"""Digests of models and functions, which are the same in every process.
 
 A function is its code, its defaults, what it closes over and the globals that it reads; an object
 is its class and its attributes, a class of a user's its code. Packages that are imported are known

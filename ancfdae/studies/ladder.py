@@ -45,7 +45,7 @@ _SEEN = 3
 @final
 @dataclass(frozen=True)
 class Question:
-    """What is asked of every rung; `scale` has 1 and the values of the design variables."""
+    """The task of every model; `scale` has 1 and the values of the design variables."""
 
     objective: Objective
     t_end: float
@@ -55,7 +55,7 @@ class Question:
     max_steps: int
 
     def numbers(self, system: MechanicalSystem, integrator: HHT) -> Array:
-        """Return what `RungRun` holds; derivatives are zero in variables that a rung lacks."""
+        """Return value and scaled derivatives; zero for variables that the model lacks."""
         numbers = np.zeros(len(self.scale))
         if not system.n_b:
             solution = simulate(system, self.t_end, integrator)

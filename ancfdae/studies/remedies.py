@@ -1,4 +1,4 @@
-"""What is tried after a run has stopped, so that its outcome names what reached the end.
+"""Attempts after a run has stopped, so that its outcome names a setting that reaches the end.
 
 A fixed step may be too long for waves that nothing damps: they grow until no solution of the next
 step belongs to the motion. Shorter steps, and the same step with damping, are tried over the whole

@@ -55,7 +55,7 @@ Compute: TypeAlias = Callable[[Array, bool, R | None], tuple[Array, Array | None
 @final
 @dataclass(frozen=True)
 class Evaluation:
-    """What one design gave: values and, if they were asked for, derivatives in x.
+    """Result at one design: values and, if they were asked for, derivatives in x.
 
     A design that has none has the error, and the last x before that had values; its values are
     infinite, its derivatives NaN.
@@ -70,7 +70,7 @@ class Evaluation:
 
 @final
 class Evaluations(Generic[R]):
-    """What was computed at designs x = b / scale, with the results of the last `kept` of them.
+    """Results at designs x = b / scale, with the runs of the last `kept` of them.
 
     The first design must have values, and with `strict` every one; of a later one without values
     the user is warned. `rows` are the designs in their order, with values or errors.
@@ -94,7 +94,7 @@ class Evaluations(Generic[R]):
         self.rows: list[SweepRow] = []
 
     def at(self, x: Array, *, derivatives: bool = True) -> Evaluation:
-        """Return what a design gave; without `derivatives` perhaps its values only."""
+        """Return the result at x; without `derivatives` perhaps its values only."""
         x = require_array("design values", x, (len(self._names),))
         known = self._known.get(x.tobytes())
         if known is None or (derivatives and known.jacobian is None):
@@ -102,7 +102,7 @@ class Evaluations(Generic[R]):
         return known
 
     def result(self, x: Array) -> R:
-        """Return what values at x come from; raises the error of a design that has none."""
+        """Return the run behind the values at x; raise the error of a design without a result."""
         known = self.at(x, derivatives=False)
         if known.error is not None:
             raise known.error
@@ -165,7 +165,7 @@ class Responses:
     method : GradientMethod, optional
         As in `gradients`.
     scale : float or array, shape (n_b,)
-        Functions take x = b / scale, the design values over it. Optimisers require variables of
+        Functions take x = b / scale, relative design values. Optimisers require variables of
         similar size: the values at the start are a good scale.
     strict : bool
         Whether a design without values, whose run ends early or which cannot be assembled,
@@ -285,7 +285,7 @@ class Responses:
         return f"{lines}\n{self.history}" if self._designs.rows else lines
 
     def at(self, x: Array, *, derivatives: bool = True) -> Evaluation:
-        """Return what the design x gave; without `derivatives` perhaps its values only."""
+        """Return the result at the design x; without `derivatives` perhaps its values only."""
         return self._designs.at(x, derivatives=derivatives)
 
     def _computed(
@@ -333,7 +333,7 @@ class Response:
         return np.array(evaluation.jacobian[self.index])
 
     def _beyond(self, evaluation: Evaluation) -> tuple[float, Array]:
-        """Value and gradient of a design that has none."""
+        """Return substitutes for value and gradient of a design without a result."""
         assert evaluation.near is not None  # of every design with an error
         near, k = self.responses.at(evaluation.near), self.index
         if near.error is not None:

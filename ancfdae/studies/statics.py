@@ -166,7 +166,7 @@ class CriticalValue(Objective):
 
     @cached_property
     def system(self) -> MechanicalSystem:
-        """What is searched; the parameter is one of its design variables."""
+        """The system that is searched; the parameter is one of its design variables."""
         if not isinstance(self.model, Scene):
             return as_system(self.model, self.design)
         others = require_sequence("design", () if self.design is None else self.design)
@@ -174,7 +174,7 @@ class CriticalValue(Objective):
 
     @property
     def index(self) -> int:
-        """Which of the design variables the parameter is."""
+        """Index of the parameter among the design variables."""
         return self.system.design_names.index(self._name)
 
     def check(self, system: MechanicalSystem, t_end: float) -> None:

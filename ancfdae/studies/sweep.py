@@ -47,7 +47,7 @@ Design = Mapping[str | DesignVariable, float]
 @final
 @dataclass(frozen=True)
 class Evaluate:
-    """What `sweep` computes at a design: an objective, its gradient, or an observable.
+    """Calculation of `sweep` at a design: an objective, its gradient, or an observable.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ class SweepRow:
 @final
 @dataclass(frozen=True)
 class Sweep:
-    """What was computed at many designs, in the order of the designs.
+    """Results at many designs, in the order of the designs.
 
     Attributes
     ----------

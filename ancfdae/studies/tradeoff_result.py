@@ -86,7 +86,7 @@ class Setting:
 
     @property
     def label(self) -> str:
-        """What decides about accuracy, such as ``"step 0.01"`` or ``"rtol 1e-05"``."""
+        """Setting that decides about accuracy, such as ``"step 0.01"`` or ``"rtol 1e-05"``."""
         given = [
             f"{name} {value:.4g}"
             for name, value, _ in _settings(self.integrator)
@@ -125,7 +125,7 @@ class TargetNotReached(AncfdaeError):
 @final
 @dataclass(frozen=True)
 class Tradeoff:
-    """What accuracy costs on one scene: settings in the order they were asked for.
+    """Cost against accuracy on one scene: settings in the order they were asked for.
 
     The error of the reference, which errors are measured against, is not known; errors below that
     mean nothing.

@@ -29,7 +29,7 @@ _LONG = 1.0
 @final
 @dataclass(frozen=True)
 class Task:
-    """What is measured; everything in it pickles if system and objective do.
+    """A measurement to make; everything in it pickles if system and objective do.
 
     `model` is the name of another model than the one that all are compared with.
     """
@@ -47,7 +47,7 @@ class Task:
 @final
 @dataclass(frozen=True)
 class Results:
-    """What a finished run gave.
+    """Value, gradient and errors of a finished run.
 
     q and lam, (k, n), are those at the common times; `drift`, (j, n_lam), has the constraints at
     the instants t of the run, `energy`, (j,), is the total one there, empty for a system that is

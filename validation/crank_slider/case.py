@@ -41,7 +41,7 @@ class Extent:
 
 
 def paper_objective() -> Integral:
-    """Eq. (43)."""
+    """Return the objective of eq. (43) of the paper; m^2 s."""
     return Integral((position(crank_slider().beams[1].at_end, 0) - 1.8) ** 2)
 
 

@@ -30,7 +30,7 @@ Array = npt.NDArray[np.float64]
 
 
 def position_sensitivities(report: Report, solution: Solution, extent: Extent) -> None:
-    """Repeat Fig. 8."""
+    """Add Fig. 8 of the paper, computed here."""
     report.heading("Slider position and its sensitivities (paper, Fig. 8)")
     check = differentiate(
         crank_slider(), extent.t_end, HHT(STEP), design=DESIGN, method=FiniteDifference(0.01)
@@ -86,7 +86,7 @@ def position_sensitivities(report: Report, solution: Solution, extent: Extent) -
 
 
 def objective_over_time(report: Report, solution: Solution, extent: Extent) -> None:
-    """Repeat Fig. 9."""
+    """Add Fig. 9 of the paper, computed here."""
     report.heading("dΨ/db over time by all methods (paper, Fig. 9)")
     direct, difference = _over_time(solution, extent)
     times = np.linspace(0, extent.t_end, extent.adjoint_times + 1)[1:]

@@ -19,7 +19,7 @@ _QUICK = Extent(0.125, (6, 7), [1e-2, 1e-5, 1e-8], 1, 2)
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `crank-slider`; add its text, tables and figures."""
     extent = _QUICK if quick else _FULL
     report.heading("Method")
     report.text(_METHOD)

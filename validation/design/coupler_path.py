@@ -99,7 +99,7 @@ def optimise(fit: RunFit, iterations: int) -> Optimisation:
 
 
 def coupler_path(quick: bool) -> Case:
-    """Return the case."""
+    """Return the case of the four-bar (coupler point on a line); coarse and short if `quick`."""
     elements, steps = (2, 24) if quick else (4, 48)
     fit = path_fit(elements, steps)
     found = optimise(fit, 2 if quick else 40)

@@ -112,7 +112,7 @@ def optimise(elements: int, steps: int, iterations: int) -> Optimisation:
 
 
 def crank_rod(quick: bool) -> Case:
-    """Return the case."""
+    """Return the case of the connecting rod; coarse and short if `quick`."""
     elements, steps, iterations = (2, 60, 2) if quick else (6, 150, 60)
     found = optimise(elements, steps, iterations)
     search = searched(found.evaluate, found.start, 0.3, 5 if quick else 150, found.bounds)

@@ -108,7 +108,7 @@ def optimise(fit: RunFit, start: Array, iterations: int) -> Optimisation:
 
 
 def identification(quick: bool) -> Case:
-    """Return the case."""
+    """Return the case of the identification; coarse and short if `quick`."""
     noise = _NOISE * np.random.default_rng(1).standard_normal(_STEPS)
     fit = record(noise)
     found = optimise(fit, np.array([1.5, 0.5]), 2 if quick else 40)

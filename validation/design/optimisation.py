@@ -36,7 +36,7 @@ class Once:
         self.runs = 0
 
     def __call__(self, x: npt.ArrayLike) -> tuple[Array, Array]:
-        """Return values and Jacobian."""
+        """Return the values and their Jacobian at x, computed once per design."""
         at = np.array(x, dtype=float)
         key = at.tobytes()
         if key not in self._known:

@@ -31,7 +31,7 @@ _VIOLATION = 1e-3
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `design`; add its text, tables and figures."""
     report.heading("Method")
     report.text(_METHOD)
     requirements = [each for case in _CASES for each in tell(report, case(quick), quick)]

@@ -121,7 +121,7 @@ def optimise(elements: int, step: float, iterations: int) -> Optimisation:
 
 
 def two_link_arm(quick: bool) -> Case:
-    """Return the case."""
+    """Return the case of the two-link arm; coarse and short if `quick`."""
     elements, step, iterations = (1, 0.00625, 1) if quick else (2, 0.00625, 100)
     found = optimise(elements, step, iterations)
     search = found if quick else searched(found.evaluate, found.optimum, 0.05, 40, found.bounds)

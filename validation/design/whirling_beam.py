@@ -74,7 +74,7 @@ def optimise(elements: int, steps: int, iterations: int) -> Optimisation:
 
 
 def whirling_beam(quick: bool) -> Case:
-    """Return the case."""
+    """Return the case of the whirling beam; coarse and short if `quick`."""
     elements, steps, iterations = (2, 32, 2) if quick else (4, 64, 40)
     found = optimise(elements, steps, iterations)
     search = searched(found.evaluate, found.start, 0.2, 5 if quick else 150, found.bounds)

@@ -85,7 +85,7 @@ class Rods(Scleronomic):
     # -- forces --------------------------------------------------------------------------------
 
     def force(self, t: float, q: Array, v: Array) -> Array:
-        """Return Q."""
+        """Return the force Q, shape (n_q,)."""
         Q: Array = self.b[1] * self._geometry.weight
         return Q
 

@@ -39,5 +39,5 @@ class Scleronomic(MechanicalSystem):
         self.b = np.asarray(b)
 
     def mass(self, q: Array) -> Array:
-        """Return M."""
+        """Return the mass matrix M, shape (n_q, n_q)."""
         return self._M.ravel()

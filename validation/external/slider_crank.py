@@ -64,7 +64,7 @@ class SliderCrank(Scleronomic):
     # -- forces --------------------------------------------------------------------------------
 
     def force(self, t: float, q: Array, v: Array) -> Array:
-        """Return Q."""
+        """Return the force Q, shape (n_q,)."""
         s = self._spring(q, v)
         return -0.5 * s.f * s.n + _PUSH * np.array([0.0, 1.0, -np.sin(q[2])])
 

@@ -11,7 +11,7 @@ __all__ = ["run"]
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `extremes`; add its text, tables and figures."""
     report.heading("Method")
     report.text(_METHOD)
     rows: list[Row] = []

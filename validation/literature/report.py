@@ -32,7 +32,7 @@ _CASES = (
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `literature`; add its text, tables and figures."""
     report.heading("Method")
     report.text(_METHOD)
     requirements = [each for case in _CASES for each in case(report, quick)]

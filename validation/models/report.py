@@ -45,7 +45,7 @@ class _Answer:
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `models`; add its text, tables and figures."""
     report.heading("Method")
     report.text(_METHOD)
     answers, surprises = list[_Answer](), list[list[object]]()

@@ -76,7 +76,7 @@ class CablePendulum(Pair):
 
     @property
     def title(self) -> str:
-        """Name in tables."""
+        """Name of the model in the tables of the report."""
         return f"pendulum of {self.cables} cables"
 
     @property
@@ -85,13 +85,13 @@ class CablePendulum(Pair):
         return 1e-8 if self.cables < 1000 else 1e-7
 
     def scene(self) -> Scene:
-        """Return the scene."""
+        """Return the model as a scene of this package."""
         rope = _rod("rope", 0, _LENGTH, self.cables)
         return Scene([rope], [Pin(rope.at_start)], gravity=(0, -GRAVITY))
 
     @property
     def point(self) -> Point:
-        """The free end."""
+        """The point that is compared: the free end."""
         return Point("rope", 1.0)
 
     def design(self) -> list[str]:
@@ -127,7 +127,7 @@ class FlexibleSlider(Pair):
 
     @property
     def title(self) -> str:
-        """Name in tables."""
+        """Name of the model in the tables of the report."""
         return f"flexible slider-crank, {self.cables} cables"
 
     @property
@@ -141,7 +141,7 @@ class FlexibleSlider(Pair):
         return -self.rate * self.crank / self.rod
 
     def scene(self) -> Scene:
-        """Return the scene."""
+        """Return the model as a scene of this package."""
         end = self.crank + self.rod
         crank = RigidBody("crank", (self.crank / 2, 0), *self._bar)
         rod = _rod("rod", self.crank, end, self.cables, self.side)
@@ -160,7 +160,7 @@ class FlexibleSlider(Pair):
 
     @property
     def point(self) -> Point:
-        """The slider."""
+        """The point that is compared: the slider."""
         return Point("rod", 1.0)
 
     def build(self, exu: Any, items: Any, mbs: Any) -> Model:
@@ -228,7 +228,7 @@ class Elastica(Pair):
 
     @property
     def title(self) -> str:
-        """Name in tables."""
+        """Name of the model in the tables of the report."""
         return f"cantilever of {self.cables} cables"
 
     @property
@@ -236,14 +236,14 @@ class Elastica(Pair):
         return 3 * _MODULUS * self.side**4 / 12 / _LENGTH**2
 
     def scene(self) -> Scene:
-        """Return the scene."""
+        """Return the model as a scene of this package."""
         rod = _rod("rod", 0, _LENGTH, self.cables, self.side)
         load = PointForce(rod.at_end, (0, -self._force))
         return Scene([rod], [Clamp(rod.at_start)], loads=[load])
 
     @property
     def point(self) -> Point:
-        """The free end."""
+        """The point that is compared: the free end."""
         return Point("rod", 1.0)
 
     def build(self, exu: Any, items: Any, mbs: Any) -> Model:

@@ -30,7 +30,7 @@ class Way(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Name in tables."""
+        """Name of the model in the tables of the report."""
         return f"{self.linear_solver}, {'modified' if self.modified_newton else 'full'} Newton"
 
 

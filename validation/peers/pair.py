@@ -33,11 +33,11 @@ class Pair(ABC):
     @property
     @abstractmethod
     def title(self) -> str:
-        """Name in tables."""
+        """Name of the model in the tables of the report."""
 
     @abstractmethod
     def scene(self) -> Scene:
-        """Return the scene."""
+        """Return the model as a scene of this package."""
 
     @property
     @abstractmethod

@@ -24,7 +24,7 @@ _COMPARED = 0.125
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `peers`; add its text, tables and figures."""
     require_exudyn()
     report.heading("Method")
     report.text(_METHOD.format(version=importlib.metadata.version("exudyn")))

@@ -39,12 +39,12 @@ class Chain(Pair):
 
     @property
     def title(self) -> str:
-        """Name in tables."""
+        """Name of the model in the tables of the report."""
         joint = "revolute" if self.revolute else "spherical"
         return f"rigid bodies: {self.bodies}, {joint}"
 
     def scene(self) -> Scene:
-        """Return the scene."""
+        """Return the model as a scene of this package."""
         box = RigidBox(_LENGTH, _THICKNESS, _THICKNESS)
         bars = [
             RigidBody(f"bar {i}", ((i + 0.5) * _LENGTH, 0, 0), shape=box, density=_DENSITY)
@@ -115,7 +115,7 @@ class RigidSlider(Pair):
 
     @property
     def title(self) -> str:
-        """Name in tables."""
+        """Name of the model in the tables of the report."""
         return "rigid slider-crank"
 
     @property
@@ -129,7 +129,7 @@ class RigidSlider(Pair):
         return mass, mass * length**2 / 12
 
     def scene(self) -> Scene:
-        """Return the scene."""
+        """Return the model as a scene of this package."""
         elbow, end = self._places
         tilt = -math.asin(elbow[1] / self.rod)
         bars = []
@@ -148,7 +148,7 @@ class RigidSlider(Pair):
 
     @property
     def point(self) -> Point:
-        """The slider."""
+        """The point that is compared: the slider."""
         return Point("rod", x=self.rod / 2, y=0)
 
     def build(self, exu: Any, items: Any, mbs: Any) -> Model:

@@ -12,7 +12,7 @@ __all__ = ["against_finite_differences", "effect_of_modulus", "planar_and_spatia
 
 
 def effect_of_modulus(report: Report, hard: Curves, soft: Curves) -> None:
-    """Fig. 4."""
+    """Add Fig. 4 of the paper, computed here."""
     report.heading("Effect of Young's modulus (paper, Fig. 4)")
     report.plot(
         "deflection",
@@ -58,7 +58,7 @@ def effect_of_modulus(report: Report, hard: Curves, soft: Curves) -> None:
 
 
 def against_finite_differences(report: Report, hard: Curves, extent: Extent) -> None:
-    """Fig. 5."""
+    """Add Fig. 5 of the paper, computed here."""
     report.heading("Direct differentiation against 1 % finite differences (paper, Fig. 5)")
     check = scaled(
         differentiate(
@@ -90,7 +90,7 @@ def against_finite_differences(report: Report, hard: Curves, extent: Extent) -> 
 
 
 def planar_and_spatial(report: Report, planar: Curves, extent: Extent) -> None:
-    """Fig. 6."""
+    """Add Fig. 6 of the paper, computed here."""
     report.heading("Planar against spatial element (paper, Fig. 6)")
     spatial = scaled(differentiate(pendulum(3), extent.t_end, HHT(STEP), design=DESIGN))
     differences = [relative(spatial.y_b[:, i], planar.y_b[:, i]) for i in range(3)]

@@ -17,7 +17,7 @@ __all__ = ["run"]
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `pendulum`; add its text, tables and figures."""
     extent = QUICK if quick else FULL
     report.heading("Method")
     report.text(_METHOD)

@@ -25,7 +25,7 @@ _ELEMENTS = re.compile(r"step of (\d+) elements")
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `performance`; add its text, tables and figures."""
     report.heading("Method")
     report.text(_METHOD)
     (one,) = unit.measure(3 if quick else 9)

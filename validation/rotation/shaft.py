@@ -105,7 +105,7 @@ def _whirl(rate: float, backward: int, forward: int) -> Array:
 
 
 def _determinant(speed: float, rate: float) -> float:
-    """Return that of the end conditions for u = a (cosh kx - cos kx) + b (sinh kx - sin kx)."""
+    """Return the determinant of the ends of u = a (cosh kx - cos kx) + b (sinh kx - sin kx)."""
     area, moment = np.pi * _RADIUS**2, np.pi * _RADIUS**4 / 4
     m = _RHO * np.pi * _DISC**2 * _THICKNESS
     across, polar = m * (_DISC**2 / 4 + _THICKNESS**2 / 12), m * _DISC**2 / 2

@@ -55,12 +55,12 @@ class CarAxis(TestProblem):
         return np.concatenate(forces) - weight
 
     def position_constraint(self, t: float, q: Array) -> Array:
-        """Return Phi."""
+        """Return the constraints Phi, shape (n_lam,)."""
         rod = q[:2] - q[2:]
         return np.array([q[:2] @ self._road(t)[0], rod @ rod - _L**2])
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """Return Phi_q."""
+        """Return the constraint Jacobian Phi_q, shape (n_lam, n_q)."""
         rod = q[:2] - q[2:]
         return np.array([[*self._road(t)[0], 0, 0], [*(2 * rod), *(-2 * rod)]])
 

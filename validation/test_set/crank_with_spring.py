@@ -41,7 +41,7 @@ class CrankWithSpring(TestProblem):
         return np.array([np.pi / 2, np.cos(p), p]), np.zeros(3)
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return M."""
+        """Return the mass matrix M, shape (n_q, n_q)."""
         return np.diag(_INERTIA)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
@@ -58,12 +58,12 @@ class CrankWithSpring(TestProblem):
         return spring
 
     def position_constraint(self, t: float, q: Array) -> Array:
-        """Return Phi."""
+        """Return the constraints Phi, shape (n_lam,)."""
         (ca, cp), (sa, sp) = np.cos(q[::2]), np.sin(q[::2])
         return np.array([q[1] - _A * ca - cp, -_A * sa - sp])
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """Return Phi_q."""
+        """Return the constraint Jacobian Phi_q, shape (n_lam, n_q)."""
         (ca, cp), (sa, sp) = np.cos(q[::2]), np.sin(q[::2])
         return np.array([[_A * sa, 1, sp], [-_A * ca, 0, -cp]])
 

@@ -54,7 +54,7 @@ class FlexibleCrank(TestProblem):
         return q, np.array([_OMEGA, turn, rates[-1], bend, *rates])
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return M."""
+        """Return the mass matrix M, shape (n_q, n_q)."""
         M_q, _, B, c1, c2, c12, c21 = self._rod()
         u = q[3:]
         C, S = np.cos(q[0] - q[1]), np.sin(q[0] - q[1])
@@ -83,7 +83,7 @@ class FlexibleCrank(TestProblem):
         return np.array([crank, rod, 0, *(bent - K @ u)])
 
     def position_constraint(self, t: float, q: Array) -> Array:
-        """Return Phi."""
+        """Return the constraints Phi, shape (n_lam,)."""
         l2 = _L2 + q[6]
         return np.array(
             [
@@ -94,7 +94,7 @@ class FlexibleCrank(TestProblem):
         )
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """Return Phi_q."""
+        """Return the constraint Jacobian Phi_q, shape (n_lam, n_q)."""
         l2, (s1, s2), (c1, c2) = _L2 + q[6], np.sin(q[:2]), np.cos(q[:2])
         return np.array(
             [

@@ -33,7 +33,7 @@ class SimplePendulum(TestProblem):
         return np.array([-self.b[0], 0.0]), np.zeros(2)
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return M."""
+        """Return the mass matrix M, shape (n_q, n_q)."""
         M: Array = self.b[2] * np.eye(2)
         return M
 
@@ -42,11 +42,11 @@ class SimplePendulum(TestProblem):
         return np.array([0, -self.b[1] * self.b[2]])
 
     def position_constraint(self, t: float, q: Array) -> Array:
-        """Return Phi."""
+        """Return the constraints Phi, shape (n_lam,)."""
         return np.array([(q @ q - self.b[0] ** 2) / 2])
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """Return Phi_q."""
+        """Return the constraint Jacobian Phi_q, shape (n_lam, n_q)."""
         return q[None]
 
     def gamma(self, t: float, q: Array, v: Array) -> Array:

@@ -90,7 +90,7 @@ class _Case:
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `test-set`; add its text, tables and figures."""
     report.heading("Method")
     report.text(_METHOD)
     if quick:

@@ -40,7 +40,7 @@ class Roberts(TestProblem):
         return np.zeros(3), np.array([1.0, 0.0, 0.0])
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return M."""
+        """Return the mass matrix M, shape (n_q, n_q)."""
         return np.eye(3)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
@@ -50,15 +50,15 @@ class Roberts(TestProblem):
         return np.array([first, -first - last, last])
 
     def position_constraint(self, t: float, q: Array) -> Array:
-        """Return nothing."""
+        """Return an empty array: this problem has no constraints."""
         return np.zeros(0)
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """Return nothing."""
+        """Return an empty array: this problem has no constraints."""
         return np.zeros((0, 3))
 
     def gamma(self, t: float, q: Array, v: Array) -> Array:
-        """Return nothing."""
+        """Return an empty array: this problem has no constraints."""
         return np.zeros(0)
 
     def reference(self, t_end: float, rtol: float) -> Array:

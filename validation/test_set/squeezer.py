@@ -116,12 +116,12 @@ class Squeezer(TestProblem):
         )
 
     def position_constraint(self, t: float, q: Array) -> Array:
-        """Return Phi."""
+        """Return the constraints Phi, shape (n_lam,)."""
         closed: Array = np.sum(_chains(_SUMS @ q), axis=1) - _ENDS
         return closed
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """Return Phi_q."""
+        """Return the constraint Jacobian Phi_q, shape (n_lam, n_q)."""
         turned: Array = _chains(_SUMS @ q + np.pi / 2) @ _SUMS
         return turned
 

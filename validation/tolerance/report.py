@@ -50,7 +50,7 @@ class _Row:
 
 
 def run(report: Report, quick: bool) -> None:
-    """Fill the report."""
+    """Run the cases of report `tolerance`; add its text, tables and figures."""
     report.heading("Method")
     report.text(_METHOD)
     tolerances = _TOLERANCES[:2] if quick else _TOLERANCES

@@ -84,7 +84,7 @@ class CompiledPasses:
         return prepared and cls(prepared)
 
     def packet(self, h: Array, t: Array, states: tuple[Array, ...], matrices: Array) -> Packet:
-        """Return what kernels take of steps with these states q, v and lam after them."""
+        """Return the kernel's data for steps with these states q, v and lam at their ends."""
         plan = self.kernel.plan
         of_joints = plan.joint_factors(t, 1)[0] if plan.joint_factors else np.ones((1, 1))
         q, v, lam, of_joints, of_loads = (
@@ -135,7 +135,7 @@ class CompiledSteps:
         return prepared and cls(prepared, recorder)
 
     def march(self, before: Node, h: Array, ends: Array, rows: StateRows) -> tuple[int, Node]:
-        """Take as many steps as go; states are written to rows of q, v, A and lam."""
+        """Take steps until one needs Python; write the states to rows of q, v, A and lam."""
         t, q, v, a, lam, A, motion = before
         starts = np.concatenate([[t], ends[:-1]])
         of_loads = self._kernel.plan.load_factors

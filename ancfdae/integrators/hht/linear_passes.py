@@ -71,16 +71,16 @@ class LinearSteps:
 
     @cached_property
     def local(self) -> Linearisation:
-        """f_q, f_v and Phi_q."""
+        """f_q, f_v and Phi_q of the steps of the chunk, at their states."""
         return self.system.linearise(self.t, *self.states)
 
     @cached_property
     def constraints_q(self) -> Array:
-        """Phi_q / (beta h^2)."""
+        """Phi_q / (beta h^2) of the steps of the chunk, values on the pattern."""
         return np.asarray(self.local.Phi_q / (self.c.beta * self.c.h**2))
 
     def packet(self, compiled: CompiledPasses, part: slice, matrices: Array) -> Packet:
-        """Return what kernels take, of some steps; the matrices are theirs."""
+        """Return the kernel's data for a part of the steps."""
         q, v, _, lam = (x[part] for x in self.states)
         h = np.array(self.c.h[part, 0])
         return compiled.packet(h, self.t[part], (q, v, lam), matrices)

@@ -138,7 +138,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
     ) -> float:
-        """Return what an objective would change without the defects; `Defects` has them."""
+        """Return the change of an objective if the steps had no defects (`Defects`); its unit."""
         first, nodes = self._opened(system, solution)
         defects = Defects.of(solution.t, solution.a, nodes.steps)
         _, back, change = linear_passes.pull_back(nodes, seeds, defects)
@@ -147,7 +147,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     def _opened(
         self, system: MechanicalSystem, solution: Solution
     ) -> tuple[RecurrenceStart, Nodes]:
-        """Return what a pass over a run begins with."""
+        """Return the start of the recurrence and the states of a run, for a pass over it."""
         # The length of a run of one instant scales nothing.
         steps, problem = self.steps_of(solution), Problem.of(system, float(solution.t[-1]) or 1.0)
         first = RecurrenceStart.of(problem, steps.of(1))

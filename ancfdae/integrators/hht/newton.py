@@ -108,8 +108,9 @@ def _left(size: float, rate: float, fresh: bool) -> float:
 def _slow(size: float, rate: float | None, tolerance: float, allowed: float) -> bool:
     """Whether the matrix is to be replaced; the rate is None after the first correction.
 
-    The matrix of the guess serves as long as it converges quickly (measured: 2 iterations per step
-    at 1e-14; with that of the step before 5, and 3 where it serves one only).
+    The matrix evaluated at the predictor is kept while Newton's method converges quickly (measured
+    at 1e-14: 2 iterations per step; 5 with the matrix of the previous step, 3 if that is reused
+    once only).
     """
     if rate is None:  # Along the branch of short steps every correction must shrink quickly.
         return size > _SLOW or allowed < math.inf
@@ -134,7 +135,7 @@ class SolvedStep(NamedTuple):
 
 @final
 class _Shrinking:
-    """Rates at which corrections shrink; the slowest of those above round-off."""
+    """Convergence rates of Newton's corrections; `slowest` is the largest rate above round-off."""
 
     def __init__(self) -> None:
         self._last, self.slowest = math.inf, 0.0

@@ -58,7 +58,7 @@ class Replay(RunInParts):
     def pull_back(
         self, run: Solution, node: Node, first: int, seeds: Seeds, on: Array
     ) -> tuple[Array, Array]:
-        """Pull back as `linear_passes.pull_back_part`."""
+        """Run one part of the backward pass; arguments and results of `pull_back_part`."""
         h, alpha, last = self._steps.h, self._steps.alpha, first + len(run.t) - 1
         # The last step of the part hands on to a step of the size of the next.
         matrix = step_matrices(Steps(h[first : last + 1], alpha))[: last - first]
@@ -74,7 +74,7 @@ class Replay(RunInParts):
         return through_start(self._problem, self._first, back, seeds, gradient)
 
     def no_covectors(self) -> Array:
-        """Six for each coordinate."""
+        """Zero adjoint vectors, six for each coordinate, shape (6, n_q)."""
         return np.zeros((6, self._problem.system.n_q))
 
 

@@ -74,7 +74,7 @@ class HHTStepper(OneStepMethod[State]):
         self._coefficients = Coefficients(0.0, alpha)
 
     def consistent(self) -> Record:
-        """Return what a solution keeps of the start, which is the consistent one."""
+        """Return the consistent start as a row of the solution."""
         return *self._problem.initial, self._problem.derivative or ()
 
     def start(self, h: float) -> State:
@@ -89,7 +89,7 @@ class HHTStepper(OneStepMethod[State]):
         return rescaled(node, ratio), node_b and rescaled_sensitivity(node_b, ratio)
 
     def advance(self, h: float, before: State, t: float) -> State | Failure:
-        """Solve the equations at t."""
+        """Return the state at t = t_n + h, or a Failure if Newton's method does not converge."""
         (last, node_b), c = before, self._coefficients
         if c.h != h:
             c = self._coefficients = Coefficients(h, self._alpha)
@@ -129,7 +129,7 @@ class HHTStepper(OneStepMethod[State]):
         return node if taken else None
 
     def recorded(self, state: State) -> Record:
-        """Return what a solution keeps of a state."""
+        """Return a state as a row of the solution."""
         x, b = state
         return x.t, x.q, x.v, x.A, x.lam, () if b is None else (b.q_b, b.v_b, b.A_b, b.lam_b)
 

@@ -124,7 +124,7 @@ class LinearStages:
         return np.array([on_q.sum(axis=0), on_v.sum(axis=0)]), [mu, zeta, *covectors]
 
     def pull_back(self, mu: Array, zeta: Array, *covectors: Array) -> Array:
-        """Return what covectors of `back` for all steps give the design directly, (n_b,)."""
+        """Return the direct part of the gradient from the adjoint vectors of all steps, (n_b,)."""
         direct = self.system.pull_back(self.completion.t, self.stages, (mu, zeta))
         return self.completion.pull_back(*covectors) - direct
 

@@ -32,7 +32,7 @@ class RadauReplay(RunInParts):
         self.taken = 0
 
     def start(self) -> State:
-        """Return the consistent start."""
+        """Return the consistent start of the run that is repeated."""
         return self._stepper(Recorder(self._problem.system, 1)).start(float(self._h[0]))
 
     def part(self, node: State, first: int, last: int) -> tuple[Solution, State]:
@@ -57,11 +57,11 @@ class RadauReplay(RunInParts):
         return linear_passes.pull_back(self._problem, run, h, seeds, on)
 
     def close(self, on: Array, seeds: Seeds, gradient: Array) -> Array:
-        """Pull back through the start."""
+        """Add to the gradient the part that goes through the start of the run."""
         return linear_passes.through_start(self._problem, on, seeds, gradient)
 
     def no_covectors(self) -> Array:
-        """Return those on q and v."""
+        """Return zero adjoint vectors on q and v, shape (2, n_q)."""
         return np.zeros((2, self._problem.system.n_q))
 
     def _stepper(self, recorder: Recorder) -> RadauStepper:

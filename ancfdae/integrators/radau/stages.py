@@ -47,12 +47,12 @@ class Begin(NamedTuple):
 
     @property
     def state(self) -> tuple[Array, Array, Array, Array]:
-        """Position, velocity, acceleration and multipliers."""
+        """Coordinates, velocities, accelerations and multipliers at the start of the step."""
         return self[2:]
 
     @property
     def times(self) -> Array:
-        """Times of the stages."""
+        """Times of the three stages, shape (3,); s."""
         return self.t + self.h * PLACES[:, 0]
 
     def stages(self, x: Array, lam: Array) -> Stages:

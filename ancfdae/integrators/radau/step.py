@@ -56,7 +56,7 @@ _SHORTEST = 1e-3
 
 
 class State(NamedTuple):
-    """What a step leaves: its size; start, stages and end as rows (t, q, v, a, lam).
+    """State after a step: its size, and start, stages and end as rows (t, q, v, a, lam).
 
     The start of a run is one row. Derivatives q_b, v_b, a_b, lam_b alike; the estimated errors are
     of q and v, q_b and v_b.
@@ -154,7 +154,7 @@ class RadauStepper(OneStepMethod[State]):
         return solved
 
     def _controlled(self, x: Array, before: State, after: State) -> State:
-        """Add the estimated errors, and derivatives with theirs."""
+        """Return the state `after` with its estimated errors and, if asked for, derivatives."""
         middle = linearised(self._problem.system, *(row[2:3] for row in after.rows))
         rates = after.rows[2].real, before.rows[3][-1].real
         errors = self._embedded(middle, after.h, rates, x.real)

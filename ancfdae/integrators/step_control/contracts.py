@@ -60,7 +60,7 @@ class OneStepMethod(abc.ABC, Generic[State]):
 
     @abc.abstractmethod
     def consistent(self) -> Record:
-        """Return what a solution keeps of the start, which is the consistent one."""
+        """Return the consistent start as a row of the solution."""
 
     @abc.abstractmethod
     def start(self, h: float) -> State:
@@ -83,7 +83,7 @@ class OneStepMethod(abc.ABC, Generic[State]):
 
     @abc.abstractmethod
     def recorded(self, state: State) -> Record:
-        """Return what a solution keeps of a state."""
+        """Return a state as a row of the solution."""
 
     @abc.abstractmethod
     def error(self, h: float, before: State, after: State) -> float:
@@ -116,7 +116,7 @@ class Controller(abc.ABC):
 
     @abc.abstractmethod
     def state(self) -> tuple[float, ...]:
-        """Return the numbers with which `StepControl.controller` goes on."""
+        """Return the numbers with which `StepControl.controller` continues a run."""
 
 
 class StepControl(abc.ABC):
@@ -130,13 +130,13 @@ class StepControl(abc.ABC):
 
     @abc.abstractmethod
     def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
-        """Return what measures the error of a step; None where nothing depends on it."""
+        """Return the tolerance for the error of a step; None if steps do not depend on it."""
 
     @abc.abstractmethod
     def controller(
         self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
     ) -> Controller:
-        """Return what decides the steps of one run; a state is that of a run that goes on."""
+        """Return the controller of the steps of one run; `state` is that of a run to continue."""
 
     @abc.abstractmethod
     def continues(self, t: Array, state: tuple[float, ...], t_end: float) -> bool:
@@ -148,15 +148,15 @@ class StepControl(abc.ABC):
 
     @abc.abstractmethod
     def frozen(self, t: Array) -> StepControl:
-        """Return what repeats the steps of a run with the instants t, whatever the design."""
+        """Return the control that repeats the steps of a run with times t, whatever the design."""
 
     @abc.abstractmethod
     def refined(self, t: Array) -> StepControl:
-        """Return what halves every step of a run with the instants t."""
+        """Return the control that halves every step of a run with times t."""
 
 
 class Reached(NamedTuple):
-    """Where a run stands: instant, time, size of the last step, and state of the method."""
+    """Progress of a run: index, time, size of the last step, and state of the method."""
 
     n: int
     t: float

@@ -121,7 +121,7 @@ class ControlledSteps(StepControl):
         return _ROWS
 
     def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
-        """Return what measures the error of a step."""
+        """Return the tolerance for the error of a step."""
         atol = self.rtol if self.atol is None else self.atol
         return Tolerance(self.rtol, atol, t_end, sizes, sizes_b)
 

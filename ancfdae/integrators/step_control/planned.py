@@ -182,7 +182,7 @@ class StepPlan(Controller):
         return float(self.all_sizes[n]), float(self.ends[n])
 
     def known(self, n: int) -> tuple[Array, Array]:
-        """Return the next steps."""
+        """Return sizes and ends of the next steps from step n on; s."""
         packet = slice(n, n + _PACKET)
         return self.all_sizes[packet], self.ends[packet]
 

@@ -37,7 +37,7 @@ _FED = 2.0
 @final
 @dataclass(frozen=True)
 class Tolerance:
-    """What measures the error of a step: sizes Q_i, and sizes_b S_j, zero without influence."""
+    """Measure of the error of a step: sizes Q_i, and sizes_b S_j, zero without influence."""
 
     rtol: float
     atol: float

@@ -42,7 +42,7 @@ class Bindings:
 
     @staticmethod
     def load() -> Bindings:
-        """Import sundials4py, or raise MissingPackage."""
+        """Return the modules of sundials4py; raise MissingPackage if it is not installed."""
         try:
             core = importlib.import_module("sundials4py.core")
             idas = importlib.import_module("sundials4py.idas")

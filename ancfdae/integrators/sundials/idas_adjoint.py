@@ -37,7 +37,7 @@ _SMALL = 1e-2
 
 @final
 class AdjointSeeds:
-    """What the objective contributes at a time: densities, and values at instants."""
+    """Derivatives of the objective at a time: densities of integrals, and values at times."""
 
     def __init__(self, problem: Problem, solution: Solution, seeds: Seeds) -> None:
         system, s = problem.system, problem.scales
@@ -69,7 +69,7 @@ class AdjointSeeds:
 
 @final
 class BackwardRun:
-    """One objective's backward run."""
+    """The backward run of IDAS for the adjoint of one objective."""
 
     def __init__(
         self,
@@ -193,7 +193,7 @@ class BackwardRun:
         return AccelerationsAdjoint(system, accelerations.factors(t, q), state)
 
     def _rates(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, Array]:
-        """Rates of p, and on_b."""
+        """Return the rates of the adjoint vector p and of the gradient at time t."""
         at, n_q = self._at(t, q, v), self._problem.system.n_q
         densities = self._seeds.density(np.array([t]), q[None], v[None], at.state.lam[None])
         H_q, H_v, H_lam = (H[0] for H in densities)

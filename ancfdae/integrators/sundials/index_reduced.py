@@ -102,7 +102,7 @@ class IndexReduced(abc.ABC):
 
     @abc.abstractmethod
     def _residual(self, at: _Instant) -> list[Array]:
-        """Return what F adds to q' - v, and its rows below those of the forces."""
+        """Return the terms that F adds to q' - v, and its rows below those of the forces."""
 
     @abc.abstractmethod
     def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
@@ -126,7 +126,7 @@ class IndexReduced(abc.ABC):
 
     @final
     def residual(self, t: float, y: Array, yp: Array) -> Array:
-        """Return F, shape (n,)."""
+        """Return the residual F(t, y, y') of the form of reduced index, shape (n,)."""
         system, at = self._system, self._at(self._system, t, y, yp)
         x, xp = at.x, at.xp
         drift, *sides = self._residual(at)

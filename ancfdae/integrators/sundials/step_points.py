@@ -104,7 +104,7 @@ def _panels(t: Array, per_step: float) -> Array:
 def _between(
     times: Array, t: Array, step: Array, q: Array, data: tuple[Array, ...]
 ) -> tuple[Array, Array]:
-    """Coordinates and velocities within steps."""
+    """Return coordinates and velocities at times within steps, by quintics."""
     h = np.diff(t)[step]
     powers = ((times - t[step]) / h)[:, None] ** np.arange(6)
     units = np.stack([np.ones_like(h), h, h, h**2, h**2])

@@ -60,7 +60,8 @@ class Beam(BeamBody):
     rigid : bool, optional
         Whether it does not deform: the scene then pays for a rigid body of the same mass only.
     kinks : sequence of float, optional
-        Fractions of inner nodes where the slope along the beam may jump: it has one on either side,
+        Fractions of the length, at inner nodes, where the slope along the beam may jump
+        (dimensionless): it has one on either side,
         while position and section are shared. Nodes that a joint, load or point mass acts on have
         that anyway: shear and axial forces jump there, and the deflection is of second order in the
         element length or better. Declare more where sections or materials change from one element
@@ -176,7 +177,7 @@ class Beam(BeamBody):
 
     @property
     def _origin(self) -> Array:
-        """Where `end` is taken from."""
+        """Position from which `end` counts: the origin, or the point of a body at `start`."""
         return np.zeros(self.dimension) if isinstance(self.start, Point) else np.array(self.start)
 
     @property

@@ -1,4 +1,4 @@
-"""What the rest of the package needs to know about a beam: reference shape, sections, materials."""
+"""Base class of beams: reference shape, sections, materials."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class ReferenceShape:
 
 
 class BeamBody(Placed):
-    """What the rest of the package needs to know about a beam; name and turn as in `Placed`."""
+    """Base class of straight and curved beams; name and turn as in `Placed`."""
 
     element: BeamElement  # the element that models it
     energy: StrainEnergy | None  # how it resists strain; None for elements with a law of their own
@@ -84,7 +84,7 @@ class BeamBody(Placed):
 
     @abc.abstractmethod
     def reference(self) -> ReferenceShape:
-        """Return the reference configuration."""
+        """Return the reference configuration: nodes, directions and lengths of elements."""
 
     def at_origin(self, point: Point) -> Array:
         """Return the place of a point from the vectors at both ends of its element."""
@@ -145,7 +145,7 @@ class BeamBody(Placed):
         return replace(self, kinks=tuple(kinks))  # type: ignore[type-var]
 
     def parameter_names(self) -> dict[str, ElementParameter]:
-        """Return what can be a design target, e.g. ``"rod.height"``, and its column."""
+        """Return the design targets of the beam, as ``"rod.height"``, with their columns."""
         sizes = (each for each in ElementParameter if each.is_size)
         strain = {} if self.rigid else {"initial_strain": ElementParameter.INITIAL_STRAIN}
         return _PARAMETERS | strain | dict(zip(self._section().size_names(), sizes, strict=False))
@@ -167,7 +167,7 @@ class BeamBody(Placed):
         return parameters
 
     def element_type(self) -> ElementType:
-        """Return what all elements of the beam share."""
+        """Return the type of element, which all elements of the beam share."""
         return ElementType(self._section(), self.energy, self.reference().straight)
 
     def half_extents(self, elements: Array) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from ancfdae.numerics.arrays import Array
 
 
 class Placed(abc.ABC):
-    """A dataclass that stands somewhere."""
+    """A part of a scene with a place and a rotation, which are design targets."""
 
     name: str
     # Turn of the whole body about its place: in space a vector along the axis; rad.

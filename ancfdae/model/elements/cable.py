@@ -48,7 +48,7 @@ _ROUND = 1e-9
 @final
 @dataclass(frozen=True)
 class Cable(BeamElement):
-    """The cable of d dimensions."""
+    """The cable element in d dimensions: positions and tangents at the nodes, no section."""
 
     name: str
     d: int

@@ -51,7 +51,7 @@ class _Line:
 
     @classmethod
     def of(cls, batch: Batch, xi: Array) -> _Line:
-        """Return that of some elements."""
+        """Return the axial law of elements at the points xi."""
         tau, initial = ElementParameter.DAMPING_TIME, ElementParameter.INITIAL_STRAIN
         return cls(xi, batch.lengths, batch.of(tau), batch.of(initial))
 
@@ -75,7 +75,7 @@ class _Line:
         return np.asarray(weights @ (self._strains_at(places, Y, V)[..., None] * along))
 
     def tangents(self, Y: Array) -> tuple[Array, Array]:
-        """Return r_x and r_xx, shape (..., n, n_xi, 3): with zeros along z in the plane."""
+        """Return r_x and r_xx, shape (..., n, n_xi, 3), padded with zero z in the plane."""
         H = np.stack(curvature_weights(self.xi), axis=-1)
         r_x, r_xx = tangent_weights(self.xi) @ Y, H @ Y / self.l[:, None, None]
         return in_space(r_x), in_space(r_xx)
@@ -133,7 +133,7 @@ class CableSectionLaw(SectionLaw):
         return forces[..., 0, :]
 
     def _force(self, Y: Array, V: Array) -> Array:
-        """Return the section force out of what nodes get, shape (..., d)."""
+        """Return the section force from the forces on nodes of the elements, shape (..., d)."""
         means = curvature.forces(self._bending, Y)[..., 0, :]
         stretched = self._run.force_on_chord(scaled(Y, self._run.l), scaled(V, self._run.l))
         means = means + self._run_E_A[:, None] * stretched

@@ -62,7 +62,7 @@ class ContinuumBeam(BeamElement):
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """Position and d slopes."""
+        """Vectors of a node: its position and d slopes."""
         return tuple(Quantity)[: self.d + 1]
 
     def check_section(self, where: str, section: Section) -> None:
@@ -102,7 +102,7 @@ class ContinuumBeam(BeamElement):
         return _ContinuumIntegrals(batch, owners)
 
     def section_law(self, batch: Batch, place: SectionPlace) -> SectionLaw:
-        """Return what elements transmit from node to node."""
+        """Return the law of section forces, which elements transmit from node to node."""
         A = _ContinuumIntegrals(batch, np.full(len(batch.parameters), "section force")).values[0]
         return ContinuumSectionLaw(batch, A, place)
 
@@ -136,7 +136,7 @@ class _ContinuumIntegrals(Integrals):
         self.powers = of_g[:, None] + of_g, of_s[:, None] + of_s
 
     def partial(self, which: ElementParameter) -> tuple[Array, ...]:
-        """Return A_b and m_b."""
+        """Return the derivatives of A and m in a parameter of the elements."""
         A_b, m_b = (np.zeros_like(x) for x in self.values)
         if which is ElementParameter.DENSITY:
             return A_b, self.values[1] / self._rho[:, None, None]

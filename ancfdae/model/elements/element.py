@@ -1,4 +1,4 @@
-"""What an element has to state so that everything else can be built from it.
+"""Protocol of an element, from which invariants, forces and stresses are built.
 
 An element of node vectors X (n_a x d: position and slopes of both nodes)
 declares the vectors of its points, r = sum_a s_a X_a and the slopes, and its
@@ -51,7 +51,7 @@ class ElementParameter(IntEnum):
 
     @property
     def is_size(self) -> bool:
-        """Whether it is a size of the section."""
+        """Whether the parameter is a size of the section."""
         return self >= ElementParameter.SIZE_1
 
 
@@ -74,7 +74,7 @@ class ElementType:
 @final
 @dataclass(frozen=True)
 class Batch:
-    """Some elements of one type."""
+    """Elements of one type as arrays: parameters, (n, n_p), and unit relative node vectors."""
 
     kind: ElementType
     parameters: Array  # (n, 10): columns as in `ElementParameter`; real or complex
@@ -83,7 +83,7 @@ class Batch:
     Y_unit: Array
 
     def __getitem__(self, rows: slice | Array) -> Batch:
-        """Return some of the elements."""
+        """Return the batch of the elements with these indices."""
         return Batch(self.kind, self.parameters[rows], self.Y_unit[rows])
 
     @property
@@ -98,12 +98,12 @@ class Batch:
         return self.kind.energy
 
     def of(self, which: ElementParameter) -> Array:
-        """Return one parameter, shape (n,)."""
+        """Return one parameter of all elements, shape (n,)."""
         return self.parameters[:, which]
 
     @property
     def lengths(self) -> Array:
-        """Element lengths l, shape (n,)."""
+        """Element lengths l, shape (n,); m."""
         return self.of(ElementParameter.LENGTH)
 
     @property
@@ -113,7 +113,7 @@ class Batch:
 
     @property
     def stiffness(self) -> tuple[Array, ...]:
-        """What the energy says of E and nu, see `StrainEnergy.stiffness`."""
+        """Elastic moduli by E and nu; see `StrainEnergy.stiffness`."""
         return self.energy.stiffness(self.d, *self.moduli)
 
     @property
@@ -165,7 +165,7 @@ class InvariantPartial:
 @final
 @dataclass(frozen=True)
 class Invariants:
-    """Invariants of n elements."""
+    """Arrays of n elements from which energy, forces and mass follow (eqs. 10, 15)."""
 
     A: Array  # (n, n_g, n_g): elastic invariant
     # (n, n_g): packed Gram matrix of the elements free of stress: the reference configuration less
@@ -195,7 +195,7 @@ class Integrals(abc.ABC):
 @final
 @dataclass(frozen=True)
 class SectionPlace:
-    """Where a section lies in a run of neighbouring elements."""
+    """Location of a section: its element in a run of neighbouring elements, and xi."""
 
     element: int  # its element in the run, which holds those beside it on `smooth` nodes
     xi: float
@@ -247,11 +247,11 @@ class BeamElement(abc.ABC):
     @property
     @abc.abstractmethod
     def quantities(self) -> tuple[Quantity, ...]:
-        """What the vectors of a node are: position and slopes."""
+        """Vectors of a node: position and slopes, as `Quantity`."""
 
     @property
     def n_s(self) -> int:
-        """Node vectors per node."""
+        """Number of vectors per node: the position and the slopes."""
         return len(self.quantities)
 
     @property
@@ -340,11 +340,11 @@ class BeamElement(abc.ABC):
 
     @abc.abstractmethod
     def section_law(self, batch: Batch, place: SectionPlace) -> SectionLaw:
-        """Return what gives the forces in a section of a run of elements."""
+        """Return the evaluator of forces in a section of a run of elements."""
 
     @abc.abstractmethod
     def stress_law(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
-        """Return what gives stresses at fibres of sections of some elements.
+        """Return the evaluator of stresses at fibres of sections of elements.
 
         The sections lie at xi, (n_xi,), and the fibres at y and z in them, (n, n_f) each; m.
         """

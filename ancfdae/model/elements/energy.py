@@ -19,7 +19,7 @@ _COMPRESSIBLE = 0.02
 
 @dataclass(frozen=True)
 class StrainEnergy(abc.ABC):
-    """How a beam resists strain.
+    """Strain energy of a beam as a function of its strains.
 
     Parameters
     ----------

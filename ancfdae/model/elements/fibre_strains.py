@@ -54,7 +54,7 @@ class Fibres:
     shear_centre: Array  # (n, 1, 2)
 
     def any(self) -> bool:
-        """Whether anything differs from zero; radii and centroid follow from the rest."""
+        """Whether a number of the fibres is nonzero; radii and centroid follow from the others."""
         parts = (self.offsets, self.volume, self.factors, self.shear_centre)
         return any(bool(np.any(part)) for part in parts)
 
@@ -79,7 +79,7 @@ class Frames:
 
     @classmethod
     def straight(cls, d: int) -> Frames:
-        """Return frames of unit vectors."""
+        """Return the frames of straight elements: unit vectors along the axes of the beam."""
         normal, inverse = np.eye(d)[None, None, 0], np.eye(d - 1)[None, None]
         return cls(True, normal, np.zeros((1, 1, d, d - 1)), inverse, np.ones((1, 1)))
 

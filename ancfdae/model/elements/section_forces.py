@@ -44,7 +44,7 @@ class ContinuumSectionLaw(SectionLaw):
         self._slope = slope_of_means(self._l, place)
 
     def forces(self, Y: Array, V: Array) -> Array:
-        """Return what the nodes get, carried to the section by statics."""
+        """Return section forces and moments from the forces on nodes, by statics."""
         Y, V = np.broadcast_arrays(scaled(Y, self._l), scaled(V, self._l))
         d, k, xi = self._d, self._place.element, self._place.xi
         x = strain(self._g_o, Y, V, self._tau)

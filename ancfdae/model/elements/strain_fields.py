@@ -67,7 +67,7 @@ def packed_gram(Y: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class StrainPlaces:
-    """Where each strain of a section stands among all of them; that of the axis, a.a, stands first.
+    """Index of each strain of a section in the vector of strains; the first is a.a of the axis.
 
     Indices i and j run over y and z. What stands behind `thickness` is of assumed strains only.
     """
@@ -82,7 +82,7 @@ class StrainPlaces:
     turned: Array  # and as a twist does
 
     def count(self, assumed: bool) -> int:
-        """Return how many there are."""
+        """Return the number of strains of a section, with or without the assumed ones."""
         return int(self.turned[-1] + 1 if assumed else self.turns[0])
 
 
@@ -106,7 +106,7 @@ def strain_places(d: int) -> StrainPlaces:
 
 @lru_cache(maxsize=16)
 def section_strains(d: int, xi: tuple[float, ...], assumed: bool) -> Array:
-    """Return what makes strains of sections out of g, shape (n_xi, n_s, n_g); `StrainPlaces`."""
+    """Return beta, shape (n_xi, n_s, n_g), with which strains of sections are beta g."""
     place, axis, at = np.array(xi), Axis.of(d, np.array(xi)), strain_places(d)
     beta = np.zeros((len(place), at.count(assumed), (2 * d + 1) * (d + 1)))
     fields: _Exact | _Assumed = _Exact(axis)
@@ -208,18 +208,18 @@ class _Assumed:
         self._middle = Axis.of(d, np.array([0.5]))
 
     def curvature(self, i: int) -> Array:
-        """Return its mean, that of a.b."""
+        """Return the mean of the assumed curvature: a . b_i at the middle of the element."""
         return _gram(np.eye(1, self._middle.a.shape[-1]), self._middle.b[i])
 
     def wave(self, i: int) -> Array:
-        """Return what the curvature has besides."""
+        """Return the part of the curvature that varies along the element with bending."""
         middle, s = self._middle, 1 - 2 * self._xi
         bent = self._ends.axis.a_xi[0] - middle.a_xi
         wave = 0.5 * (s**2 - 1 / 3) * _gram(bent, middle.b[i]) - s * _gram(bent, middle.c[i])
         return np.asarray(wave)
 
     def turned(self, i: int) -> Array:
-        """Return what a twist changes of it along the element."""
+        """Return the change of the curvature along the element by a twist."""
         change = _gram(self._middle.a_xi, self._middle.b[i])
         return np.asarray((0.5 - self._xi) * change)
 

@@ -27,7 +27,7 @@ _SHARE = 0.01
 
 
 def fibres(batch: Batch) -> Fibres:
-    """Return the fibres of elements."""
+    """Return the quadrature points of the sections of elements, as fibres along them."""
     l, kind, sizes = batch.lengths, batch.kind, batch.sizes
     y, z, dA = kind.section.points(sizes, not kind.straight)
     centroid, moments = central_moments(y, z, dA)

@@ -83,7 +83,7 @@ class AxisJoint(Joint):
         return unit(axis), carrier_of(other), ground
 
     def level(self, e: Array, ground: Array | None, reference: Array) -> Array | float:
-        """Return what e . (r - r') is: zero at another point, the place of the ground."""
+        """Return the required e . (r - r'): zero for another point, else e . (ground place)."""
         place = reference[0] if ground is None else ground
         return 0.0 if self.other is not None else np.sum(e * place)
 

@@ -64,7 +64,7 @@ class Drive(DrivenJoint):
         return tuple((self.point, q) for q in elements.at(self.point).spanning)
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
-        """Return what does not turn: along the axis, shear, and right angles."""
+        """Return the coefficients that do not rotate: along the axis, shear, and right angles."""
         a, d = self._axis(p), reference.shape[1]
         if self.other is None:
             return self._against_ground(p, reference, lambda m: (a @ m) * a, still=True)
@@ -77,7 +77,7 @@ class Drive(DrivenJoint):
         return c
 
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
-        """Return what goes with the cosine and the sine of the angle."""
+        """Return the coefficients that go with the cosine and with the sine of the angle."""
         a = self._axis(p)
         if self.other is None:
             cosine = self._against_ground(p, reference, lambda m: m - (a @ m) * a)

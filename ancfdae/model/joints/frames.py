@@ -54,7 +54,7 @@ def normal_of(spanning: Array) -> Array:
 
 
 class Carrier(abc.ABC):
-    """What carries directions of the reference configuration along."""
+    """Base of a section or the ground, which carries directions of the reference along."""
 
     @abc.abstractmethod
     def meet(
@@ -70,7 +70,7 @@ class Ground(Carrier):
     def meet(
         self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
-        """Add factor times (direction . sum of weights times vectors) to a row: linear entries."""
+        """Add factor times (direction . weighted sum of vectors) to a row: linear coefficients."""
         c.linear[row] += factor * np.outer(weights, direction)
 
 

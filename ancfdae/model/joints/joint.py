@@ -1,4 +1,4 @@
-"""What a joint states: scalar equations between position and slope vectors of points.
+"""Base class of joints: scalar equations between position and slope vectors of points.
 
 A joint never touches coordinates. It names the vectors U_i of material points
 that take part and gives the coefficients of its equations,
@@ -144,7 +144,7 @@ class Joint(Part):
         return c
 
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
-        """Return what goes with each of the `factors`; arguments as in `coefficients`."""
+        """Return the coefficients that go with each of the `factors`; see `coefficients`."""
         return ()
 
     def factors(self, p: Array, t: Array, order: int) -> Array:
@@ -176,7 +176,7 @@ class DrivenJoint(Joint):
 
     @abc.abstractmethod
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
-        """Return what goes with each of the factors."""
+        """Return the coefficients that go with each of the factors of time."""
 
     @abc.abstractmethod
     def factors(self, p: Array, t: Array, order: int) -> Array:
@@ -203,7 +203,7 @@ class Travelling(DrivenJoint):
         return True
 
     def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Return the prescribed travel, m, or its time derivative of an order."""
+        """Return the prescribed travel, m, or its time derivative of the given order."""
         return self.travel.derivative(self.split(p)[1], t, order)[None]
 
 

@@ -1,4 +1,4 @@
-"""What a law of time states: a number as a function of time, with three time derivatives."""
+"""Base class of laws (functions of time): a number with three time derivatives."""
 
 import abc
 from typing import Any, final

@@ -94,7 +94,7 @@ class RunUp(Law):
     rate : float
         Rate after the run-up; the unit of what the law drives per s.
     duration : float
-        Of the run-up, positive; s.
+        Duration of the run-up, positive; s.
     initial : float, optional
         Value before the run-up; the unit of what the law drives.
     begin : float, optional

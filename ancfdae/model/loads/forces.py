@@ -85,7 +85,7 @@ class FollowerForce(Load):
     design_fields = (("force_components", require_vector), LAW)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Position and slopes of the point."""
+        """Return the vectors that the force depends on: position and slopes of the point."""
         return tuple((self.point, quantity) for quantity in list(Quantity)[: elements.d + 1])
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:

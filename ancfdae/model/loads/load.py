@@ -1,4 +1,4 @@
-"""What a load states: forces on vectors of points as functions of these vectors.
+"""Base class of loads: forces on vectors of points as functions of these vectors.
 
 A load names vectors U_i of material points and gives the generalised force F_i
 that works on each, delta W = sum_i F_i . delta U_i, in operations that carry
@@ -91,5 +91,5 @@ class SectionLoad(Load):
     """A load on the sections of its points, on the slopes that span them."""
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Slopes of the sections."""
+        """Return the slopes that span the sections on which the load acts."""
         return section_of(self.points, elements)

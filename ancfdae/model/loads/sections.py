@@ -43,11 +43,11 @@ class CarriedAxes:
 
     @property
     def ground(self) -> bool:
-        """Whether directions stand still."""
+        """Whether the directions belong to the ground and are fixed in space."""
         return len(self.U_o) == 0
 
     def of(self, rows: Array) -> Any:
-        """Return directions, given as rows in the reference, as they are now."""
+        """Return the present directions of axes given as rows in the reference configuration."""
         return rows if self.ground else self._weights(rows) @ _basis(self.U)
 
     def pull_back(self, rows: Array, G: Any) -> Any:
@@ -105,7 +105,7 @@ def turn(U: Any, U_o: Array, axes: Array) -> tuple[Any, Any]:
 
 
 def _planar_turn(U: Any, U_o: Array) -> tuple[Any, Any]:
-    """Return the angle between two directions, or of one, since the reference."""
+    """Return the rotation since the reference of a slope, against another one or ground; rad."""
     r, carrier = U[..., :1, :], CarriedAxes(U[..., 1:, :], U_o[1:])
     start = carrier.of(U_o[:1])
     theta = angle(dot(start @ QUARTER_TURN, r), dot(start, r))

@@ -126,7 +126,7 @@ class Bushing(Load):
         return (*places, *section_of(self.points, elements))
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """-(k x + c x') x_U - (k theta + c theta') theta_U."""
+        """Return -(k x + c x') x_U - (k theta + c theta') theta_U, forces on the vectors."""
         k, c, k_turn, c_turn, _ = self.split(p)
         n = len(self.points)
         F = -_resistance(*self._travel(U[..., None, :, :], U_o), V, k, c)

@@ -1,4 +1,4 @@
-"""What turns sections: moments, torques of motors, torsion springs."""
+"""Loads that rotate sections: moments, motor torques, torsion springs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

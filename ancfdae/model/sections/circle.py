@@ -65,7 +65,7 @@ class _Round(Section):
         return np.pi / 2 * (sizes[:, 0] ** 4 - self.inner(sizes) ** 4)
 
     def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Linear from the centre."""
+        """Shear stresses along y and z per unit rate of twist and G, (n, n_f): -z and y; m."""
         return -z, y
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:

@@ -31,7 +31,7 @@ class Rectangular(Section):
 
     @property
     def half_extents(self) -> tuple[float, float]:
-        """Half of height and width."""
+        """Half height and half width; m."""
         return self.height / 2, self.width / 2
 
 

@@ -1,4 +1,4 @@
-"""What a cross-section has to state: where its area lies, how it shears and how it twists."""
+"""Base class of cross-sections: distribution of the area, shear factors and torsion."""
 
 import abc
 from collections.abc import Mapping, Sequence
@@ -71,7 +71,7 @@ class Section(abc.ABC):
         return replace(self, **sizes)  # type: ignore[arg-type]  # sizes are numbers
 
     def form(self) -> tuple[object, ...]:
-        """Return what sections must share to differ in their sizes only."""
+        """Return class and options: sections with equal ones differ in their sizes only."""
         options = (getattr(self, each.name) for each in fields(self) if each.kw_only)
         return (type(self), *options)
 

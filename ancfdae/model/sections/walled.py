@@ -80,7 +80,7 @@ class Box(_Walled):
         return 2 * (a * b) ** 2 / (a / t_w + b / t_f)
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Corners, as of the flanges, and where webs end, outside."""
+        """Return y and z of the corners and of the outer ends of the webs, (n, 8) each; m."""
         h, w, _, t_f = sizes.T
         (y, z), (y_w, z_w) = corners(h, w), corners(h - 2 * t_f, w)
         return np.concatenate([y, y_w], axis=1), np.concatenate([z, z_w], axis=1)
@@ -157,7 +157,7 @@ class ISection(_Walled):
         )
 
     def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """As of each of the three rectangles, which turn alike."""
+        """Shear stresses of the three rectangles, which have one rate of twist; m."""
         h, w, t_w, t_f = columns(sizes)
         flange = y - np.sign(y.real) * (h - t_f) / 2
         walls = (
@@ -189,6 +189,6 @@ def _box_shear(h: Array, w: Array, t_w: Array, t_f: Array, nu: Array) -> Array:
 
 
 def _cowper(m: Array, nu: Array) -> Array:
-    """Return what shear factors of boxes and I sections have in common in the denominator."""
+    """Return the part that denominators of Cowper's factors of boxes and I sections share."""
     plain = 12 + 72 * m + 150 * m**2 + 90 * m**3
     return plain + nu * (11 + 66 * m + 135 * m**2 + 90 * m**3)

@@ -1,4 +1,4 @@
-"""What an objective is: one number per run, Psi(b) of eq. (20), with partials in the states."""
+"""Base class of objectives: one number per run, Psi(b) of eq. (20), with partials in the states."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Integrated(abc.ABC):
 
     @abc.abstractmethod
     def partials(self) -> ObjectivePartials:
-        """As `Objective.partials`; b is the total derivative if sensitivities were integrated."""
+        """Return the partials; b is the total derivative if sensitivities were integrated."""
 
 
 Totals = Mapping[object, Integrated]

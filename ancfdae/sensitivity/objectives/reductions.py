@@ -141,7 +141,7 @@ class AtInstants(Reduction):
 
 
 class OverTime(Reduction):
-    """A mean over time in some sense, times a factor of the duration.
+    """An objective over time: a mean of the observable, times a factor of the duration.
 
     The reductions of parts of a run, reduced with the durations, are the reduction of the whole.
     """

@@ -60,7 +60,7 @@ class Total(Integrand, Integrated):
         return PartialIntegral(duration, value, slopes, size, error, not_finite)
 
     def add(self, part: PartialIntegral) -> None:
-        """Take a part in."""
+        """Add the integral over a part of the run."""
         self._parts.append(part)
         self._duration, self._size = self._duration + part.duration, self._size + part.size
 

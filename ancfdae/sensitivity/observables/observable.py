@@ -1,4 +1,4 @@
-"""What an observable is: a number at every instant, with partials in the states and the design."""
+"""Base class of observables: a number at every time, with partials in states and design."""
 
 from __future__ import annotations
 

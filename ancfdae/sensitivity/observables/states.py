@@ -1,4 +1,4 @@
-"""What observables are evaluated on: states over time, and something that knows names."""
+"""Arguments of observables: states over time, and a system that knows names."""
 
 from __future__ import annotations
 

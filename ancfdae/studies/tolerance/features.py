@@ -1,4 +1,4 @@
-"""What happens so fast that steps pass over it without a trace: pulses of laws and of objectives.
+"""Fast features that steps may pass over without a trace: pulses of laws and of objectives.
 
 No run can tell: a method that controls its error does not see a pulse of 2 ms between two stages of
 a step of 50 ms, and two runs that both miss it agree. So everything that depends on time by itself

@@ -66,7 +66,7 @@ def gradients_within(
 def _wanted(
     system: MechanicalSystem, objectives: Sequence[Objective], t_end: float, tolerance: float
 ) -> Wanted:
-    """Return what the search needs to know of objectives."""
+    """Return the task of the search for objectives."""
 
     def numbers(states: States) -> list[Array]:
         with np.errstate(all="ignore"):

@@ -27,7 +27,7 @@ _CONTRADICTS = 3.0
 
 
 class Sample(NamedTuple):
-    """What a run gives: vectors that are wanted, what it estimates, its steps, its result, itself.
+    """Result of one run: wanted vectors, estimated errors, steps, returned value, and the run.
 
     No vectors where it did not end; the result is what it raised then.
     """
@@ -45,7 +45,7 @@ Sizes = Callable[[Sequence[Array]], Sequence[float]]
 
 
 class Wanted(NamedTuple):
-    """What is asked: vectors of a system's motion to a tolerance relative to their sizes.
+    """Task of a search: vectors of a system's motion to a tolerance relative to their sizes.
 
     `numbers` evaluates what they are about on states, one array each; `integrated` says which are
     integrals over time. If `slopes` is True each is followed by its logarithmic design derivatives

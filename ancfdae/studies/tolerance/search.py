@@ -47,7 +47,7 @@ class _Spent:
         return sum(work for _, _, work in self.runs)
 
     def take(self, runs: Runs, measure: Measure) -> Sample:
-        """Take and judge the next run of a kind."""
+        """Make and judge the next run of one kind of runs."""
         setting, work, clock = runs.setting, runs.work, stopwatch()
         sample = measure(setting)
         runs.take(sample)

@@ -66,7 +66,7 @@ _OF_A_SMALL = 250.0
 
 
 class _Steps(Runs):
-    """Runs at fixed steps."""
+    """Runs of one integrator at fixed steps, each finer than the one before."""
 
     order: ClassVar[int]
     _taken = 0
@@ -99,7 +99,7 @@ class _Steps(Runs):
         super().take(sample)
 
     def _growth(self, order: float, most: float) -> float:
-        """How many times the steps lead to the tolerance from the last error, and at most."""
+        """Return the factor of the number of steps that leads to the tolerance, at most `most`."""
         error = (
             self.error if self.estimates else self.relative(self._gaps, self.samples[-1].vectors)
         )
@@ -161,7 +161,7 @@ class _Steps(Runs):
     @property
     @abc.abstractmethod
     def lost(self) -> list[Array]:
-        """What the vectors may miss by waves that numerical damping takes away; none: empty."""
+        """Possible errors of the vectors by waves that numerical damping removes; empty if none."""
 
 
 @final
@@ -292,7 +292,7 @@ class Second(_Steps):
 
     @property
     def words(self) -> str:
-        """What is known of the waves."""
+        """A sentence on the waves of the motion and whether runs of HHT damp them."""
         if self.damps:
             waves = f"waves of about {max(x.speed for x in self._damped):.2g} rad/s"
             return f"{self.name} damps {waves}, which its steps pass over; bars hold their share"
@@ -433,7 +433,7 @@ class Fifth(_Steps):
 
     @property
     def setting(self) -> Integrator:
-        """Radau at the fixed step of the next run."""
+        """Return Radau at the fixed step of the next run."""
         return Radau(self._t_end / self.count)
 
     @property
@@ -461,7 +461,7 @@ class Fifth(_Steps):
         return self._work(self.count) + self._work(2 * self.count)
 
     def _of_a_step(self, steps: float) -> float:
-        """Return that of a compiled step, or of one in Python."""
+        """Return the work of a compiled step, or of one in Python, microseconds."""
         if not self._compiled:
             return 6500.0
         return 100.0 + 25.0 * self._n + 6.0 * self._of_laws
@@ -593,7 +593,7 @@ class Eighth(Runs):
         return self.work + self._of(self._steps(self._rtol / _TIGHTER))
 
     def judged(self) -> list[Estimate]:
-        """Return bars by what the last two runs differ by; a third one if HHT contradicts them."""
+        """Return error bars from the last two runs; from a third one if HHT contradicts them."""
         if len(self.samples) < 2 or (len(self.samples) == 2 and not self.agrees(self._seer)):
             return []
         before, after = (x.vectors for x in self.samples[-2:])

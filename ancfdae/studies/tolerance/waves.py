@@ -104,7 +104,7 @@ class Wave(NamedTuple):
 
 
 class Missed(NamedTuple):
-    """What a number may miss by a wave: of its own, and of its logarithmic derivatives."""
+    """Possible errors by a wave: of a number and of its logarithmic derivatives."""
 
     value: Array
     slope: Array
@@ -197,7 +197,7 @@ def missed(
     integrated: Sequence[bool],
     phases: bool,
 ) -> Lost:
-    """Return what numbers may miss by the waves of a run; infinite where it cannot be told.
+    """Return possible errors of numbers by the waves of a run; infinite if they are unknown.
 
     Where a number is `integrated` over the instants, it sees the mean of a wave. With `phases`
     waves count as unresolved whose phases are off, too.
