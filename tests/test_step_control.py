@@ -165,6 +165,9 @@ def test_sizes_are_the_formula_of_the_filter(order):
     # Far from the start a rejected step is repeated: smaller by the root of what it errs too much.
     assert controller.judge(20, t, h, 2.0) == 20
     assert controller.plan(20, t)[0] == pytest.approx(h * max(0.25 ** (1 / order), 0.2), rel=1e-12)
+    # An error that does not fall with the step stems from the step before, which is halved.
+    assert controller.judge(20, t, 0.5 * h, 1.9) == 19
+    assert controller.plan(19, t)[0] == pytest.approx(0.5 * h, rel=1e-12)
     assert controller.judge(20, t, 1e-13, 2.0) is Verdict.ERROR_TEST
 
 
