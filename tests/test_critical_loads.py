@@ -722,7 +722,7 @@ def test_finely_divided_columns_bifurcate(n, h, near):
 
 
 def test_a_straight_column_is_no_coarse_mesh():
-    """Its axial strains and its bending are round-off: their ratio says nothing."""
+    """Axial strains and bending of the column are round-off: their ratio says nothing."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert equilibrium(column(500, h=1e-3)).outcome.success

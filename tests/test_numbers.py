@@ -260,7 +260,7 @@ def test_an_equilibrium_is_searched_on_the_structure_that_is_there(monkeypatch):
 
 
 def test_equal_joints_are_prepared_once_and_have_the_equations_of_each_alone(monkeypatch):
-    """Of six hinges three are computed: to ground, between beams, and with another axis."""
+    """Three of six hinges are computed: to ground, between beams, and with another axis."""
     section, counts = Rectangle(0.02, 0.03), []
     beams = [Beam(f"b{k}", (k, 0, 0), (k + 1, 0, 0), 1, section, STEEL) for k in range(12)]
     turned = [Revolute(beams[0].at_start, (0, 0.6, 0.8))]

@@ -53,7 +53,7 @@ _LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
 @final
 @dataclass(frozen=True, eq=False)
 class ElementForms:
-    """What values of the design leave as it is in the elements of some beams.
+    """The data of the elements of some beams that values of the design leave unchanged.
 
     `element` has all node vectors that those of the beams have: theirs are widened to its size.
     `kind`, (n,), is the place of each element's type among `kinds`; `Y_unit`, (n, n_y, d), are the

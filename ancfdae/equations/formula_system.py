@@ -34,7 +34,7 @@ _RATES = ("q", "v", "a", "j")
 _TRACING: ContextVar[frozenset[type]] = ContextVar("_TRACING", default=frozenset())
 # Formulas of the system whose `with_values` runs.
 _HANDED: ContextVar[Formulas | None] = ContextVar("_HANDED", default=None)
-# Values of a list and of the functions may differ by so much, relative to the largest.
+# Largest difference between values of a list and of the functions, relative to the largest value.
 _SAME = 1e-9
 
 
@@ -94,7 +94,7 @@ class FormulaSystem(ListedSystem):
         self.b = self.b * 1.0
         if self.b.shape != (self.n_b,):
             rule = f"must have shape ({self.n_b},)"
-            raise InvalidInput(f"{where}.b", rule, self.b.shape, "Name all.")
+            raise InvalidInput(f"{where}.b", rule, self.b.shape, "Name all in `design_names`.")
         self.pattern = _full(self.n_q, self.n_q)
         self.constraint_pattern = _full(self.n_lam, self.n_q)
         handed = _HANDED.get()
@@ -107,7 +107,7 @@ class FormulaSystem(ListedSystem):
         vars(self)["force"] = self._force
         self.weights = self.coordinate_weights()
         if not np.all(self.weights > 0):
-            repair = "Override coordinate_weights."
+            repair = "Override `coordinate_weights`."
             raise InvalidInput(f"{where}.weights", "must be positive", self.weights, repair)
 
     def _trace(self) -> None:
@@ -151,7 +151,7 @@ class FormulaSystem(ListedSystem):
         M = np.asarray(self.mass_matrix(self.start()[0]))
         if M.shape != (self.n_q, self.n_q):
             where, rule = f"{type(self).__name__}.mass_matrix", f"must have shape {(self.n_q,) * 2}"
-            raise InvalidInput(where, rule, M.shape, "Return an array.")
+            raise InvalidInput(where, rule, M.shape, "Return it as an array, (n_q, n_q).")
         return np.diagonal(M).real.astype(float)
 
     def _require_the_same(self) -> None:

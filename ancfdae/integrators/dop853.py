@@ -85,6 +85,7 @@ class Dop853:
     t : float
         Time of the start; s.
     state : array, shape (2, ...)
+        y and u at t = 0; units of the equations.
     stages : callable, optional
         Compute stages from a first to a last one together: the accelerations and the states, from
         their times, and from factors, rows and states as above; state shape (2, rows, n).

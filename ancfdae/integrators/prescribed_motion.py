@@ -70,7 +70,7 @@ class Branch:
         self._driven = system.n_lam == system.n_q
         self._form: Form | None = None
         self._place: Place | None = None
-        # Of small systems the first place is compared with as many rows as any.
+        # The first place of a small system is compared with as many rows as any.
         self._count = min(max(_ROWS, _NUMBERS // max(system.n_lam, 1) ** 2), _MOST_ROWS)
 
     def lost(self, rows: Rows) -> Lost | None:

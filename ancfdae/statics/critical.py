@@ -49,8 +49,9 @@ _EPS = float(np.finfo(float).eps)
 # Newton's method may miss the extrapolated state by this part of the step. A step of the parameter
 # that failed is tried again from a place nearer than this part of it.
 _BEND, _AGAIN = 0.5, 0.25
-# A critical point is on the path if its state is no farther than this part of the system's size;
-# or if, so much of the way there, the state is no farther than this part of the distance.
+# A critical point is on the path if its state is no farther than the part _AT_HAND of the system's
+# size; or if the state at the part _WAY of the way there is no farther than the part _COME of the
+# distance.
 _AT_HAND, _WAY, _COME = 1e-3, 0.9, 0.7
 # A change of p by this part of the way shows how tau_p changes.
 _SLOPE = 3e-3
@@ -400,7 +401,7 @@ class _Search:
         return point, "bifurcation"
 
     def limit_point(self) -> tuple[HeldPoint, Kind] | None:
-        """Solve tau = tau_a = 0; None where that leads to no such point.
+        """Solve tau = tau_a = 0; None without convergence to a point ahead on the path.
 
         It is a bifurcation where the parameter does no work on the motion, tau_p = 0.
         """
@@ -445,8 +446,8 @@ class _Search:
     def _is_reached(self, point: HeldPoint) -> bool:
         """Whether the path leads there: Newton's method may have found a point of another one.
 
-        At nine tenths of the way there the state has come nearer to it, by the root of what is
-        left of the load or faster. What is near at hand is on the path.
+        At nine tenths of the way there the state has come nearer to it, by the root of the
+        rest of the load or faster. A point near at hand is on the path.
         """
         place, weights = self._place, point.system.weights
         way = norm(point.q - place.at.q, weights)
