@@ -9,7 +9,6 @@ error control. Only what was tried is named, and nothing replaces the run.
 from __future__ import annotations
 
 import math
-import time
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,6 +22,7 @@ from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, StepCo
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.model.material import Material
 from ancfdae.model.scene import Scene
+from ancfdae.numerics.timing import stopwatch
 from ancfdae.sensitivity.method import Run
 
 # Tolerances of runs under error control that are tried.
@@ -62,14 +62,14 @@ class _Budget:
         assert isinstance(integrator.steps, FixedSteps)
         self.step, self._integrator = integrator.steps.step, integrator
         self._run, self._stopped, self._left = run, solution, _MOST
-        self._began, self._longest = time.process_time(), 0.0
+        self._spent, self._longest = stopwatch(), 0.0
 
     def reaches_end(self, system: MechanicalSystem | None, step: float) -> bool | None:
         """Whether a run reaches the end, of the same system by default; None if it is too long."""
         system = self._run.system if system is None else system
         self._left -= math.ceil(self._run.t_end / step) * (system.n_q + system.n_lam)
         # A step of half the length reaches twice as far in twice as many steps.
-        late = time.process_time() + 4 * self._longest > self._began + _SECONDS
+        late = self._spent() + 4 * self._longest > _SECONDS
         return None if self._left < 0 or late else self._ends(system, FixedSteps(step))
 
     def reaches_end_with(self, rtol: float) -> bool:
@@ -79,11 +79,11 @@ class _Budget:
         return most >= 1 and self._ends(system, ControlledSteps(rtol, max_steps=int(most)))
 
     def _ends(self, system: MechanicalSystem, steps: StepControl) -> bool:
-        integrator, began = self._integrator.with_steps(steps), time.process_time()
+        integrator, spent = self._integrator.with_steps(steps), stopwatch()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ManySteps)
             outcome = integrator.integrate(system, self._run.t_end).outcome
-        self._longest = max(self._longest, time.process_time() - began)
+        self._longest = max(self._longest, spent())
         if outcome.verdict is Verdict.INTERRUPTED:
             raise Interrupted(self._stopped, str(self._stopped.outcome))
         return outcome.success
