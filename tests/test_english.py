@@ -74,7 +74,7 @@ EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
     "opens with what": 56,
-    "as far as": 6,
+    "as far as": 5,
     "is none": 72,
     "that of, those of": 540,
     "inversion": 1,

@@ -526,7 +526,7 @@ def test_custom_functions_serve_systems_without_names():
     assert np.allclose(partials.v, solution.v, rtol=1e-14, atol=0)
     assert np.allclose(partials.q, [0.0, 9.81], rtol=1e-14, atol=0)
     assert np.allclose(partials.b[:, 1], solution.q[:, 1], rtol=1e-14, atol=0)
-    with pytest.raises(InvalidInput, match="ANCF scene"):
+    with pytest.raises(InvalidInput, match="assembled scene"):
         position(ROD.at_end, 0).check(system)
     with pytest.raises(InvalidInput, match="assembled scene"):
         strain_energy().check(system)

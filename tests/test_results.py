@@ -161,7 +161,7 @@ def test_other_runs_are_refused():
         with pytest.raises(InvalidInput, match=match):
             call()
     along = HHT(ControlledSteps(1e-3, sensitivities=True))
-    with pytest.raises(InvalidInput, match="derivatives along"):
+    with pytest.raises(InvalidInput, match="error of its derivatives"):
         simulate(system, 1.0, along, after=run)
     with pytest.raises(UnfinishedRun):
         evaluate(Terminal(X), interrupted(FIXED), system)

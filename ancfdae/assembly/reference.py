@@ -55,7 +55,7 @@ class Reference:
         """Vectors of the start as declared, before any assembly, shape (n_vectors, d)."""
         parts = []
         for body in self._scene.members:
-            X, start = self._vectors[body.name], self._scene.start_of(body.name)
+            X, start = self._vectors[body.name], self._scene.start_of.get(body.name)
             parts.append(self._of(start.coordinates, body) if isinstance(start, NodeState) else X)
         return np.concatenate(parts)
 
@@ -68,7 +68,7 @@ class Reference:
         for k, body in enumerate(self._scene.members):
             X = self._vectors[body.name]
             vectors, first = q[first : first + X.size].reshape(X.shape), first + X.size
-            start = self._scene.start_of(body.name)
+            start = self._scene.start_of.get(body.name)
             V = np.zeros_like(vectors)
             if isinstance(start, RigidMotion):
                 V = self._rigid_velocity(body, start, vectors)

@@ -6,9 +6,10 @@ from typing import final
 
 from ancfdae.errors import InvalidInput, UnlikelyValue, require_finite, require_positive
 
-# A density above _DENSE and _HEAVY times the modulus is taken for a modulus: with the numbers of
-# steel exchanged it is 3e7 times; soft rubber, declared in kg and km, has 1,000 times.
-_DENSE, _HEAVY = 1e5, 2e3
+# A density above _DENSE and _HEAVY times the modulus is taken for a modulus, unless the modulus is
+# above _LIGHT: with the numbers of steel exchanged it is 3e7 times; soft rubber, declared in kg and
+# km, has 1,000 times. No solid has a density above 2.3e4, in kg/m^3.
+_DENSE, _HEAVY, _LIGHT = 1e5, 2e3, 3e4
 
 
 @final
@@ -36,7 +37,8 @@ class Material:
     Warns
     -----
     UnlikelyValue
-        If the density looks like a modulus: it is above 1e5 and 2,000 times the modulus.
+        If the density looks like a modulus: it is above 1e5 and 2,000 times the modulus, which is
+        at most 3e4.
     """
 
     density: float
@@ -47,7 +49,8 @@ class Material:
     def __post_init__(self) -> None:
         require_positive("Material.density", self.density)
         require_positive("Material.youngs_modulus", self.youngs_modulus)
-        if self.density > _DENSE and self.density > _HEAVY * self.youngs_modulus:
+        E = self.youngs_modulus
+        if self.density > _DENSE and self.density > _HEAVY * E and E <= _LIGHT:
             warnings.warn(
                 f"Material: the density, {self.density:g}, looks like a modulus and Young's "
                 f"modulus, {self.youngs_modulus:g}, like a density. The order is Material(density, "

@@ -127,12 +127,9 @@ class SceneDesign(Designable):
         parts = (*self.bodies, *self.joints, *self.loads, *self._rest_loads())
         return {part.name: part for part in parts}
 
-    def start_of(self, body: str) -> RigidMotion | NodeState | None:
-        """Return how a body starts, None if from rest in the reference configuration."""
-        return self._starts.get(body)
-
     @cached_property
-    def _starts(self) -> dict[str, RigidMotion | NodeState]:
+    def start_of(self) -> dict[str, RigidMotion | NodeState]:
+        """How bodies start that do not start from rest in the reference configuration, by name."""
         return {start.body: start for start in self.body_starts}
 
     def owners(self) -> tuple[str, ...]:
@@ -157,7 +154,7 @@ class SceneDesign(Designable):
             return numbers | on_ground(part, self.member).parameters()
         if part is None and owner not in (beam.name for beam in self.beams):
             raise UnknownName("beam, body, joint or load", owner, self.owners())
-        start = self.start_of(owner)
+        start = self.start_of.get(owner)
         motion = start.parameters() if isinstance(start, RigidMotion) else {}
         numbers = {} if part is None else part.parameters()
         return numbers | self.member(owner).placement() | motion
@@ -243,7 +240,7 @@ class SceneDesign(Designable):
                 changes_of.setdefault(change[1].owner, []).append(change)
         for owner, changes in changes_of.items():
             part = self._members.get(owner) or self.parts().get(owner)
-            start = self.start_of(owner)
+            start = self.start_of.get(owner)
             known = start.parameters() if isinstance(start, RigidMotion) else ()
             started = any(target.parameter in known for _, target, _ in changes)
             if part is None or started or not _fits_alike(part, _with_values(part, changes)):

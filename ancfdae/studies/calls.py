@@ -130,7 +130,7 @@ def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 
     `level` is that of the caller of the call, as in `warnings.warn`.
     """
     strained: dict[str, float] = {}
-    for k in np.unique(np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int)):
+    for k in np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int):
         for name, strain in system.strained(q[k]).items():
             strained[name] = max(strain, strained.get(name, 0.0))
     if strained:

@@ -24,6 +24,7 @@ from ancfdae.errors import (
     require_folder,
     require_kind,
     require_path,
+    require_positive,
     require_sequence,
 )
 from ancfdae.integrators.high_order import HighOrder
@@ -75,6 +76,7 @@ class Evaluate:
         kinds = (Objective,) if self.gradient else (Objective, Observable)
         require_kind("Evaluate.of", self.of, kinds, "For example Terminal(position(...)).")
         require_kind("Evaluate.integrator", self.integrator, (Integrator,), "Give HHT(step=0.01).")
+        require_positive("Evaluate.t_end", self.t_end)
         if self.design is not None:
             as_design(self.design)
 
