@@ -114,7 +114,8 @@ class LoadOutcome:
             )
         if self.stable_to is not None:
             above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""
-            text += f"; unless it turns, it is unstable (buckled), with a negative stiffness{above}"
+            text += f"; its stiffness is negative{above}: "
+            text += _GYROSCOPIC if self.gyroscopic else "it is unstable (buckled)"
         if self.flutter is not None:
             text += (
                 "; unless damping holds it, it flutters: its loads turn with the motion, and a "
