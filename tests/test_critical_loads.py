@@ -705,3 +705,49 @@ def test_a_shaft_on_two_bearings_leaves_in_two_directions_at_once_above_greenhil
         lost.append(found.outcome.stable_to * shares[1])
     # To one per cent in steps; meshes err by 13 and 4.5 %, with order two, the limit by 2 %.
     assert lost[1] + (lost[1] - lost[0]) / 3 == pytest.approx(1.0, abs=0.04)
+
+
+# -- structures that are not perfect ------------------------------------------------------------
+
+
+def leaning(free, across=0.0):
+    """A rigid link of length 0.5 that stands on a torsion spring k = 10 of a free angle."""
+    bar = Beam(
+        "bar", (0, 0), (0, 0.5), 1, Rectangle(0.01, 0.01), Material(7850, E, 0.3), rigid=True
+    )
+    spring = TorsionSpring(bar.at_start, 10.0, free_angle=free, name="spring")
+    load = PointForce(bar.at_end, (across, 0.0), name="load")
+    return Scene([bar], [Pin(bar.at_start)], loads=[load, spring])
+
+
+@pytest.mark.parametrize("free", [1e-5, 1e-4, 1e-3, -1e-3, 1e-2, 0.1])
+def test_a_link_that_leans_has_no_critical_load(free):
+    # P(turn) = k (turn - free) / (l sin turn) rises from turn = free to pi. A limit point lies on
+    # the other path, on the other side, which no load from zero leads to.
+    with pytest.raises(NoCriticalPoint, match=r"every equilibrium up to -35 is stable"):
+        critical_load(leaning(free), "load.force_y", -35.0)
+
+
+@pytest.mark.parametrize("q", [1e-4, 1e-2, 1.0])
+def test_a_link_that_is_pushed_aside_against_a_spring_across_snaps(q):
+    # A spring k holds the top across: P = k l cos(turn) - q cot(turn), the most of it at
+    # sin(turn)^3 = q / (k l) (W. T. Koiter 1945).
+    k, l = 100.0, 0.5
+    scene = leaning(0.0, across=q)
+    spring = Bushing(scene.beams[0].at_end, (k, 0.0), name="spring")
+    scene = replace(scene, loads=[scene.loads[0], spring])
+    design = ["spring.stiffness_x", "load.force_x"]
+    found = critical_load(scene, "load.force_y", -70.0, design=design)
+    assert found.kind == "limit point"
+    sine = np.cbrt(q / (k * l))
+    cosine = np.sqrt(1 - sine**2)
+    np.testing.assert_allclose(found.value, -k * l * cosine**3, rtol=1e-9)
+    np.testing.assert_allclose(found.gradient, [-l * cosine, cosine / sine], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("n", "across"), [(8, 0.1), (8, 1.0), (8, 5.0), (16, 1.0), (16, 5.0)])
+def test_a_column_that_is_pushed_aside_bends_and_has_no_critical_load(n, across):
+    # Elastica: E I turn'' = -P sin turn - F cos turn has one solution bent to the side of F.
+    for to in (-600.0, -1000.0):
+        with pytest.raises(NoCriticalPoint, match="is stable"):
+            critical_load(column(n, across=across), "load.force_x", to)

@@ -46,9 +46,12 @@ _NEARER, _CLOSE, _LEAST = 0.4, 1e-7, 1e-3
 # are seen to the last part of p; changes by less than the digits of p are round-off.
 _CONVERGED, _FAR, _REACH, _SEEN, _DIGITS = 1e-6, 64.0, 1.5, 1e-6, 1e-8
 _EPS = float(np.finfo(float).eps)
-# Newton's method may miss the extrapolated state by this part of the step. A step of the parameter
-# that failed is tried again from a place nearer than this part of it.
-_BEND, _AGAIN = 0.5, 0.25
+# Newton's method may miss the extrapolated state by the part _MISS of the step. Two states lie on
+# one smooth path if the mean of their tangents misses their difference by the part _BEND at most.
+# A step of the parameter that failed is tried again from a place nearer than this part of it.
+_MISS, _BEND, _AGAIN = 0.5, 0.25, 0.25
+# A loss that recedes is not believed to be farther than this many times what slopes say.
+_RECEDES = 20.0
 # A change of p by this part of the way shows how tau_p changes.
 _SLOPE = 3e-3
 _FLUTTER = (
@@ -274,6 +277,33 @@ class _Place:
             first if np.any(far > 0) else X[:, 0],
         )
 
+    @property
+    def digits(self) -> float:
+        """Changes of the coordinates that may be round-off, in the norm of the weights."""
+        return _DIGITS * Balance(self.system, 0.0, self.at.q, self.at.lam).extent
+
+    def leads_to(self, q: Array, p: float) -> bool:
+        """Whether the tangent of the path here leads to a state at p, to first order."""
+        ahead, way = q - self.at.q, (p - self.p) * self.paths[0]
+        weights = self.system.weights
+        return norm(ahead - way, weights) <= _MISS * norm(way, weights) + self.digits
+
+    def joins(self, after: _Place, small: bool) -> bool:
+        """Whether the path from here leads to another place, by the tangents of both.
+
+        Their mean is the secant of a smooth path. Of a `small` step it may be any other mean: the
+        path has a kink there, as of a cable that slackens.
+        """
+        step, secant = after.p - self.p, after.at.q - self.at.q
+        weights, (first, last) = self.system.weights, (step * x.paths[0] for x in (self, after))
+        part, turn = 0.5, last - first
+        if small and np.any(turn):
+            part = float(
+                np.clip((weights * turn) @ (secant - first) / norm(turn, weights) ** 2, 0, 1)
+            )
+        missed = norm(secant - first - part * turn, weights)
+        return missed <= _BEND * norm(secant, weights) + self.digits
+
     def is_double(self, begin: float) -> bool:
         """Whether two motions are about to lose their stiffness at once."""
         if len(self.ahead) < 2:
@@ -290,6 +320,7 @@ class _Path:
         self._begin, self._to, self._sense = begin, to, np.sign(to - begin)
         self._stride = self._most = abs(to - begin) / _STEPS
         self._lost = self._failed = self.tried = np.inf
+        self._rate = 1.0
 
     def left(self, place: _Place) -> float:
         """Distance to where stiffness is, or may be, lost; infinite where that is not in sight."""
@@ -305,16 +336,21 @@ class _Path:
         p = self._next(place)
         step = abs(p - place.p)
         moved = _moved(system, place.k, p)
-        at = _followed(moved, place)
-        if at is None:
-            self._lost, self._failed, self._stride = p, step, 0.5 * step
+        at, way = _followed(moved, place), abs(place.p - self._begin)
+        ahead = None if at is None else _Place.of(moved, place.k, self._sense, at)
+        if ahead is None or not place.joins(ahead, step <= _LEAST * way):
+            self._lost, self._failed, self._stride, self._rate = p, step, 0.5 * step, 1.0
             return place
-        ahead = _Place.of(moved, place.k, self._sense, at)
-        if ahead.behind < _SAFE * step and step > _LEAST * self._most:
-            # Between two stable places stiffness may vanish.
+        # Between two stable places stiffness may vanish. That is not believed where slopes have
+        # promised the same of the path so far.
+        if ahead.behind < _SAFE * step and step > _LEAST * self._most and place.behind >= way:
             self._stride = 0.5 * step
             return place
         self._stride = min(2.0 * self._stride, self._most)
+        if len(place.ahead) and len(ahead.ahead):
+            # How fast the loss that slopes promise comes nearer.
+            rate = (place.ahead[0] - ahead.ahead[0]) / step
+            self._rate = float(np.clip(rate, 1.0 / _RECEDES, 1.0))
         if abs(p - self._begin) >= abs(self._lost - self._begin):
             self._lost = np.inf
         return ahead
@@ -325,7 +361,7 @@ class _Path:
         nearer = lost < np.inf and lost <= _AGAIN * self._failed
         if nearer and not np.any(_SAFE * place.ahead[:1] <= lost):
             return self._lost
-        step = min(self._stride, _SAFE * self.left(place))
+        step = min([self._stride, _SAFE * lost, *_SAFE * place.ahead[:1] / self._rate])
         return self._to if room <= 1.1 * step else float(place.p + self._sense * step)
 
 
@@ -338,11 +374,8 @@ def _followed(moved: MechanicalSystem, place: _Place) -> Equilibrium | None:
     at, step = place.at, float(moved.b[place.k]) - place.p
     guess = at.q + step * place.paths[0], at.lam + step * place.paths[1]
     found = _near(moved, *guess)
-    if found is not None:
-        weights, extent = moved.weights, Balance(moved, 0.0, at.q, at.lam).extent
-        missed, way = norm(found.q - guess[0], weights), norm(guess[0] - at.q, weights)
-        if missed <= _BEND * way + _DIGITS * extent:
-            return found
+    if found is not None and place.leads_to(found.q, place.p + step):
+        return found
     return _near(moved, at.q, at.lam)
 
 
@@ -391,18 +424,41 @@ class _Search:
         point = self._newton(equations)
         if point is None or not abs(point.tau) <= point.round_off:
             return None
+        if not self._place.leads_to(point.q, float(point.system.b[k])):
+            return None
         return point, "bifurcation"
 
     def limit_point(self) -> tuple[HeldPoint, Kind] | None:
-        """Solve tau = tau_a = 0; None where that leads to no limit point."""
+        """Solve tau = tau_a = 0; None where that leads to no limit point of this path."""
+        first: list[HeldPoint] = []
 
         def equations(x: HeldPoint) -> tuple[Array, Array]:
+            first.append(x)
             tau_aa, tau_ab = x.in_a
             matrix = np.array([[x.tau_a, x.tau_b[self._k]], [tau_aa, tau_ab[self._k]]])
             return matrix, np.array([x.tau, x.tau_a])
 
         point = self._newton(equations)
-        return None if point is None else (point, "limit point")
+        if point is None or not self._ends_in(first[0], point):
+            return None
+        return point, "limit point"
+
+    def _ends_in(self, here: HeldPoint, end: HeldPoint) -> bool:
+        """Whether the path of a place ends in a limit point.
+
+        Near it p(a) is a parabola and q(a) has the mean of two tangents as secant; tau_p keeps its
+        sign, which changes between two paths that lie side by side.
+        """
+        k, weights = self._k, end.system.weights
+        tau_p, by_a = here.tau_b[k], end.q[end.i] - here.q[end.i]
+        if not tau_p * end.tau_b[k] > 0:
+            return False
+        slope, dp = -here.tau_a / tau_p, end.system.b[k] - here.system.b[k]
+        tangents = here.motion[0] + slope * here.paths[0][:, k] + end.motion[0]
+        secant = end.q - here.q
+        missed = norm(secant - 0.5 * by_a * tangents, weights)
+        bends = missed <= _BEND * norm(secant, weights) + self._place.digits
+        return bool(bends and abs(dp - 0.5 * by_a * slope) <= _BEND * abs(dp))
 
     def _newton(self, equations: Callable[[HeldPoint], tuple[Array, Array]]) -> HeldPoint | None:
         """Return a solution ahead of the place and not far away; None if it finds none."""
