@@ -270,12 +270,53 @@ def test_stability_is_lost_there_and_not_before(rise, kind):
     assert not stable(1.01)
 
 
-def test_two_motions_at_once_are_refused():
-    rod = Beam("rod", (0, 0, 0), (1, 0, 0), 4, Rectangle(0.01, 0.01), Material(7850, E, 0.3))
+def in_space(n, height):
+    """A column of width 0.01 in space, clamped at its foot."""
+    rod = Beam("rod", (0, 0, 0), (1, 0, 0), n, Rectangle(height, 0.01), Material(7850, E, 0.3))
     load = PointForce(rod.at_end, (0.0, 0.0, 0.0), name="load")
-    scene = Scene([rod], [Clamp(rod.at_start)], loads=[load])
+    return Scene([rod], [Clamp(rod.at_start)], loads=[load])
+
+
+@pytest.mark.parametrize("n", [2, 4, 6, 8, 16])
+@pytest.mark.parametrize("to", [-440.0, -1000.0, -4e5])
+def test_two_motions_at_once_are_refused(n, to):
     with pytest.raises(InvalidInput, match="not two at once"):
-        critical_load(scene, "load.force_x", -1000.0)
+        critical_load(in_space(n, 0.01), "load.force_x", to)
+
+
+def test_two_motions_at_once_beyond_the_range_are_none():
+    with pytest.raises(NoCriticalPoint, match="every equilibrium up to"):
+        critical_load(in_space(8, 0.01), "load.force_x", -431.75)
+
+
+@pytest.mark.parametrize(("share", "slope"), [(1e-3, 1), (-1e-3, 3), (0.1, 1), (-0.1, 3)])
+def test_a_column_that_is_nearly_square_buckles_to_its_thinner_side(share, slope):
+    scene = in_space(8, 0.01 * (1 + share))
+    found = critical_load(scene, "load.force_x", -1000.0, design=["rod.height", "rod.width"])
+    # E w h^3 pi^2 / 48 or E h w^3 pi^2 / 48; shear and shortening 4e-4.
+    logs = found.gradient * [0.01 * (1 + share), 0.01] / found.value
+    np.testing.assert_allclose(logs, [slope, 4 - slope], rtol=2e-3)
+    exact = (np.pi**2) * E * 0.01**4 / 48 * (1 + share) ** slope
+    np.testing.assert_allclose(-found.value, exact, rtol=1e-3)
+
+
+def roof(height):
+    """Two pinned bars of length sqrt(1.09) under a force at their apex; one of another height."""
+    material = Material(7850, E, 0.3)
+    one = Beam("one", (-1, 0), (0, 0.3), 8, Rectangle(0.01, 0.01), material)
+    other = Beam("other", (0, 0.3), (1, 0), 8, Rectangle(height, 0.01), material)
+    joints = [Pin(one.at_start), Pin(one.at_end, other.at_start), Pin(other.at_end)]
+    return Scene([one, other], joints, loads=[PointForce(one.at_end, (0.0, 0.0), name="load")])
+
+
+@pytest.mark.parametrize("to", [-1000.0, -2000.0, -1e4, -1e5])
+def test_two_bars_that_buckle_under_one_force_are_refused(to):
+    with pytest.raises(InvalidInput, match="not two at once"):
+        critical_load(roof(0.01), "load.force_y", to)
+    found = critical_load(roof(0.0101), "load.force_y", to, design=["one.height", "other.height"])
+    # Bar one buckles. The apex gives way by 1e-3 of its height.
+    logs = found.gradient * [0.01, 0.0101] / found.value
+    np.testing.assert_allclose(logs, [3.0, 0.0], atol=0.02)
 
 
 def test_a_critical_value_is_an_objective_like_any_other():

@@ -58,9 +58,12 @@ _FLUTTER = (
     "Its loads turn with the motion, so that it may flutter, which takes no loss of stiffness: "
     "ask modes(scene, at=equilibrium(scene))"
 )
-# Cosine between what a variable changes and the motion below which it does no work; difference of
-# two losses, relative to the whole way, that are one; imaginary parts of a real number.
-_NONE, _DOUBLE, _REAL = 1e-7, 1e-6, 1e-8
+# Two losses whose difference is this part of their distance are told apart from a place that is
+# nearer; at the part _NEAR of the way they are one, being closer than 1e-4 of it.
+_GAP, _NEAR = 0.1, 1e-3
+# Cosine between what a variable changes and the motion below which it does no work; imaginary parts
+# of a real number.
+_NONE, _REAL = 1e-7, 1e-6
 
 
 @final
@@ -193,7 +196,8 @@ def _first_critical(
         left = path.left(place)
         if left <= path.next_trial(place):
             path.tried = left
-            if place.is_double(begin):
+            near = max(_NEAR * abs(place.p - begin), place.blur)
+            if place.crowded and place.ahead[0] <= min(near, abs(to - place.p)):
                 raise InvalidInput(
                     "critical_load",
                     "one motion must lose its stiffness, not two at once",
@@ -201,7 +205,7 @@ def _first_critical(
                     "Hold one, or make their stiffness differ, as that of a square section.",
                 )
             search = _Search(place, k, (begin, to), left)
-            found = search.bifurcation() or search.limit_point()
+            found = None if place.crowded else search.bifurcation() or search.limit_point()
             if found is not None:
                 return found
         if left <= _CLOSE * max(abs(place.p - begin), _LEAST * abs(to - begin)):
@@ -228,8 +232,9 @@ class _Place:
     """A stable equilibrium at p, and what its stiffness promises.
 
     `ahead` are the distances, in the sense of the search, after which motions lose their stiffness
-    if it goes on changing as it does here, rising; `behind` the least one backward. The `motion` is
-    the first to lose it, `paths` are dq/dp and dlam/dp. It `follows` if K is not symmetric.
+    if it goes on changing as it does here, rising; `behind` the least one backward, `blur` what
+    round-off leaves of the first. The `motion` is the first to lose it, `paths` are dq/dp and
+    dlam/dp. It `follows` if K is not symmetric.
     """
 
     system: MechanicalSystem
@@ -239,6 +244,7 @@ class _Place:
     follows: bool
     ahead: Array
     behind: float
+    blur: float
     motion: Array
 
     @property
@@ -259,13 +265,17 @@ class _Place:
             force, side = (x[:, k] for x in stiffness_total(system, state, motion, paths))
             slope[:, j] += X.T @ force + mu.T @ side
         if not len(K):  # Constraints leave no motion.
-            nothing = np.zeros(0), np.inf, np.zeros(system.n_q)
+            nothing = np.zeros(0), np.inf, 0.0, np.zeros(system.n_q)
             return _Place(system, k, at, along, soft.follows, *nothing)
+        if not soft.follows:
+            K, slope = (K + K.T) / 2, (slope + slope.T) / 2
         rates, V = np.linalg.eig(np.linalg.solve(K, -sense * slope))
         real = np.abs(rates.imag) <= _REAL * np.abs(rates)
-        first = X @ V[:, np.argmax(np.where(real, rates.real, -np.inf))].real
+        v = V[:, np.argmax(np.where(real, rates.real, -np.inf))].real
+        first = X @ v
         with np.errstate(divide="ignore"):
             far = 1.0 / rates[real].real
+            blur = soft.noise * (v @ v) / np.abs(v @ slope @ v)
         return _Place(
             system,
             k,
@@ -274,6 +284,7 @@ class _Place:
             soft.follows,
             np.sort(far[far > 0]),
             float(np.min(-far[far < 0], initial=np.inf)),
+            float(blur),
             first if np.any(far > 0) else X[:, 0],
         )
 
@@ -304,12 +315,13 @@ class _Place:
         missed = norm(secant - first - part * turn, weights)
         return missed <= _BEND * norm(secant, weights) + self.digits
 
-    def is_double(self, begin: float) -> bool:
-        """Whether two motions are about to lose their stiffness at once."""
+    @property
+    def crowded(self) -> bool:
+        """Whether two losses lie so close together that they look like one from here."""
         if len(self.ahead) < 2:
             return False
         one, other = self.ahead[:2]
-        return bool(other - one <= _DOUBLE * (abs(self.p - begin) + one))
+        return bool(other - one <= max(_GAP * one, self.blur))
 
 
 @final
