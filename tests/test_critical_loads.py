@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 from scipy.special import ellipe, ellipk
 
 from ancfdae import (
@@ -248,6 +248,76 @@ def test_what_has_no_critical_load_says_so():
 def test_a_variable_that_parts_the_paths_has_no_derivative():
     with pytest.raises(InvalidInput, match="a change of which parts them"):
         critical_load(column(4), "load.force_x", -1000.0, design=["rod.height", "load.force_y"])
+
+
+EI = E * 0.01**4 / 12
+
+
+def on_a_spring(n, spring, foot=Clamp, o=0.0):
+    """A column of length one from (o, 0), on a spring that `spring` makes of it."""
+    rod = Beam("rod", (o, 0), (o + 1, 0), n, Rectangle(0.01, 0.01), Material(7850, E, 0.3))
+    load = PointForce(rod.at_end, (0.0, 0.0), name="load")
+    return Scene([rod], [foot(rod.at_start)], loads=[load, spring(rod)])
+
+
+def slope_of_root(equation, k, low, high):
+    """Derivative in k of the load E I u^2 of the root u of an equation in u and k."""
+    ends = [
+        -EI * brentq(equation, low, high, args=(k * (1 + s),), xtol=1e-14) ** 2
+        for s in (1e-4, -1e-4)
+    ]
+    return (ends[0] - ends[1]) / (2e-4 * k)
+
+
+@pytest.mark.parametrize("o", [0.0, 100.0])
+@pytest.mark.parametrize("n", [2, 8, 16])
+@pytest.mark.parametrize("k", [10.0, 500.0, 1e4])
+def test_the_critical_load_has_a_derivative_in_a_spring_that_is_free_of_load(o, n, k):
+    # A pinned foot on a torsion spring, the top free: u tan u = k L / E I.
+    scene = on_a_spring(n, lambda rod: TorsionSpring(rod.at_start, k, name="spring"), Pin, o)
+    found = critical_load(scene, "load.force_x", -1e4, design=["spring.stiffness"])
+    expected = slope_of_root(lambda u, k: u * np.tan(u) - k / EI, k, 1e-6, np.pi / 2 - 1e-9)
+    # Shear, shortening and two elements: the smaller the stiffer the spring.
+    np.testing.assert_allclose(found.gradient, [expected], rtol=2e-3)
+
+
+@pytest.mark.parametrize("n", [4, 8])
+@pytest.mark.parametrize(
+    ("spring", "name"),
+    [
+        (lambda rod: Bushing(rod.at_end, (0, 300.0), name="k"), "k.stiffness_y"),
+        (
+            lambda rod: SpringDamper(
+                rod.at_end, 300.0, free_length=100.0, ground=(1, -100), name="k"
+            ),
+            "k.stiffness",
+        ),
+    ],
+    ids=["bushing", "spring"],
+)
+def test_the_critical_load_has_a_derivative_in_a_spring_across_the_top(spring, name, n):
+    # tan u = u - E I u^3 / (k L^3). The top goes down by 4e-5, which tilts the long spring.
+    found = critical_load(on_a_spring(n, spring), "load.force_x", -1e4, design=[name])
+    equation = lambda u, k: np.sin(u) - (u - EI * u**3 / k) * np.cos(u)  # noqa: E731
+    expected = slope_of_root(equation, 300.0, 1.6, 4.4)
+    assert found.kind == "bifurcation"
+    np.testing.assert_allclose(found.gradient, [expected], rtol=3e-3)
+
+
+@pytest.mark.parametrize("n", [2, 8])
+def test_the_critical_load_has_a_derivative_in_a_bushing_that_turns(n):
+    # The turn is sin(u x), without a force across: E I u cos(u) + k sin(u) = 0 at the top.
+    hold = lambda rod: Bushing(rod.at_end, (0, 0), turn_stiffness=100.0, name="k")  # noqa: E731
+    found = critical_load(on_a_spring(n, hold), "load.force_x", -1e4, design=["k.turn_stiffness"])
+    equation = lambda u, k: EI * u * np.cos(u) + k * np.sin(u)  # noqa: E731
+    expected = slope_of_root(equation, 100.0, np.pi / 2, np.pi - 1e-9)
+    np.testing.assert_allclose(found.gradient, [expected], rtol=3e-3)
+
+
+def test_the_free_angle_of_a_spring_that_is_free_of_load_parts_the_paths():
+    scene = on_a_spring(4, lambda rod: TorsionSpring(rod.at_start, 500.0, name="spring"), Pin)
+    with pytest.raises(InvalidInput, match=r"spring\.free_angle.*a change of which parts them"):
+        critical_load(scene, "load.force_x", -1e4, design=["spring.free_angle"])
 
 
 @pytest.mark.parametrize(("rise", "kind"), [(0.01, "limit point"), (0.02, "bifurcation")])

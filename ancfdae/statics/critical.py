@@ -61,9 +61,8 @@ _FLUTTER = (
 # Two losses whose difference is this part of their distance are told apart from a place that is
 # nearer; at the part _NEAR of the way they are one, being closer than 1e-4 of it.
 _GAP, _NEAR = 0.1, 1e-3
-# Cosine between what a variable changes and the motion below which it does no work; imaginary parts
-# of a real number.
-_NONE, _REAL = 1e-7, 1e-6
+# Imaginary parts of a real number.
+_REAL = 1e-6
 
 
 @final
@@ -515,7 +514,7 @@ def _gradient(x: HeldPoint, k: int, kind: Kind, size: float) -> Array:
     """Return the derivatives of p, which has come so far."""
     if kind == "limit point":
         return -x.tau_b / x.tau_b[k]
-    parted = np.abs(x.tau_b) > _NONE * x.reach
+    parted = x.parted()
     parted[k] = False
     if np.any(parted):
         name = x.system.design_names[int(np.argmax(parted))]

@@ -46,6 +46,9 @@ _ITERATIONS = 25
 _CONVERGED = 1e-7
 # Part of the range of a parameter by which its second derivatives move it.
 _STEP = 3e-3
+# Cosine between what a variable changes and the motion below which it does no work. Samples of
+# random changes of the coordinates by digits that count, relative to the size of the system.
+_NONE, _SAMPLES, _SEEN = 1e-7, 4, 1e-8
 _EPS, _ROUNDINGS = float(np.finfo(float).eps), 64
 
 
@@ -104,6 +107,25 @@ class HeldPoint:
         b, (q_p, lam_p) = np.asarray(self.system.b), (x[:, k] for x in self.paths)
         moved = self.system.with_values(b + step * np.eye(len(b))[k])
         return self._forces(moved, step * q_p, step * lam_p)
+
+    def parted(self) -> Array:
+        """Return which design variables change tau, and so part paths that cross, shape (n_b,).
+
+        One does not whose forces do no work on y. Nor does one whose whole part of tau is round-off
+        and vanishes within the digits of q, as of the stiffness of a spring that nothing stretches.
+        """
+        system, y_q = self.system, self.left[0]
+        s_b, size = system.start_b()[0], Balance(system, 0.0, self.q, self.lam).extent
+        digits = _SEEN * size / np.sqrt(np.sum(system.weights)) + _ROUNDINGS * _EPS * np.abs(self.q)
+        rng, here = np.random.default_rng(0), y_q @ _totals(system, self.q, self.lam, s_b)[0]
+        seen = np.zeros_like(self.tau_b)
+        for _ in range(_SAMPLES):
+            moved = self.q + digits * rng.choice((-1.0, 1.0), len(digits))
+            force, _ = _totals(system, moved, self.lam, s_b)
+            seen = np.maximum(seen, np.abs(y_q @ force - here))
+        parts = np.abs(self.tau_b) > _NONE * self.reach
+        unseen = np.abs(self.tau_b) <= seen
+        return np.asarray(parts & ~(unseen & (np.abs(self.tau_b * system.b) <= self.round_off)))
 
     @cached_property
     def round_off(self) -> float:
