@@ -463,7 +463,7 @@ def test_derivatives_of_the_holding_force():
     tau_aa, tau_ab = point.in_a
     np.testing.assert_allclose(point.tau_a, (held(h).tau - held(-h).tau) / (2 * h), rtol=1e-5)
     np.testing.assert_allclose(tau_aa, (held(h).tau_a - held(-h).tau_a) / (2 * h), rtol=1e-5)
-    tau_pb = point.in_p(0, 5.0)
+    tau_pb = point.in_p(0, 0.0, -40.0)
     for j, b in enumerate(system.b):
         change = 1e-3 * b * np.eye(len(system.b))[j]
         ends = held(0.0, change), held(0.0, -change)
@@ -862,3 +862,43 @@ def test_a_column_that_is_pushed_aside_bends_and_has_no_critical_load(n, across)
     for to in (-600.0, -1000.0):
         with pytest.raises(NoCriticalPoint, match="is stable"):
             critical_load(column(n, across=across), "load.force_x", to)
+
+
+# -- within the range ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("E_0", [2.1e11, 2e10, 2e9])
+@pytest.mark.parametrize("to", [1e9, 1e6])
+def test_a_modulus_falls_until_a_column_buckles_under_its_own_weight(E_0, to):
+    # A. G. Greenhill (1881): rho A g L^3 = 7.8373 E I. Newton's method and differences of 0.6 % of
+    # the way from 2.1e11 would pass zero, where there is no material.
+    rod = Beam("rod", (0, 0), (0, 1), 8, Rectangle(0.01, 0.01), Material(7850, E_0, 0.3))
+    scene = Scene([rod], [Clamp(rod.at_start)], gravity=(0, -9.81))
+    found = critical_load(scene, "rod.youngs_modulus", to, design=["rod.height", "rod.density"])
+    exact = 7850 * 9.81 * 12 / (7.8373 * 1e-4)
+    # Shear and shortening: 3e-4.
+    np.testing.assert_allclose(found.value, exact, rtol=1e-3)
+    logs = found.gradient * [0.01, 7850] / found.value
+    np.testing.assert_allclose(logs, [-2.0, 1.0], rtol=2e-3)
+
+
+@pytest.mark.parametrize("share", [1.001, 1.01, 1.1, 3.0, 100.0])
+@pytest.mark.parametrize("scene", [column(2), lee(6)], ids=["column", "frame"])
+def test_no_value_beyond_the_range_is_tried(scene, share, monkeypatch):
+    name = "load.force_x" if len(scene.beams) == 1 else "load.force_y"
+    design = [f"{scene.beams[0].name}.height"]
+    far = critical_load(scene, name, -3e4, design=design)
+    value = far.value
+    tried, scene = [], scene.with_values({name: 0.5 * value})
+    kind = type(assemble(scene, [name, *design]))
+    moved = kind.with_values
+
+    def noted(system, b):
+        tried.append(b[0])
+        return moved(system, b)
+
+    monkeypatch.setattr(kind, "with_values", noted)
+    found = critical_load(scene, name, share * value, design=design)
+    np.testing.assert_allclose(found.value, value, rtol=1e-8)
+    np.testing.assert_allclose(found.gradient, far.gradient, rtol=1e-6)
+    assert share * value <= min(tried) <= max(tried) <= 0.5 * value

@@ -45,6 +45,8 @@ _NEARER, _CLOSE, _LEAST = 0.4, 1e-7, 1e-3
 # number of them, since slopes see a limit point at twice its distance or less. Signs of stiffness
 # are seen to the last part of p; changes by less than the digits of p are round-off.
 _CONVERGED, _FAR, _REACH, _SEEN, _DIGITS = 1e-6, 64.0, 1.5, 1e-6, 1e-8
+# A step of Newton's method that leads out of the range of p is shortened, and this many at most.
+_LEAVES = 3
 _EPS = float(np.finfo(float).eps)
 # Newton's method may miss the extrapolated state by the part _MISS of the step. Two states lie on
 # one smooth path if the mean of their tangents misses their difference by the part _BEND at most.
@@ -168,7 +170,7 @@ def find_critical(system: MechanicalSystem, k: int, to: float) -> CriticalLoad:
     names = tuple(x for j, x in enumerate(system.design_names) if j != k)
     at = resting(point.system, point.q, point.lam, stable=True)
     value = float(point.system.b[k])
-    gradient = np.delete(_gradient(point, k, kind, abs(value - begin)), k)
+    gradient = np.delete(_gradient(point, k, kind, (begin, to)), k)
     return CriticalLoad(system.design_names[k], value, kind, motion, at, names, gradient, point, k)
 
 
@@ -423,7 +425,7 @@ class _Search:
         def equations(x: HeldPoint) -> tuple[Array, Array]:
             (tau_aa, tau_ab), before = x.in_a, last[-1] if last else None
             if before is None:
-                known.append(x.bend(k, _SLOPE * self._size))
+                known.append(x.bend(k, self._slope_step(x)))
             elif abs(x.system.b[k] - before.system.b[k]) > _SLOPE * self._size:
                 dp, da = x.system.b[k] - before.system.b[k], x.q[x.i] - before.q[x.i]
                 by_a = 0.5 * (tau_ab[k] + before.in_a[1][k]) * da
@@ -471,10 +473,17 @@ class _Search:
         bends = missed <= _BEND * norm(secant, weights) + self._place.digits
         return bool(bends and abs(dp - 0.5 * by_a * slope) <= _BEND * abs(dp))
 
+    def _slope_step(self, x: HeldPoint) -> float:
+        """Return a small change of p that stays in the range."""
+        begin, to = self._ends
+        step, p = _SLOPE * min(self._size, abs(to - begin)), x.system.b[self._k]
+        return float(np.sign(to - begin) * (step if abs(to - p) > step else -step))
+
     def _newton(self, equations: Callable[[HeldPoint], tuple[Array, Array]]) -> HeldPoint | None:
         """Return a solution ahead of the place and not far away; None if it finds none."""
         place, k, last, left = self._place, self._k, np.inf, self._left
         p, a, q, lam = place.p, place.at.q[self._i], place.at.q, place.at.lam
+        leaving = 0
         for _ in range(_ITERATIONS):
             point = _held(place.system, k, p, self._i, a, q, lam)
             if point is None:
@@ -487,6 +496,13 @@ class _Search:
             digits = 4 * _EPS * max(abs(p), self._size)
             if (abs(dp) >= 0.5 * last and last <= small) or abs(dp) <= digits:
                 return point if point.held and self._is_ahead(p) else None
+            # Nothing is known beyond the range: there may be no such system.
+            room = self._room(p, -dp)
+            if not abs(dp) < room:
+                part, leaving = 0.5 * room / abs(dp), leaving + 1
+                if not leaving <= _LEAVES:
+                    return None
+                da, dp = part * da, part * dp
             a, p, last = a - da, p - dp, abs(dp)
             if not abs(p - place.p) <= _FAR * left:
                 return None
@@ -494,6 +510,11 @@ class _Search:
             q = point.q - da * point.motion[0] - dp * point.paths[0][:, k]
             lam = point.lam - da * point.motion[1] - dp * point.paths[1][:, k]
         return None
+
+    def _room(self, p: float, sense: float) -> float:
+        """Distance from p to the end of the range in a sense."""
+        ends = np.array(self._ends)
+        return float(np.max(ends) - p if sense > 0 else p - np.min(ends))
 
     def _is_ahead(self, p: float) -> bool:
         """Whether p is in the range, and about where stability is lost, to the digits it has."""
@@ -510,8 +531,8 @@ def _held(
     return HeldSystem(moved, i, q).solve(a, q, lam)
 
 
-def _gradient(x: HeldPoint, k: int, kind: Kind, size: float) -> Array:
-    """Return the derivatives of p, which has come so far."""
+def _gradient(x: HeldPoint, k: int, kind: Kind, ends: tuple[float, float]) -> Array:
+    """Return the derivatives of p, which has come from the first of the ends of the range."""
     if kind == "limit point":
         return -x.tau_b / x.tau_b[k]
     parted = x.parted()
@@ -524,6 +545,6 @@ def _gradient(x: HeldPoint, k: int, kind: Kind, size: float) -> Array:
             f"{name!r}, a change of which parts them",
             "The critical load falls with a root of that change. Leave the variable out.",
         )
-    (tau_aa, tau_ab), tau_pb = x.in_a, x.in_p(k, size)
+    (tau_aa, tau_ab), tau_pb = x.in_a, x.in_p(k, *ends)
     hessian = np.array([[tau_aa, tau_ab[k]], [tau_ab[k], tau_pb[k]]])
     return np.asarray(-np.linalg.solve(hessian, [tau_ab, tau_pb])[1])
