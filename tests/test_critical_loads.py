@@ -251,6 +251,76 @@ def test_a_variable_that_parts_the_paths_has_no_derivative():
         critical_load(column(4), "load.force_x", -1000.0, design=["rod.height", "load.force_y"])
 
 
+EI = E * 0.01**4 / 12
+
+
+def on_a_spring(n, spring, foot=Clamp, o=0.0):
+    """A column of length one from (o, 0), on a spring that `spring` makes of it."""
+    rod = Beam("rod", (o, 0), (o + 1, 0), n, Rectangle(0.01, 0.01), Material(7850, E, 0.3))
+    load = PointForce(rod.at_end, (0.0, 0.0), name="load")
+    return Scene([rod], [foot(rod.at_start)], loads=[load, spring(rod)])
+
+
+def slope_of_root(equation, k, low, high):
+    """Derivative in k of the load E I u^2 of the root u of an equation in u and k."""
+    ends = [
+        -EI * brentq(equation, low, high, args=(k * (1 + s),), xtol=1e-14) ** 2
+        for s in (1e-4, -1e-4)
+    ]
+    return (ends[0] - ends[1]) / (2e-4 * k)
+
+
+@pytest.mark.parametrize("o", [0.0, 100.0])
+@pytest.mark.parametrize("n", [2, 8, 16])
+@pytest.mark.parametrize("k", [10.0, 500.0, 1e4])
+def test_the_critical_load_has_a_derivative_in_a_spring_that_is_free_of_load(o, n, k):
+    # A pinned foot on a torsion spring, the top free: u tan u = k L / E I.
+    scene = on_a_spring(n, lambda rod: TorsionSpring(rod.at_start, k, name="spring"), Pin, o)
+    found = critical_load(scene, "load.force_x", -1e4, design=["spring.stiffness"])
+    expected = slope_of_root(lambda u, k: u * np.tan(u) - k / EI, k, 1e-6, np.pi / 2 - 1e-9)
+    # Shear, shortening and two elements: the smaller the stiffer the spring.
+    np.testing.assert_allclose(found.gradient, [expected], rtol=2e-3)
+
+
+@pytest.mark.parametrize("n", [4, 8])
+@pytest.mark.parametrize(
+    ("spring", "name"),
+    [
+        (lambda rod: Bushing(rod.at_end, (0, 300.0), name="k"), "k.stiffness_y"),
+        (
+            lambda rod: SpringDamper(
+                rod.at_end, 300.0, free_length=100.0, ground=(1, -100), name="k"
+            ),
+            "k.stiffness",
+        ),
+    ],
+    ids=["bushing", "spring"],
+)
+def test_the_critical_load_has_a_derivative_in_a_spring_across_the_top(spring, name, n):
+    # tan u = u - E I u^3 / (k L^3). The top goes down by 4e-5, which tilts the long spring.
+    found = critical_load(on_a_spring(n, spring), "load.force_x", -1e4, design=[name])
+    equation = lambda u, k: np.sin(u) - (u - EI * u**3 / k) * np.cos(u)  # noqa: E731
+    expected = slope_of_root(equation, 300.0, 1.6, 4.4)
+    assert found.kind == "bifurcation"
+    np.testing.assert_allclose(found.gradient, [expected], rtol=3e-3)
+
+
+@pytest.mark.parametrize("n", [2, 8])
+def test_the_critical_load_has_a_derivative_in_a_bushing_that_turns(n):
+    # The turn is sin(u x), without a force across: E I u cos(u) + k sin(u) = 0 at the top.
+    hold = lambda rod: Bushing(rod.at_end, (0, 0), turn_stiffness=100.0, name="k")  # noqa: E731
+    found = critical_load(on_a_spring(n, hold), "load.force_x", -1e4, design=["k.turn_stiffness"])
+    equation = lambda u, k: EI * u * np.cos(u) + k * np.sin(u)  # noqa: E731
+    expected = slope_of_root(equation, 100.0, np.pi / 2, np.pi - 1e-9)
+    np.testing.assert_allclose(found.gradient, [expected], rtol=3e-3)
+
+
+def test_the_free_angle_of_a_spring_that_is_free_of_load_parts_the_paths():
+    scene = on_a_spring(4, lambda rod: TorsionSpring(rod.at_start, 500.0, name="spring"), Pin)
+    with pytest.raises(InvalidInput, match=r"spring\.free_angle.*a change of which parts them"):
+        critical_load(scene, "load.force_x", -1e4, design=["spring.free_angle"])
+
+
 @pytest.mark.parametrize(("rise", "kind"), [(0.01, "limit point"), (0.02, "bifurcation")])
 def test_stability_is_lost_there_and_not_before(rise, kind):
     # Seen by equilibria alone, each followed from the last: flat arches snap, others sway first.
@@ -271,12 +341,53 @@ def test_stability_is_lost_there_and_not_before(rise, kind):
     assert not stable(1.01)
 
 
-def test_two_motions_at_once_are_refused():
-    rod = Beam("rod", (0, 0, 0), (1, 0, 0), 4, Rectangle(0.01, 0.01), Material(7850, E, 0.3))
+def in_space(n, height):
+    """A column of width 0.01 in space, clamped at its foot."""
+    rod = Beam("rod", (0, 0, 0), (1, 0, 0), n, Rectangle(height, 0.01), Material(7850, E, 0.3))
     load = PointForce(rod.at_end, (0.0, 0.0, 0.0), name="load")
-    scene = Scene([rod], [Clamp(rod.at_start)], loads=[load])
+    return Scene([rod], [Clamp(rod.at_start)], loads=[load])
+
+
+@pytest.mark.parametrize("n", [2, 4, 6, 8, 16])
+@pytest.mark.parametrize("to", [-440.0, -1000.0, -4e5])
+def test_two_motions_at_once_are_refused(n, to):
     with pytest.raises(InvalidInput, match="not two at once"):
-        critical_load(scene, "load.force_x", -1000.0)
+        critical_load(in_space(n, 0.01), "load.force_x", to)
+
+
+def test_two_motions_at_once_beyond_the_range_are_none():
+    with pytest.raises(NoCriticalPoint, match="every equilibrium up to"):
+        critical_load(in_space(8, 0.01), "load.force_x", -431.75)
+
+
+@pytest.mark.parametrize(("share", "slope"), [(1e-3, 1), (-1e-3, 3), (0.1, 1), (-0.1, 3)])
+def test_a_column_that_is_nearly_square_buckles_to_its_thinner_side(share, slope):
+    scene = in_space(8, 0.01 * (1 + share))
+    found = critical_load(scene, "load.force_x", -1000.0, design=["rod.height", "rod.width"])
+    # E w h^3 pi^2 / 48 or E h w^3 pi^2 / 48; shear and shortening 4e-4.
+    logs = found.gradient * [0.01 * (1 + share), 0.01] / found.value
+    np.testing.assert_allclose(logs, [slope, 4 - slope], rtol=2e-3)
+    exact = (np.pi**2) * E * 0.01**4 / 48 * (1 + share) ** slope
+    np.testing.assert_allclose(-found.value, exact, rtol=1e-3)
+
+
+def roof(height):
+    """Two pinned bars of length sqrt(1.09) under a force at their apex; one of another height."""
+    material = Material(7850, E, 0.3)
+    one = Beam("one", (-1, 0), (0, 0.3), 8, Rectangle(0.01, 0.01), material)
+    other = Beam("other", (0, 0.3), (1, 0), 8, Rectangle(height, 0.01), material)
+    joints = [Pin(one.at_start), Pin(one.at_end, other.at_start), Pin(other.at_end)]
+    return Scene([one, other], joints, loads=[PointForce(one.at_end, (0.0, 0.0), name="load")])
+
+
+@pytest.mark.parametrize("to", [-1000.0, -2000.0, -1e4, -1e5])
+def test_two_bars_that_buckle_under_one_force_are_refused(to):
+    with pytest.raises(InvalidInput, match="not two at once"):
+        critical_load(roof(0.01), "load.force_y", to)
+    found = critical_load(roof(0.0101), "load.force_y", to, design=["one.height", "other.height"])
+    # Bar one buckles. The apex gives way by 1e-3 of its height.
+    logs = found.gradient * [0.01, 0.0101] / found.value
+    np.testing.assert_allclose(logs, [3.0, 0.0], atol=0.02)
 
 
 def test_a_critical_value_is_an_objective_like_any_other():
@@ -353,7 +464,7 @@ def test_derivatives_of_the_holding_force():
     tau_aa, tau_ab = point.in_a
     np.testing.assert_allclose(point.tau_a, (held(h).tau - held(-h).tau) / (2 * h), rtol=1e-5)
     np.testing.assert_allclose(tau_aa, (held(h).tau_a - held(-h).tau_a) / (2 * h), rtol=1e-5)
-    tau_pb = point.in_p(0, 5.0)
+    tau_pb = point.in_p(0, 0.0, -40.0)
     for j, b in enumerate(system.b):
         change = 1e-3 * b * np.eye(len(system.b))[j]
         ends = held(0.0, change), held(0.0, -change)
@@ -780,3 +891,89 @@ def test_a_frame_loaded_at_one_corner_sways_until_its_own_limit(pinned, n):
     outcome = equilibrium(portal(0.02, pinned, (2.4 * P, 0.0), n)).outcome
     # The path of loads ends where its steps fall below 1e-6.
     assert -found.value == pytest.approx(2.4 * P * outcome.fraction, rel=1e-5)
+
+
+# -- structures that are not perfect ------------------------------------------------------------
+
+
+def leaning(free, across=0.0):
+    """A rigid link of length 0.5 that stands on a torsion spring k = 10 of a free angle."""
+    bar = Beam(
+        "bar", (0, 0), (0, 0.5), 1, Rectangle(0.01, 0.01), Material(7850, E, 0.3), rigid=True
+    )
+    spring = TorsionSpring(bar.at_start, 10.0, free_angle=free, name="spring")
+    load = PointForce(bar.at_end, (across, 0.0), name="load")
+    return Scene([bar], [Pin(bar.at_start)], loads=[load, spring])
+
+
+@pytest.mark.parametrize("free", [1e-5, 1e-4, 1e-3, -1e-3, 1e-2, 0.1])
+def test_a_link_that_leans_has_no_critical_load(free):
+    # P(turn) = k (turn - free) / (l sin turn) rises from turn = free to pi. A limit point lies on
+    # the other path, on the other side, which no load from zero leads to.
+    with pytest.raises(NoCriticalPoint, match=r"every equilibrium up to -35 is stable"):
+        critical_load(leaning(free), "load.force_y", -35.0)
+
+
+@pytest.mark.parametrize("q", [1e-4, 1e-2, 1.0])
+def test_a_link_that_is_pushed_aside_against_a_spring_across_snaps(q):
+    # A spring k holds the top across: P = k l cos(turn) - q cot(turn), the most of it at
+    # sin(turn)^3 = q / (k l) (W. T. Koiter 1945).
+    k, l = 100.0, 0.5
+    scene = leaning(0.0, across=q)
+    spring = Bushing(scene.beams[0].at_end, (k, 0.0), name="spring")
+    scene = replace(scene, loads=[scene.loads[0], spring])
+    design = ["spring.stiffness_x", "load.force_x"]
+    found = critical_load(scene, "load.force_y", -70.0, design=design)
+    assert found.kind == "limit point"
+    sine = np.cbrt(q / (k * l))
+    cosine = np.sqrt(1 - sine**2)
+    np.testing.assert_allclose(found.value, -k * l * cosine**3, rtol=1e-9)
+    np.testing.assert_allclose(found.gradient, [-l * cosine, cosine / sine], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("n", "across"), [(8, 0.1), (8, 1.0), (8, 5.0), (16, 1.0), (16, 5.0)])
+def test_a_column_that_is_pushed_aside_bends_and_has_no_critical_load(n, across):
+    # Elastica: E I turn'' = -P sin turn - F cos turn has one solution bent to the side of F.
+    for to in (-600.0, -1000.0):
+        with pytest.raises(NoCriticalPoint, match="is stable"):
+            critical_load(column(n, across=across), "load.force_x", to)
+
+
+# -- within the range ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("E_0", [2.1e11, 2e10, 2e9])
+@pytest.mark.parametrize("to", [1e9, 1e6])
+def test_a_modulus_falls_until_a_column_buckles_under_its_own_weight(E_0, to):
+    # A. G. Greenhill (1881): rho A g L^3 = 7.8373 E I. Newton's method and differences of 0.6 % of
+    # the way from 2.1e11 would pass zero, where there is no material.
+    rod = Beam("rod", (0, 0), (0, 1), 8, Rectangle(0.01, 0.01), Material(7850, E_0, 0.3))
+    scene = Scene([rod], [Clamp(rod.at_start)], gravity=(0, -9.81))
+    found = critical_load(scene, "rod.youngs_modulus", to, design=["rod.height", "rod.density"])
+    exact = 7850 * 9.81 * 12 / (7.8373 * 1e-4)
+    # Shear and shortening: 3e-4.
+    np.testing.assert_allclose(found.value, exact, rtol=1e-3)
+    logs = found.gradient * [0.01, 7850] / found.value
+    np.testing.assert_allclose(logs, [-2.0, 1.0], rtol=2e-3)
+
+
+@pytest.mark.parametrize("share", [1.001, 1.01, 1.1, 3.0, 100.0])
+@pytest.mark.parametrize("scene", [column(2), lee(6)], ids=["column", "frame"])
+def test_no_value_beyond_the_range_is_tried(scene, share, monkeypatch):
+    name = "load.force_x" if len(scene.beams) == 1 else "load.force_y"
+    design = [f"{scene.beams[0].name}.height"]
+    far = critical_load(scene, name, -3e4, design=design)
+    value = far.value
+    tried, scene = [], scene.with_values({name: 0.5 * value})
+    kind = type(assemble(scene, [name, *design]))
+    moved = kind.with_values
+
+    def noted(system, b):
+        tried.append(b[0])
+        return moved(system, b)
+
+    monkeypatch.setattr(kind, "with_values", noted)
+    found = critical_load(scene, name, share * value, design=design)
+    np.testing.assert_allclose(found.value, value, rtol=1e-8)
+    np.testing.assert_allclose(found.gradient, far.gradient, rtol=1e-6)
+    assert share * value <= min(tried) <= max(tried) <= 0.5 * value

@@ -19,12 +19,14 @@ from ancfdae import (
     Clamp,
     DistributedForce,
     FollowerForce,
+    InvalidInput,
     JointFriction,
     Material,
     Moment,
     Point,
     PointForce,
     Rectangle,
+    RigidBody,
     RigidMotion,
     Scene,
     SlideFriction,
@@ -33,7 +35,9 @@ from ancfdae import (
     TorsionSpring,
     assemble,
     check_system,
+    critical_load,
     equilibrium,
+    modes,
     simulate,
 )
 from ancfdae.model import loads
@@ -865,3 +869,42 @@ def test_a_moment_shears_the_section_at_the_end_of_a_twisted_bar(n, width):
     assert mean - 1 == pytest.approx(excess, rel=1e-4, abs=1e-8)
     # In the mean by the squares of radii it is that of the bar.
     assert theta[-1] * GJ / (M * length) == pytest.approx(1, rel=1e-7)
+
+
+def on_springs(**more):
+    """A mass on the x axis between two springs along it, of stiffness 50 and -20."""
+    ball = RigidBody("ball", (0, 0), mass=2.0, inertia=1.0)
+    springs = [
+        SpringDamper(ball.at(0, 0), k, free_length=1.0, ground=(x, 0), name=name, **more)
+        for k, x, name in ((50.0, -1.0, "one"), (-20.0, 1.0, "other"))
+    ]
+    hold = Bushing(ball.at(0, 0), (0.0, 100.0), (0.0, 0.1), 1.0, 0.1, name="bushing")
+    turn = TorsionSpring(ball.at(0, 0), 1.0, 0.1, name="turn")
+    return Scene(bodies=[ball], loads=[*springs, hold, turn])
+
+
+def test_a_negative_stiffness_is_one():
+    # The frequency falls to sqrt((50 - 20) / 2), and vanishes at -50.
+    found = modes(on_springs(), 3).natural_frequencies
+    assert np.min(np.abs(found / np.sqrt(15.0) - 1)) < 1e-12
+    lost = critical_load(on_springs(), "other.stiffness", -80.0, design=["one.stiffness"])
+    assert lost.value == pytest.approx(-50.0, rel=1e-9)
+    assert lost.gradient == pytest.approx([-1.0], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "one.damping",
+        "one.free_length",
+        "turn.damping",
+        "bushing.damping_x",
+        "bushing.damping_y",
+        "bushing.turn_damping",
+    ],
+)
+def test_a_negative_damping_or_length_is_refused(target):
+    field = target.partition(".")[2]
+    with pytest.raises(InvalidInput, match=rf"{field}.*must not be negative; got -0\.1"):
+        on_springs().with_values({target: -0.1})
+    on_springs().with_values({target: 0.0})

@@ -230,7 +230,9 @@ def test_a_start_without_equilibrium_is_refused_before_anything_is_integrated():
 def test_a_driven_joint_that_moves_at_the_start_is_refused():
     joints = [Pin(ROD.at_start), Drive(ROD.at_start, Harmonic(0.5, 4.0), name="motor")]
     scene = Scene([ROD], joints, GRAVITY, start=[AtRest()])
-    with pytest.raises(InvalidInput, match=r"zero velocity at t = 0; got a nonzero rate of 'motor'"):
+    with pytest.raises(
+        InvalidInput, match=r"zero velocity at t = 0; got a nonzero rate of 'motor'"
+    ):
         simulate(scene, 0.1, HHT(0.01))
 
 

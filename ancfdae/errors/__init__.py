@@ -17,6 +17,7 @@ from ancfdae.errors.checks import (
     require_index,
     require_kind,
     require_name,
+    require_not_negative,
     require_package,
     require_path,
     require_positive,

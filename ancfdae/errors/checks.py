@@ -171,6 +171,13 @@ def require_positive(where: str, value: float) -> None:
         raise InvalidInput(where, "must be positive", _shown(value))
 
 
+def require_not_negative(where: str, value: object, repair: str = "") -> None:
+    """Raise InvalidInput unless `value` is a finite number from zero on."""
+    require_finite(where, value)
+    if value < 0:  # type: ignore[operator]
+        raise InvalidInput(where, "must not be negative", value, repair)
+
+
 def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
     """Raise InvalidInput for anything but finite numbers, as many as one of `sizes`."""
     allowed = " or ".join(str(size) for size in sizes)

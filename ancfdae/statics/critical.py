@@ -45,23 +45,26 @@ _NEARER, _CLOSE, _LEAST = 0.4, 1e-7, 1e-3
 # number of them, since slopes see a limit point at twice its distance or less. Signs of stiffness
 # are seen to the last part of p; changes by less than the digits of p are round-off.
 _CONVERGED, _FAR, _REACH, _SEEN, _DIGITS = 1e-6, 64.0, 1.5, 1e-6, 1e-8
+# A step of Newton's method that leads out of the range of p is shortened, and this many at most.
+_LEAVES = 3
 _EPS = float(np.finfo(float).eps)
-# Newton's method may miss the extrapolated state by this part of the step. A step of the parameter
-# that failed is tried again from a place nearer than this part of it.
-_BEND, _AGAIN = 0.5, 0.25
-# A critical point is on the path if its state is no farther than the part _AT_HAND of the system's
-# size; or if the state at the part _WAY of the way there is no farther than the part _COME of the
-# distance.
-_AT_HAND, _WAY, _COME = 1e-3, 0.9, 0.7
+# Newton's method may miss the extrapolated state by the part _MISS of the step. Two states lie on
+# one smooth path if the mean of their tangents misses their difference by the part _BEND at most.
+# A step of the parameter that failed is tried again from a place nearer than this part of it.
+_MISS, _BEND, _AGAIN = 0.5, 0.25, 0.25
+# A loss that recedes is not believed to be farther than this many times what slopes say.
+_RECEDES = 20.0
 # A change of p by this part of the way shows how tau_p changes.
 _SLOPE = 3e-3
 _FLUTTER = (
     "Its loads turn with the motion, so that it may flutter, which takes no loss of stiffness: "
     "ask modes(scene, at=equilibrium(scene))"
 )
-# Cosine between what a variable changes and the motion below which it does no work; difference of
-# two losses, relative to the whole way, that are one; imaginary parts of a real number.
-_NONE, _DOUBLE, _REAL = 1e-7, 1e-6, 1e-8
+# Two losses whose difference is this part of their distance are told apart from a place that is
+# nearer; at the part _NEAR of the way they are one, being closer than 1e-4 of it.
+_GAP, _NEAR = 0.1, 1e-3
+# Imaginary parts of a real number.
+_REAL = 1e-6
 
 
 @final
@@ -167,7 +170,7 @@ def find_critical(system: MechanicalSystem, k: int, to: float) -> CriticalLoad:
     names = tuple(x for j, x in enumerate(system.design_names) if j != k)
     at = resting(point.system, point.q, point.lam, stable=True)
     value = float(point.system.b[k])
-    gradient = np.delete(_gradient(point, k, kind, abs(value - begin)), k)
+    gradient = np.delete(_gradient(point, k, kind, (begin, to)), k)
     return CriticalLoad(system.design_names[k], value, kind, motion, at, names, gradient, point, k)
 
 
@@ -194,7 +197,8 @@ def _first_critical(
         left = path.left(place)
         if left <= path.next_trial(place):
             path.tried = left
-            if place.is_double(begin):
+            near = max(_NEAR * abs(place.p - begin), place.blur)
+            if place.crowded and place.ahead[0] <= min(near, abs(to - place.p)):
                 raise InvalidInput(
                     "critical_load",
                     "one motion must lose its stiffness, not two at once",
@@ -202,7 +206,7 @@ def _first_critical(
                     "Hold one, or make their stiffness differ, as that of a square section.",
                 )
             search = _Search(place, k, (begin, to), left)
-            found = search.bifurcation() or search.limit_point()
+            found = None if place.crowded else search.bifurcation() or search.limit_point()
             if found is not None:
                 return found
         if left <= _CLOSE * max(abs(place.p - begin), _LEAST * abs(to - begin)):
@@ -232,8 +236,9 @@ class _Place:
     """A stable equilibrium at p, and what its stiffness promises.
 
     `ahead` are the distances, in the sense of the search, after which motions lose their stiffness
-    if it goes on changing as it does here, rising; `behind` the least one backward. The `motion` is
-    the first to lose it, `paths` are dq/dp and dlam/dp. It `follows` if K is not symmetric.
+    if it goes on changing as it does here, rising; `behind` the least one backward, `blur` what
+    round-off leaves of the first. The `motion` is the first to lose it, `paths` are dq/dp and
+    dlam/dp. It `follows` if K is not symmetric.
     """
 
     system: MechanicalSystem
@@ -243,6 +248,7 @@ class _Place:
     follows: bool
     ahead: Array
     behind: float
+    blur: float
     motion: Array
 
     @property
@@ -263,13 +269,17 @@ class _Place:
             force, side = (x[:, k] for x in stiffness_total(system, state, motion, paths))
             slope[:, j] += X.T @ force + mu.T @ side
         if not len(K):  # Constraints leave no motion.
-            nothing = np.zeros(0), np.inf, np.zeros(system.n_q)
+            nothing = np.zeros(0), np.inf, 0.0, np.zeros(system.n_q)
             return _Place(system, k, at, along, soft.follows, *nothing)
+        if not soft.follows:
+            K, slope = (K + K.T) / 2, (slope + slope.T) / 2
         rates, V = np.linalg.eig(np.linalg.solve(K, -sense * slope))
         real = np.abs(rates.imag) <= _REAL * np.abs(rates)
-        first = X @ V[:, np.argmax(np.where(real, rates.real, -np.inf))].real
+        v = V[:, np.argmax(np.where(real, rates.real, -np.inf))].real
+        first = X @ v
         with np.errstate(divide="ignore"):
             far = 1.0 / rates[real].real
+            blur = soft.noise * (v @ v) / np.abs(v @ slope @ v)
         return _Place(
             system,
             k,
@@ -278,15 +288,44 @@ class _Place:
             soft.follows,
             np.sort(far[far > 0]),
             float(np.min(-far[far < 0], initial=np.inf)),
+            float(blur),
             first if np.any(far > 0) else X[:, 0],
         )
 
-    def is_double(self, begin: float) -> bool:
-        """Whether two motions are about to lose their stiffness at once."""
+    @property
+    def digits(self) -> float:
+        """Changes of the coordinates that may be round-off, in the norm of the weights."""
+        return _DIGITS * Balance(self.system, 0.0, self.at.q, self.at.lam).extent
+
+    def leads_to(self, q: Array, p: float) -> bool:
+        """Whether the tangent of the path here leads to a state at p, to first order."""
+        ahead, way = q - self.at.q, (p - self.p) * self.paths[0]
+        weights = self.system.weights
+        return norm(ahead - way, weights) <= _MISS * norm(way, weights) + self.digits
+
+    def joins(self, after: _Place, small: bool) -> bool:
+        """Whether the path from here leads to another place, by the tangents of both.
+
+        Their mean is the secant of a smooth path. Of a `small` step it may be any other mean: the
+        path has a kink there, as of a cable that slackens.
+        """
+        step, secant = after.p - self.p, after.at.q - self.at.q
+        weights, (first, last) = self.system.weights, (step * x.paths[0] for x in (self, after))
+        part, turn = 0.5, last - first
+        if small and np.any(turn):
+            part = float(
+                np.clip((weights * turn) @ (secant - first) / norm(turn, weights) ** 2, 0, 1)
+            )
+        missed = norm(secant - first - part * turn, weights)
+        return missed <= _BEND * norm(secant, weights) + self.digits
+
+    @property
+    def crowded(self) -> bool:
+        """Whether two losses lie so close together that they look like one from here."""
         if len(self.ahead) < 2:
             return False
         one, other = self.ahead[:2]
-        return bool(other - one <= _DOUBLE * (abs(self.p - begin) + one))
+        return bool(other - one <= max(_GAP * one, self.blur))
 
 
 @final
@@ -297,6 +336,7 @@ class _Path:
         self._begin, self._to, self._sense = begin, to, np.sign(to - begin)
         self._stride = self._most = abs(to - begin) / _STEPS
         self._lost = self._failed = self.tried = np.inf
+        self._rate = 1.0
 
     def left(self, place: _Place) -> float:
         """Distance to where stiffness is, or may be, lost; infinite where that is not in sight."""
@@ -312,16 +352,21 @@ class _Path:
         p = self._next(place)
         step = abs(p - place.p)
         moved = _moved(system, place.k, p)
-        at = _followed(moved, place)
-        if at is None:
-            self._lost, self._failed, self._stride = p, step, 0.5 * step
+        at, way = _followed(moved, place), abs(place.p - self._begin)
+        ahead = None if at is None else _Place.of(moved, place.k, self._sense, at)
+        if ahead is None or not place.joins(ahead, step <= _LEAST * way):
+            self._lost, self._failed, self._stride, self._rate = p, step, 0.5 * step, 1.0
             return place
-        ahead = _Place.of(moved, place.k, self._sense, at)
-        if ahead.behind < _SAFE * step and step > _LEAST * self._most:
-            # Between two stable places stiffness may vanish.
+        # Between two stable places stiffness may vanish. That is not believed where slopes have
+        # promised the same of the path so far.
+        if ahead.behind < _SAFE * step and step > _LEAST * self._most and place.behind >= way:
             self._stride = 0.5 * step
             return place
         self._stride = min(2.0 * self._stride, self._most)
+        if len(place.ahead) and len(ahead.ahead):
+            # How fast the loss that slopes promise comes nearer.
+            rate = (place.ahead[0] - ahead.ahead[0]) / step
+            self._rate = float(np.clip(rate, 1.0 / _RECEDES, 1.0))
         if abs(p - self._begin) >= abs(self._lost - self._begin):
             self._lost = np.inf
         return ahead
@@ -332,7 +377,7 @@ class _Path:
         nearer = lost < np.inf and lost <= _AGAIN * self._failed
         if nearer and not np.any(_SAFE * place.ahead[:1] <= lost):
             return self._lost
-        step = min(self._stride, _SAFE * self.left(place))
+        step = min([self._stride, _SAFE * lost, *_SAFE * place.ahead[:1] / self._rate])
         return self._to if room <= 1.1 * step else float(place.p + self._sense * step)
 
 
@@ -345,11 +390,8 @@ def _followed(moved: MechanicalSystem, place: _Place) -> Equilibrium | None:
     at, step = place.at, float(moved.b[place.k]) - place.p
     guess = at.q + step * place.paths[0], at.lam + step * place.paths[1]
     found = _near(moved, *guess)
-    if found is not None:
-        weights, extent = moved.weights, Balance(moved, 0.0, at.q, at.lam).extent
-        missed, way = norm(found.q - guess[0], weights), norm(guess[0] - at.q, weights)
-        if missed <= _BEND * way + _DIGITS * extent:
-            return found
+    if found is not None and place.leads_to(found.q, place.p + step):
+        return found
     return _near(moved, at.q, at.lam)
 
 
@@ -386,7 +428,7 @@ class _Search:
         def equations(x: HeldPoint) -> tuple[Array, Array]:
             (tau_aa, tau_ab), before = x.in_a, last[-1] if last else None
             if before is None:
-                known.append(x.bend(k, _SLOPE * self._size))
+                known.append(x.bend(k, self._slope_step(x)))
             elif abs(x.system.b[k] - before.system.b[k]) > _SLOPE * self._size:
                 dp, da = x.system.b[k] - before.system.b[k], x.q[x.i] - before.q[x.i]
                 by_a = 0.5 * (tau_ab[k] + before.in_a[1][k]) * da
@@ -398,30 +440,56 @@ class _Search:
         point = self._newton(equations)
         if point is None or not abs(point.tau) <= point.round_off:
             return None
+        if not self._place.leads_to(point.q, float(point.system.b[k])):
+            return None
         return point, "bifurcation"
 
     def limit_point(self) -> tuple[HeldPoint, Kind] | None:
-        """Solve tau = tau_a = 0; None without convergence to a point ahead on the path.
+        """Solve tau = tau_a = 0; None without convergence to a point on this path.
 
         It is a bifurcation where the parameter does no work on the motion, tau_p = 0.
         """
+        first: list[HeldPoint] = []
 
         def equations(x: HeldPoint) -> tuple[Array, Array]:
+            first.append(x)
             tau_aa, tau_ab = x.in_a
             matrix = np.array([[x.tau_a, x.tau_b[self._k]], [tau_aa, tau_ab[self._k]]])
             return matrix, np.array([x.tau, x.tau_a])
 
         point = self._newton(equations)
-        if point is None:
+        if point is None or not self._ends_in(first[0], point):
             return None
-        k = self._k
-        works = abs(point.tau_b[k]) > _NONE * point.reach[k]
-        return point, "limit point" if works else "bifurcation"
+        return point, "limit point" if point.parted()[self._k] else "bifurcation"
+
+    def _ends_in(self, here: HeldPoint, end: HeldPoint) -> bool:
+        """Whether the path of a place ends in a limit point.
+
+        Near it p(a) is a parabola and q(a) has the mean of two tangents as secant; tau_p keeps its
+        sign, which changes between two paths that lie side by side.
+        """
+        k, weights = self._k, end.system.weights
+        tau_p, by_a = here.tau_b[k], end.q[end.i] - here.q[end.i]
+        if not tau_p * end.tau_b[k] > 0:
+            return False
+        slope, dp = -here.tau_a / tau_p, end.system.b[k] - here.system.b[k]
+        tangents = here.motion[0] + slope * here.paths[0][:, k] + end.motion[0]
+        secant = end.q - here.q
+        missed = norm(secant - 0.5 * by_a * tangents, weights)
+        bends = missed <= _BEND * norm(secant, weights) + self._place.digits
+        return bool(bends and abs(dp - 0.5 * by_a * slope) <= _BEND * abs(dp))
+
+    def _slope_step(self, x: HeldPoint) -> float:
+        """Return a small change of p that stays in the range."""
+        begin, to = self._ends
+        step, p = _SLOPE * min(self._size, abs(to - begin)), x.system.b[self._k]
+        return float(np.sign(to - begin) * (step if abs(to - p) > step else -step))
 
     def _newton(self, equations: Callable[[HeldPoint], tuple[Array, Array]]) -> HeldPoint | None:
         """Return a solution ahead of the place and not far away; None if it finds none."""
         place, k, last, left = self._place, self._k, np.inf, self._left
         p, a, q, lam = place.p, place.at.q[self._i], place.at.q, place.at.lam
+        leaving = 0
         for _ in range(_ITERATIONS):
             point = _held(place.system, k, p, self._i, a, q, lam)
             if point is None:
@@ -433,8 +501,14 @@ class _Search:
             small = max(_CONVERGED * left, _DIGITS * self._size)
             digits = 4 * _EPS * max(abs(p), self._size)
             if (abs(dp) >= 0.5 * last and last <= small) or abs(dp) <= digits:
-                found = point.held and self._is_ahead(p) and self._is_reached(point)
-                return point if found else None
+                return point if point.held and self._is_ahead(p) else None
+            # Nothing is known beyond the range: there may be no such system.
+            room = self._room(p, -dp)
+            if not abs(dp) < room:
+                part, leaving = 0.5 * room / abs(dp), leaving + 1
+                if not leaving <= _LEAVES:
+                    return None
+                da, dp = part * da, part * dp
             a, p, last = a - da, p - dp, abs(dp)
             if not abs(p - place.p) <= _FAR * left:
                 return None
@@ -443,19 +517,10 @@ class _Search:
             lam = point.lam - da * point.motion[1] - dp * point.paths[1][:, k]
         return None
 
-    def _is_reached(self, point: HeldPoint) -> bool:
-        """Whether the path leads there: Newton's method may have found a point of another one.
-
-        At nine tenths of the way there the state has come nearer to it, by the root of the
-        rest of the load or faster. A point near at hand is on the path.
-        """
-        place, weights = self._place, point.system.weights
-        way = norm(point.q - place.at.q, weights)
-        if way <= _AT_HAND * Balance(place.system, 0.0, place.at.q, place.at.lam).extent:
-            return True
-        p = place.p + _WAY * (float(point.system.b[self._k]) - place.p)
-        at = _followed(_moved(place.system, self._k, p), place)
-        return at is not None and norm(point.q - at.q, weights) <= _COME * way
+    def _room(self, p: float, sense: float) -> float:
+        """Distance from p to the end of the range in a sense."""
+        ends = np.array(self._ends)
+        return float(np.max(ends) - p if sense > 0 else p - np.min(ends))
 
     def _is_ahead(self, p: float) -> bool:
         """Whether p is in the range, and about where stability is lost, to the digits it has."""
@@ -472,11 +537,11 @@ def _held(
     return HeldSystem(moved, i, q).solve(a, q, lam)
 
 
-def _gradient(x: HeldPoint, k: int, kind: Kind, size: float) -> Array:
-    """Return the derivatives of p, which has come so far."""
+def _gradient(x: HeldPoint, k: int, kind: Kind, ends: tuple[float, float]) -> Array:
+    """Return the derivatives of p, which has come from the first of the ends of the range."""
     if kind == "limit point":
         return -x.tau_b / x.tau_b[k]
-    parted = np.abs(x.tau_b) > _NONE * x.reach
+    parted = x.parted()
     parted[k] = False
     if np.any(parted):
         name = x.system.design_names[int(np.argmax(parted))]
@@ -486,6 +551,6 @@ def _gradient(x: HeldPoint, k: int, kind: Kind, size: float) -> Array:
             f"{name!r}, a change of which parts them",
             "The critical load falls with a root of that change. Leave the variable out.",
         )
-    (tau_aa, tau_ab), tau_pb = x.in_a, x.in_p(k, size)
+    (tau_aa, tau_ab), tau_pb = x.in_a, x.in_p(k, *ends)
     hessian = np.array([[tau_aa, tau_ab[k]], [tau_ab[k], tau_pb[k]]])
     return np.asarray(-np.linalg.solve(hessian, [tau_ab, tau_pb])[1])

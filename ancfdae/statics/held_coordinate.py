@@ -18,7 +18,6 @@ c = a by the second derivatives of the system, by differences of five points for
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias, final
@@ -46,6 +45,12 @@ _ITERATIONS = 25
 _CONVERGED = 1e-7
 # Part of the range of a parameter by which its second derivatives move it.
 _STEP = 3e-3
+# Weights of the derivative from values at these steps, exact for polynomials of degree four.
+_CENTRAL = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
+_BACKWARD = {-4: 1 / 4, -3: -4 / 3, -2: 3.0, -1: -4.0, 0: 25 / 12}
+# Cosine between what a variable changes and the motion below which it does no work. Samples of
+# random changes of the coordinates by digits that count, relative to the size of the system.
+_NONE, _SAMPLES, _SEEN = 1e-7, 4, 1e-8
 _EPS, _ROUNDINGS = float(np.finfo(float).eps), 64
 
 
@@ -91,9 +96,17 @@ class HeldPoint:
         force, side = stiffness_total(self.system, (self.q, self.lam), self.motion, (q_b, lam_b))
         return np.asarray(self.left[0] @ force + self.left[1] @ side)
 
-    def in_p(self, k: int, size: float) -> Array:
-        """Return tau_pb, shape (n_b,), p the design variable k, from changes of about `size`."""
-        return np.asarray(_slope(lambda x: self._tau_b(k, x * size)) / size)
+    def in_p(self, k: int, begin: float, to: float) -> Array:
+        """Return tau_pb, shape (n_b,), p the design variable k, by differences of five points.
+
+        They lie on both sides of p, or toward `begin` where there is no room up to `to`; what is
+        beyond these two may be no system at all.
+        """
+        p = float(self.system.b[k])
+        step = _STEP * (p - begin)
+        weights = _CENTRAL if abs(to - p) >= 2 * abs(step) else _BACKWARD
+        values = [weight * self._tau_b(k, x * step) for x, weight in weights.items()]
+        return np.asarray(np.sum(values, axis=0) / step)
 
     def bend(self, k: int, step: float) -> float:
         """Return tau_pp, p the design variable k, by a difference over one step."""
@@ -104,6 +117,25 @@ class HeldPoint:
         b, (q_p, lam_p) = np.asarray(self.system.b), (x[:, k] for x in self.paths)
         moved = self.system.with_values(b + step * np.eye(len(b))[k])
         return self._forces(moved, step * q_p, step * lam_p)
+
+    def parted(self) -> Array:
+        """Return which design variables change tau, and so part paths that cross, shape (n_b,).
+
+        One does not whose forces do no work on y. Nor does one whose whole part of tau is round-off
+        and vanishes within the digits of q, as of the stiffness of a spring that nothing stretches.
+        """
+        system, y_q = self.system, self.left[0]
+        s_b, size = system.start_b()[0], Balance(system, 0.0, self.q, self.lam).extent
+        digits = _SEEN * size / np.sqrt(np.sum(system.weights)) + _ROUNDINGS * _EPS * np.abs(self.q)
+        rng, here = np.random.default_rng(0), y_q @ _totals(system, self.q, self.lam, s_b)[0]
+        seen = np.zeros_like(self.tau_b)
+        for _ in range(_SAMPLES):
+            moved = self.q + digits * rng.choice((-1.0, 1.0), len(digits))
+            force, _ = _totals(system, moved, self.lam, s_b)
+            seen = np.maximum(seen, np.abs(y_q @ force - here))
+        parts = np.abs(self.tau_b) > _NONE * self.reach
+        unseen = np.abs(self.tau_b) <= seen
+        return np.asarray(parts & ~(unseen & (np.abs(self.tau_b * system.b) <= self.round_off)))
 
     @cached_property
     def round_off(self) -> float:
@@ -142,12 +174,6 @@ def stiffness_total(
     force = force + held_total(system, 0.0, q, rest, mu, q_b)
     side, of_time = (system.constraint_total(0.0, (q, v), (q_b, still)) for v in (x, rest))
     return force, side - of_time
-
-
-def _slope(f: Callable[[float], Array]) -> Array:
-    """Return the derivative at zero by five points, exact for polynomials of degree four."""
-    near, far = (f(x) - f(-x) for x in (_STEP, 2 * _STEP))
-    return np.asarray((8 * near - far) / (12 * _STEP))
 
 
 def _totals(system: MechanicalSystem, q: Array, lam: Array, q_b: Array) -> tuple[Array, Array]:

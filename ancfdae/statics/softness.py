@@ -61,7 +61,7 @@ class Softness:
     def stable(self) -> bool:
         """Whether no motion meets a negative stiffness; of loads that turn see the module."""
         matrix = self._matrix
-        if not negative_directions(matrix) and not np.any(self._values < -self._noise):
+        if not negative_directions(matrix) and not np.any(self._values < -self.noise):
             return True
         if matrix.skewness <= _CLEAR[0]:
             return False
@@ -94,7 +94,7 @@ class Softness:
             return True
         if counted(matrix) is None:
             return False
-        return bool(np.all(np.abs(self._values) > self._noise))
+        return bool(np.all(np.abs(self._values) > self.noise))
 
     @cached_property
     def _values(self) -> Array:
@@ -103,8 +103,8 @@ class Softness:
         return np.linalg.eigvalsh((K + K.T) / 2)
 
     @cached_property
-    def _noise(self) -> float:
-        """Round-off of these values: of the terms of x^T K x, with x^T D x = 1."""
+    def noise(self) -> float:
+        """Round-off of the stiffness x^T K x of the softest motions, with x^T D x = 1."""
         X = np.abs(self.motions)
         terms = np.sum(X * self.balance.system.pattern.dot(np.abs(self.K), X), axis=0)
         return _FREE * float(np.max(terms, initial=1.0))

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, require_not_negative
 from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.loads.sections import section_of
 from ancfdae.model.parts import Elements, Part, Vectors
@@ -22,6 +22,11 @@ from ancfdae.numerics.arrays import Array
 
 #: The last design field of every load.
 LAW = ("law", require_law)
+
+
+def require_damping(where: str, value: object) -> None:
+    """Raise InvalidInput unless a damping is a finite number from zero on."""
+    require_not_negative(where, value, "Zero is undamped; a negative value would feed energy in.")
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,19 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from ancfdae.errors import require_axial, require_vector
+from ancfdae.errors import require_axial, require_not_negative, require_vector
 from ancfdae.model.bodies import Point, Quantity
 from ancfdae.model.design import numbers
 from ancfdae.model.drawing import Stroke
-from ancfdae.model.loads.load import LAW, Load
+from ancfdae.model.loads.load import LAW, Load, require_damping
 from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of, turn
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, direction, dot
+
+
+def _require_length(where: str, value: object) -> None:
+    require_not_negative(where, value, "Zero is a spring that pulls its ends together.")
 
 
 @final
@@ -30,11 +34,11 @@ class SpringDamper(Load):
     ----------
     point : Point
     stiffness : float
-        k; N/m.
+        k; N/m. It may be negative, as of a part that pushes away from its middle position.
     damping : float
-        c; N s/m.
+        c, not negative; N s/m.
     free_length : float
-        l_0; m.
+        l_0, not negative; m.
     other : Point, optional
     ground : sequence of float, optional
         Place on the ground; m. Give either `other` or `ground`.
@@ -51,7 +55,9 @@ class SpringDamper(Load):
     stroke = Stroke.SPRING
     elastic = True
     design_fields = (
-        *numbers("stiffness", "damping", "free_length"),
+        *numbers("stiffness"),
+        ("damping", require_damping),
+        ("free_length", _require_length),
         ("ground", require_vector),
         LAW,
     )
@@ -88,11 +94,11 @@ class Bushing(Load):
     ----------
     point : Point
     stiffness : sequence of float
-        N/m.
+        N/m. They may be negative.
     damping : sequence of float, optional
-        N s/m.
+        Not negative; N s/m.
     turn_stiffness, turn_damping : float or sequence of float, optional
-        A number in the plane, three in space; N m/rad and N m s/rad.
+        A number in the plane, three in space; N m/rad and N m s/rad. Damping is not negative.
     other : Point, optional
         Body to which the bearing is fixed; the ground by default.
     """
@@ -119,6 +125,12 @@ class Bushing(Load):
     }
     damping_fields = ("damping", "turn_damping")
     refers = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for field in self.damping_fields:
+            for name, value in self.numbers_of(field).items():
+                require_damping(f"load {self.name!r}, {name}", value)
 
     def vectors(self, elements: Elements) -> Vectors:
         """Positions of the points and slopes of their sections."""

@@ -7,7 +7,7 @@ from typing import Any, final
 from ancfdae.errors import require_axial, require_direction, require_flag
 from ancfdae.model.bodies import Point
 from ancfdae.model.design import numbers
-from ancfdae.model.loads.load import LAW, SectionLoad
+from ancfdae.model.loads.load import LAW, SectionLoad, require_damping
 from ancfdae.model.loads.sections import QUARTER_TURN, rate_of, turn, unit_axes
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, cross, direction, dot
@@ -110,9 +110,9 @@ class TorsionSpring(SectionLoad):
     ----------
     point : Point
     stiffness : float
-        k; N m/rad.
+        k; N m/rad. It may be negative.
     damping : float
-        c; N m s/rad.
+        c, not negative; N m s/rad.
     free_angle : float
         theta_0; rad.
     axis, other
@@ -129,7 +129,9 @@ class TorsionSpring(SectionLoad):
     kind = "torsion-spring"
     elastic = True
     design_fields = (
-        *numbers("stiffness", "damping", "free_angle"),
+        *numbers("stiffness"),
+        ("damping", require_damping),
+        *numbers("free_angle"),
         ("axis", require_direction),
         LAW,
     )
