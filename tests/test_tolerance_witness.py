@@ -19,6 +19,7 @@ from ancfdae import (
     PointOnLine,
     RigidBody,
     Scene,
+    SlideFriction,
     SpringDamper,
     StabilityWarning,
     Terminal,
@@ -38,6 +39,7 @@ from ancfdae.studies.tolerance.gradients import _wanted
 from ancfdae.studies.tolerance.observables import observed_within
 from ancfdae.studies.tolerance.sequences import Eighth, Second
 from ancfdae.studies.tolerance.spectrum import fades
+from ancfdae.studies.tolerance.transitions import RESOLVED, _Path, passed_over
 from ancfdae.studies.tolerance.waves import Wave, missed, radius, wave_of
 from validation.tolerance.generator import FAMILIES, case
 
@@ -283,6 +285,148 @@ def test_a_long_run_of_a_pendulum_keeps_the_tolerance():
     size = max(abs(slope) / 12, abs(end(1 / 12)))
     assert abs(found.value - end(1 / 12)) <= tolerance * size
     assert abs(found.gradient[0] - slope) <= 3 * tolerance * abs(slope)
+
+
+STRETCHED, RUB = 0.5, 100.0
+
+
+def rubbing(coulomb, smooth_speed):
+    """A kilogram on a spring, let go half a metre from rest, against dry friction."""
+    a = RigidBody("a", (0.0, 0), mass=1.0, inertia=1.0)
+    spring = SpringDamper(a.at(0), RUB, 0.0, 1 + STRETCHED, ground=(-1.0, 0.0), name="s")
+    dry = SlideFriction(a.at(0), (1, 0), coulomb, smooth_speed, name="f")
+    return Scene([], [PointOnLine(a.at(0), direction=(1, 0))], loads=[spring, dry], bodies=[a]), a
+
+
+def of_rubbing(coulomb, smooth_speed, at):
+    """Return the positions and their scaled derivatives: variational equations, SciPy."""
+
+    def rates(t, y):
+        (x, x_k, x_c), (v, v_k, v_c) = y.reshape(2, 3)
+        level = np.tanh(v / smooth_speed)
+        slope = (1 - level**2) * coulomb / smooth_speed
+        a = -RUB * (x - STRETCHED) - coulomb * level
+        a_k = -RUB * x_k - (x - STRETCHED) - slope * v_k
+        return [v, v_k, v_c, a, a_k, -RUB * x_c - level - slope * v_c]
+
+    known = {"t_eval": at, "rtol": 1e-11, "atol": 1e-13, "max_step": 0.01}
+    x, x_k, x_c = scipy.integrate.solve_ivp(rates, (0, at[-1]), np.zeros(6), "DOP853", **known).y[
+        :3
+    ]
+    return x, x_k * RUB, x_c * coulomb
+
+
+# Steps of HHT that see no transition agree at 64 to 512; so do loose tolerances of Explicit; the
+# third sticks.
+@pytest.mark.parametrize(
+    ("coulomb", "smooth_speed", "tolerance"),
+    [(3.0, 1e-3, 1e-3), (3.0, 1e-3, 1e-1), (5.0, 1e-3, 1e-2), (8.0, 1e-3, 1e-2)],
+)
+def test_transitions_of_friction_are_not_stepped_over(coulomb, smooth_speed, tolerance):
+    """d/dk was three times too large, with bars of a thousandth of the error."""
+    scene, a = rubbing(coulomb, smooth_speed)
+    end, design = Terminal(position(a.at(0), 0)), ["s.stiffness", "f.coulomb"]
+    found = gradient(scene, end, 2.0, tolerance=tolerance, design=design)
+    (value,), *slopes = of_rubbing(coulomb, smooth_speed, np.array([2.0]))
+    exact, b = np.ravel(slopes), np.array([RUB, coulomb])
+    size, off = np.linalg.norm(exact), np.abs(found.gradient * b - exact)
+    assert found.accuracy.reached
+    assert np.linalg.norm(off) <= tolerance * size
+    assert abs(found.value - value) <= tolerance * max(size, abs(value))
+    assert np.all(off <= 2 * found.accuracy.gradient_bar * b + 1e-9 * size)
+
+
+def test_motions_with_transitions_of_friction_keep_their_bars():
+    """Errors of runs that pass over transitions fall with no order; bars were a ninth of them."""
+    scene, a = rubbing(3.0, 1e-3)
+    at = np.linspace(0, 2, 33)[1:]
+    exact = of_rubbing(3.0, 1e-3, at)[0]
+    found = simulate(scene, 2.0, tolerance=1e-3, observables=[position(a.at(0), 0)], at=at)
+    off = np.abs(found.values[:, 0] - exact)
+    assert found.reached
+    assert np.linalg.norm(off) <= 1e-3 * np.linalg.norm(exact)
+    assert np.mean(off > found.bars[:, 0]) <= 0.05
+
+
+@pytest.mark.parametrize(("coulomb", "smooth_speed"), [(3.0, 1e-3), (0.3, 1e-5)])
+def test_a_transition_of_friction_is_as_wide_as_its_speed(coulomb, smooth_speed):
+    """Forces change by 2 c with the slope c/w_0: two w_0, which the largest acceleration passes."""
+    scene, _ = rubbing(coulomb, smooth_speed)
+    system = assemble(scene, ["f.coulomb"])
+    runs = [simulate(system, 0.5, HHT(0.5 / n, hht_alpha=-0.05)) for n in (64, 512)]
+    speed, pull = np.abs(runs[-1].v).max(), np.abs(runs[-1].a).max()
+    for run in runs:
+        found = passed_over(system, run, 1e-3)
+        assert found.narrow == pytest.approx(2 * smooth_speed / np.ptp(runs[-1].v[:, 0]), rel=0.5)
+        assert found.steps == pytest.approx(4 * 0.5 * pull / (2 * smooth_speed), rel=0.5)
+        assert speed < 10
+    smooth, _ = rubbing(coulomb, 2.0)
+    run = simulate(smooth, 0.5, HHT(0.5 / 256, hht_alpha=-0.05))
+    assert passed_over(assemble(smooth, ["f.coulomb"]), run, 1e-3) == RESOLVED
+
+
+@pytest.mark.parametrize(
+    ("force", "width"),
+    [
+        (lambda x: np.tanh((x - 1.37) / 1e-6), 2e-6),
+        (lambda x: np.tanh((x - 1.37) / 0.1), 0.2),
+        (lambda x: 5 * np.sin(0.4 * x) + 0.05 * np.tanh((x - 1.63) / 1e-4), 2e-4),
+        (lambda x: np.maximum(x - 1.4, 0.0), None),
+        (np.sin, None),
+    ],
+)
+def test_widths_of_jumps_are_found_and_kinks_are_none(force, width):
+    """A path through the states 0 to 3, one a step, of forces that are written down."""
+    states = np.arange(4.0)[:, None, None] * np.ones((1, 2, 1))
+    path = _Path(lambda x, t: force(x[:, 0]), states, 0.0)
+    seen, left, right = path.narrowest(1e-2)
+    if width is None:
+        assert not path.seems_narrow(1e-2) or seen >= 0.5
+    else:
+        assert path.seems_narrow(1e-2)
+        assert seen == pytest.approx(width, rel=0.5)
+        assert left <= 1.37 <= right or left <= 1.63 <= right
+        # Positions alone make the force jump here.
+        assert np.diff(path.jumps(left, right)) <= 0
+
+
+@pytest.mark.parametrize(("t_end", "tolerance"), [(3.0, 1e-2), (3.0, 1e-3)])
+def test_a_coarse_run_of_a_double_pendulum_is_no_order(t_end, tolerance):
+    """At 256 steps it is another motion; by chance its differences fell with the order.
+
+    SciPy integrates two angles with complex design values: the derivative of its own steps.
+    """
+    length, gravity, I_a = 1.0, 9.81, 0.02
+    given = np.array([1.0, 1.0, 0.03])
+
+    def end(design):
+        m_a, m_b, I_b = design
+
+        def rates(t, y):
+            (x, z), spin = y[:2], y[2:]
+            cos, sin, half = np.cos(x - z), np.sin(x - z), m_b * length**2 / 2
+            top = I_a + m_a * length**2 / 4 + m_b * length**2
+            M = np.array([[top, half * cos], [half * cos, I_b + m_b * length**2 / 4]])
+            weight = gravity * length * np.array([(m_a / 2 + m_b) * np.cos(x), m_b / 2 * np.cos(z)])
+            turned = half * sin * np.array([-(spin[1] ** 2), spin[0] ** 2])
+            return np.concatenate([spin, np.linalg.solve(M, turned - weight)])
+
+        start = np.zeros(4, dtype=complex)
+        known = {"rtol": 1e-11, "atol": 1e-13, "max_step": 0.01}
+        y = scipy.integrate.solve_ivp(rates, (0, t_end), start, "DOP853", **known).y[:, -1]
+        return length * (np.cos(y[0]) + np.cos(y[1]))
+
+    exact = np.array([end(given * (1 + 1e-20j * e)).imag for e in np.eye(3)]) / 1e-20
+    a = RigidBody("a", (0, 0), mass=1.0, inertia=I_a, centre=(length / 2, 0))
+    b = RigidBody("b", (length, 0), mass=1.0, inertia=0.03, centre=(length / 2, 0))
+    pins = [Pin(a.at(0, 0)), Pin(a.at(length, 0), b.at(0, 0))]
+    scene = Scene([], pins, (0, -gravity), bodies=[a, b])
+    goal, design = Terminal(position(b.at(length, 0), 0)), ["a.mass", "b.mass", "b.inertia"]
+    found = gradient(scene, goal, t_end, tolerance=tolerance, design=design)
+    off = np.abs(found.gradient * given - exact)
+    assert found.accuracy.reached
+    assert np.linalg.norm(off) <= tolerance * np.linalg.norm(exact)
+    assert np.all(off <= 3 * found.accuracy.gradient_bar * given)
 
 
 def test_bars_over_time_have_the_size_of_errors_nearby():

@@ -98,7 +98,8 @@ def search(seer: Second, others: Sequence[Runs], measure: Measure, tolerance: fl
         if isinstance(sample.result, Exception):
             failures.append(sample.result)
     if not best.estimates:
-        raise failures[-1] if failures else _out_of_reach(spent, ways)
+        ended = any(x.samples for x in kinds)
+        raise failures[-1] if failures and not ended else _out_of_reach(spent, ways)
     reached = best.error <= tolerance
     # What was foreseen before the last run.
     left = "; ".join(spent.price(*x) for x in ways.items() if not reached or x[0] is not best)

@@ -21,7 +21,8 @@ from ancfdae.integrators.radau.method import Radau
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import HIGH_GRANTED, Estimate, falls, refined, spread, tightened
 from ancfdae.studies.tolerance.runs import OF_A_RUN, Runs, Sample, Wanted
-from ancfdae.studies.tolerance.spectrum import fades
+from ancfdae.studies.tolerance.spectrum import fades, pace
+from ancfdae.studies.tolerance.transitions import RESOLVED, Transition, passed_over
 from ancfdae.studies.tolerance.waves import Missed, Wave, followed, missed
 
 # Order at which the estimated errors of derivatives fall where steps resolve their waves: from two
@@ -61,6 +62,11 @@ _FADING, _OF_FADING = 32, 0.5
 # Errors over the tolerance of two runs that do not resolve waves, at least: they may agree by
 # chance in all that is wanted.
 _DOUBTED = 2.0
+# How much faster than with the order estimated errors may fall; else the coarse run is another
+# motion.
+_FASTER = 0.6
+# Part of the narrowest transition of forces that error control must know the state to.
+_OF_NARROW = 0.1
 # Work of the derivatives of a small step of HHT-I3 (`small_from`).
 _OF_A_SMALL = 250.0
 
@@ -134,7 +140,7 @@ class _Steps(Runs):
 
     def judged(self) -> list[Estimate]:
         """Compare the runs; add what they may miss by waves that they damp."""
-        if len(self.samples) < 2 or self.counts[-2] < self._least:
+        if len(self.samples) < 2 or self.counts[-2] < self.least:
             return []
         estimates = [
             self._estimate(x) for x in zip(*(x.vectors for x in self.samples[-5:]), strict=True)
@@ -150,7 +156,7 @@ class _Steps(Runs):
         return [Estimate(x, bar + more) for (x, bar), more in zip(estimates, lost, strict=True)]
 
     @property
-    def _least(self) -> int:
+    def least(self) -> int:
         """Steps below which laws or objectives have features that runs pass over."""
         return self._wanted.features.steps
 
@@ -182,33 +188,56 @@ class Second(_Steps):
         self.waves = False
         # Steps above which they are small.
         self._small = math.inf
+        # Transitions of forces that its runs pass over.
+        self.transitions = RESOLVED
 
     def take(self, sample: Sample) -> None:
         """Add a run; look for waves that it damps.
 
         Runs that damp waves, or pass over features, which the next one follows say nothing of it.
+        Nor do those whose estimated errors are of another motion.
         """
         taken = self.count
-        if self._taken < self._least <= taken:
+        if self._taken < self.least <= taken or self._another(sample):
             self.samples = []
         elif self.damps:
             self.samples = self.samples[-1:] if sample.steps < self._following / 2 else []
         self._lost, self._damped, self.whole, self._little, self._fades = [], [], [], False, None
         wanted, system = self._wanted, self._system
+        if sample.vectors:
+            found = passed_over(system, sample.run, self._tolerance)
+            steps = max(found.steps, self.transitions.steps)
+            self.transitions = Transition(steps, min(found.narrow, self.transitions.narrow))
         if sample.vectors and wanted.slopes:
             self._small = small_from(system, sample.run, _ALPHA)
         if self.samples and sample.vectors:
             known = wanted.numbers, wanted.integrated, not _resolve([*self.samples, sample])
-            found = missed(system, sample.run, _ALPHA, *known)
-            self._damped = found.waves
-            self.waves = self.waves or bool(found.waves)
-            self._lost, self.whole = map(self._parts, (found.parts, found.whole))
+            waves = missed(system, sample.run, _ALPHA, *known)
+            self._damped = waves.waves
+            self.waves = self.waves or bool(waves.waves)
+            self._lost, self.whole = map(self._parts, (waves.parts, waves.whole))
             most = self.relative(self.whole, sample.vectors)
             # Waves of derivatives are seen where the run has them.
             seen = wanted.slopes and sample.run.sensitivities is not None
             self._little = seen and most <= _LITTLE * self._tolerance
         super().take(sample)
         self._taken = taken
+
+    def _another(self, sample: Sample) -> bool:
+        """Return whether estimated errors fall faster than runs of one motion allow."""
+        if not (self.samples and sample.vectors):
+            return False
+        return _estimated_order(self.samples[-1], sample) > self.order + _FASTER
+
+    @property
+    def least(self) -> int:
+        """Steps that also resolve transitions of forces, which derivatives need."""
+        return max(super().least, self.transitions.steps if self._wanted.slopes else 0)
+
+    @property
+    def passes(self) -> bool:
+        """Whether its steps pass over transitions of forces."""
+        return self._taken < self.transitions.steps
 
     @property
     def lost(self) -> list[Array]:
@@ -231,7 +260,7 @@ class Second(_Steps):
             self._seen(earlier[:3], self.counts[-5:-2])
             or self._seen(earlier[1:], self.counts[-4:-1])
         )
-        if kinked:
+        if kinked or self.passes:
             return refined(runs, self.counts[-3:], self.order, False, self._wanted.along)
         if self._wanted.along:
             return self._over_time(runs)
@@ -310,8 +339,8 @@ class Second(_Steps):
         """Steps: first such that they cost what a run costs without; nested where waves hide."""
         if len(self.samples) < 2:
             return 2 * self._taken or (64 if self._compiled else 16)
-        if self._taken < self._least:
-            return self._least
+        if self._taken < self.least:
+            return self.least
         if self.damps:
             return math.ceil(self._following)
         growth = 2.0
@@ -325,7 +354,7 @@ class Second(_Steps):
 
         Long strides say little of the last run alone, which bars over time and pulses need.
         """
-        return 2.0 if self._wanted.along or self._least else 4.0
+        return 2.0 if self._wanted.along or self.least else 4.0
 
     @property
     def _following(self) -> float:
@@ -341,8 +370,8 @@ class Second(_Steps):
         """
         if len(self.samples) < 2:
             return self.work
-        if self._taken < self._least:
-            return self._work(self._least) + self._work(2 * self._least)
+        if self._taken < self.least:
+            return self._work(self.least) + self._work(2 * self.least)
         if self.damps:
             return self._work(self._following) + self._work(2 * self._following)
         order = 3 if self.resolved else 2 if self.regular else _UNSEEN
@@ -416,13 +445,13 @@ class Fifth(_Steps):
         self._seer = seer
 
     @property
-    def _least(self) -> int:
+    def least(self) -> int:
         """Stages of a step see half as much again."""
-        return self._wanted.features.steps // 2
+        return self._seer.least // 2
 
     @property
     def lost(self) -> list[Array]:
-        """Waves that runs of the motion lose; all that fade until those runs resolve them."""
+        """Waves that runs of HHT-I3 lose; until those resolve them, all that fade."""
         return self._seer.lost if self._seer.resolved else self._seer.whole
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
@@ -441,7 +470,7 @@ class Fifth(_Steps):
         """Steps that lead to the tolerance, by what the other sequence tells of the waves."""
         share = HIGH_GRANTED * _PERCENT / (_AIM * self._tolerance)
         of_error = self._seer.percent / _FEWER * math.pow(share, 1 / self.order)
-        return max(of_error, self._seer.counts[-1] * _SHARE, self._least)
+        return max(of_error, self._seer.counts[-1] * _SHARE, self.least)
 
     @property
     def _planned(self) -> int:
@@ -469,7 +498,8 @@ class Fifth(_Steps):
     @property
     def resolved(self) -> bool:
         """Whether there are no waves that are damped without a word."""
-        return self._seer.resolved or self._seer.fades
+        seer = self._seer
+        return (seer.resolved or seer.fades) and (self._wanted.slopes or not seer.passes)
 
     @property
     def words(self) -> str:
@@ -507,7 +537,14 @@ class Eighth(Runs):
     def __init__(self, seer: Second, intervals: int, wanted: Wanted) -> None:
         super().__init__(wanted)
         self._seer, self._intervals = seer, intervals
-        self._rtol, self._taken = min(_FIRST * self._tolerance, _LOOSEST), list[float]()
+        self._asked, self._taken = min(_FIRST * self._tolerance, _LOOSEST), list[float]()
+
+    @property
+    def _rtol(self) -> float:
+        """The tolerance of the next run, at which derivatives pass over no transition of forces."""
+        if not self._wanted.slopes:
+            return self._asked
+        return min(self._asked, _OF_NARROW * self._seer.transitions.narrow)
 
     @property
     def setting(self) -> Integrator:
@@ -527,28 +564,34 @@ class Eighth(Runs):
             self._more *= 3
             self._taken = []
         else:
-            self._rtol = self._next
+            self._asked = self._next
 
     @property
     def _next(self) -> float:
-        """The tolerance of the next run."""
+        """The tolerance that the runs ask of the next one."""
         if not self.estimates:
             return self._rtol / _TIGHTER
         further = self.error / (_AIM * self._tolerance)
         return self._rtol / min(max(further, _TIGHTER), _TIGHTEST)
 
     @cached_property
-    def _fastest(self) -> float:
-        """Steps that stability takes."""
+    def _fastest(self) -> tuple[float, bool]:
+        """Steps that stability takes, and whether tight tolerances take more of them."""
         from ancfdae.modes.configuration import Configuration
         from ancfdae.modes.periods import fastest
 
+        seer, per_speed = self._seer, self._t_end / _STABLE
+        if seer.transitions.steps and seer.samples:
+            # What starts within a transition is stiff there, and leaves it at once.
+            speed = pace(self._system, seer.samples[-1].run)
+            if speed is not None:
+                return speed * per_speed, False
         try:
             initial = Problem.of(self._system, self._t_end).initial
-            speed = fastest(self._system, Configuration(initial.q, initial.lam, t=initial.t))
+            at = Configuration(initial.q, initial.lam, t=initial.t)
+            return fastest(self._system, at) * per_speed, True
         except AncfdaeError:  # Nothing vibrates.
-            return 0.0
-        return speed * self._t_end / _STABLE
+            return 0.0, False
 
     def _steps(self, rtol: float) -> float:
         """Return the steps at a tolerance, of accuracy or of stability."""
@@ -557,7 +600,9 @@ class Eighth(Runs):
         smooth = self._seer.percent / _FEWER * math.pow(max(_PERCENT / rtol, 1.0), 1 / 8)
         if self._seer.waves:  # HHT errs by these, which stability asks to be followed anyway.
             smooth = _FEWEST
-        waves = self._fastest * math.pow(max(_FOLLOWED / rtol, 1.0), 1 / 8)
+        waves, vibrate = self._fastest
+        if vibrate:
+            waves *= math.pow(max(_FOLLOWED / rtol, 1.0), 1 / 8)
         return self._more * max(smooth, waves)
 
     @property

@@ -20,6 +20,8 @@ from ancfdae.numerics.arrays import Array
 _DENSE: Final = 60
 # Steps of HHT-I3 resolve motions of less than this, |s| h.
 _RESOLVED: Final = 0.5
+# Instants at which the spectrum of a run is taken.
+_PLACES: Final = 7
 # Fraction of its amplitude that a motion may keep to the end of a run, as a logarithm.
 _FADED: Final = -5.0
 
@@ -29,17 +31,37 @@ def fades(system: MechanicalSystem, run: Solution) -> bool:
 
     False if there are none, or more coordinates than dense matrices are made for.
     """
-    if system.n_q > _DENSE or len(run.t) < 3:
+    spectra = _spectra(system, run, 1) if len(run.t) > 2 else []
+    if not spectra:
         return False
-    try:
-        at = system.linearise(*(x[1:2] for x in (run.t, run.q, run.v, run.a, run.lam)))
-    except AncfdaeError:
-        return False
-    if at.f_v is None:
-        return False
-    s = _spectrum(system, at.M[0], at.f_v[0], at.f_q[0], at.Phi_q[0])
+    s = spectra[0]
     fast = s[np.abs(s) * (run.t[2] - run.t[1]) > _RESOLVED]
     return bool(fast.size) and bool(np.all(fast.real * run.t[-1] < _FADED))
+
+
+def pace(system: MechanicalSystem, run: Solution) -> float | None:
+    """Return the largest |s| about the motion, its mean over instants of a run; 1/s.
+
+    None where `fades` cannot tell.
+    """
+    spectra = _spectra(system, run, *np.linspace(0, len(run.t) - 1, _PLACES + 2)[1:-1].astype(int))
+    return float(np.mean([np.abs(s).max() for s in spectra])) if spectra else None
+
+
+def _spectra(system: MechanicalSystem, run: Solution, *places: int) -> list[Array]:
+    """Return the eigenvalues about instants of a run, whose numbers are given; none if unknown."""
+    if system.n_q > _DENSE:
+        return []
+    rows = np.array(places)
+    try:
+        at = system.linearise(*(x[rows] for x in (run.t, run.q, run.v, run.a, run.lam)))
+    except AncfdaeError:
+        return []
+    if at.f_v is None:
+        return []
+    masses = np.broadcast_to(at.M, (len(rows), at.M.shape[1]))
+    parts = zip(masses, at.f_v, at.f_q, at.Phi_q, strict=True)
+    return [_spectrum(system, *x) for x in parts]
 
 
 def _spectrum(system: MechanicalSystem, M: Array, D: Array, K: Array, Phi_q: Array) -> Array:

@@ -1,0 +1,184 @@
+"""Transitions of forces in the state that steps of a run pass over, such as those of dry friction.
+
+Within a transition forces change much while the state changes little. A derivative of a step has
+the slopes of forces at its instants: where these lie on either side of a transition it knows
+nothing of the jump between them, whatever the motion does, and runs agree on a wrong derivative.
+So forces are sampled along the straight path between the states of the run, about the steps in
+which accelerations change most suddenly, and ever more closely where the samples jump. The width
+of a transition is its jump over its largest slope.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem, Solution
+from ancfdae.equations.saddle_points import saddle_point
+from ancfdae.integrators.index_1 import accelerations
+from ancfdae.numerics.arrays import Array
+
+# Steps about which forces are sampled at most, intervals of each, and how often these are divided;
+# intervals of a first look at a step, which most do not pass.
+_LOOKED_AT: Final = 6
+_INTERVALS: Final = 8
+_DEPTH: Final = 9
+_FIRST: Final = 4
+# Change of accelerations in a step, less those of its neighbours, over the median of a run.
+_SUDDEN: Final = 4.0
+# Width of a transition that steps resolve, in steps; steps in a width that show its slope.
+_RESOLVED: Final = 0.5
+_PER_WIDTH: Final = 4.0
+# Part of a jump that a closer look finds in one interval: of a jump, and of one to divide again.
+_JUMPS: Final = 0.125
+_WITHIN: Final = 0.25
+
+
+class Transition(NamedTuple):
+    """Steps that resolve all transitions, and the change of state within the narrowest.
+
+    The change is relative to the size of q or v over the run, whichever makes the forces jump. No
+    steps and infinite where all are resolved.
+    """
+
+    steps: int
+    narrow: float
+
+
+RESOLVED: Final = Transition(0, math.inf)
+
+
+def passed_over(system: MechanicalSystem, run: Solution, share: float) -> Transition:
+    """Return the transitions that steps pass over whose jump exceeds a share of accelerations."""
+    count, root = len(run.t) - 1, np.sqrt(system.weights)
+    if count < 4:
+        return RESOLVED
+    a = run.a * root
+    sizes = np.linalg.norm(a, axis=1)
+    rises = np.diff(a, axis=0)
+    sudden = np.zeros(count)
+    sudden[1:-1] = np.linalg.norm(rises[1:-1] - (rises[:-2] + rises[2:]) / 2, axis=1)
+    least = np.maximum(share * np.maximum(sizes[:-1], sizes[1:]), _SUDDEN * np.median(sudden))
+    looked_at = np.flatnonzero(sudden > least)
+    if not looked_at.size:
+        return RESOLVED
+    solver, found = accelerations(system, saddle_point(system, 0.0)), RESOLVED
+    states = np.stack([run.q, run.v], axis=1)
+    reach = [float(np.ptp(x * root, axis=0).max()) for x in (run.q, run.v)]
+
+    def of(states: Array, t: float) -> Array:
+        """Return accelerations of states at one instant, so that laws of time make no jump."""
+        rows = solver.rows_of(np.full(len(states), t), states[:, :, None])
+        return np.asarray(rows[:, 0, : system.n_q] * root)
+
+    for n in looked_at[np.argsort(sudden[looked_at])[-_LOOKED_AT:]]:
+        path = _Path(of, states[n - 1 : n + 3], float(run.t[n] + run.t[n + 1]) / 2)
+        least = share * float(sizes[n])
+        with np.errstate(all="ignore"):
+            if not path.seems_narrow(least):
+                continue
+            width, left, right = path.narrowest(least)
+            if not width < _RESOLVED:
+                continue
+            jumps = path.jumps(left, right)
+        kind = int(np.argmax(jumps))
+        step = float(np.linalg.norm((states[n + 1, kind] - states[n, kind]) * root))
+        narrow = width * step / reach[kind] if reach[kind] > 0 else math.inf
+        steps = math.ceil(count * _PER_WIDTH / width)
+        found = Transition(max(found.steps, steps), min(found.narrow, narrow))
+    return found
+
+
+@final
+@dataclass(frozen=True)
+class _Path:
+    """Straight lines through four states of a run, parts of which are counted in steps.
+
+    `of` returns the accelerations of states at an instant, times roots of masses; `t` is the
+    instant.
+    """
+
+    of: Callable[[Array, float], Array]
+    states: Array
+    t: float
+
+    def _at(self, parts: Array) -> Array:
+        """Return the states at parts of the path."""
+        n = np.minimum(parts.astype(int), len(self.states) - 2)
+        share = (parts - n)[:, None, None]
+        return np.asarray((1 - share) * self.states[n] + share * self.states[n + 1])
+
+    def _rises(self, left: float, size: float, count: int) -> Array:
+        """Return the changes of accelerations on equal intervals of a part of the path."""
+        return np.diff(self.of(self._at(np.linspace(left, left + size, count + 1)), self.t), axis=0)
+
+    def jumps(self, left: float, right: float) -> list[float]:
+        """Return how far accelerations change between two parts by q alone, and by v alone."""
+        ends = self._at(np.array([left, right]))
+        by_q, by_v = ends.copy(), ends.copy()
+        by_q[:, 1], by_v[:, 0] = ends[:, 1].mean(axis=0), ends[:, 0].mean(axis=0)
+        return [float(np.linalg.norm(np.diff(self.of(x, self.t), axis=0))) for x in (by_q, by_v)]
+
+    def seems_narrow(self, least: float) -> bool:
+        """Return whether a few intervals of the step in the middle may hold a jump."""
+        first = _Seen.of(self._rises(1.0, 1.0, _FIRST), 1.0)
+        if first.concentrated:
+            return first.total > least
+        if not first.most > least:
+            return False
+        left = 1.0 + first.k / _FIRST
+        second = _Seen.of(self._rises(left, 1 / _FIRST, _FIRST), 1 / _FIRST)
+        return not second.most < _JUMPS * first.most
+
+    def narrowest(self, least: float) -> tuple[float, float, float]:
+        """Return the width of the largest jump, in steps, and the parts that hold it.
+
+        Infinite without a jump of the least size. Three steps are looked at: of a step alone half
+        a kink looks like a jump.
+        """
+        left, size, count = 0.0, 3.0, 3 * _INTERVALS
+        seen = first = _Seen.of(self._rises(left, size, count), size)
+        jump, slope = first.most, first.slope
+        for depth in range(_DEPTH):
+            left, size, count = left + seen.k * size / count, size / count, _INTERVALS
+            whole, seen = seen.most, _Seen.of(self._rises(left, size, count), size)
+            slope = max(slope, seen.slope)
+            if depth == 0 and seen.most < _JUMPS * whole:
+                # Smooth, or spread over some intervals.
+                jump = first.total if first.concentrated else 0.0
+            if not seen.most >= _WITHIN * whole:
+                break
+        width = jump / slope if least < jump < math.inf else math.inf
+        return width, left, left + size
+
+
+class _Seen(NamedTuple):
+    """What changes of accelerations on equal intervals tell.
+
+    Their sum, the steepest slope, the largest change beside a smooth one, and where it is.
+    """
+
+    total: float
+    slope: float
+    most: float
+    k: int
+
+    @staticmethod
+    def of(rises: Array, size: float) -> _Seen:
+        """Judge the changes on intervals of a part of this size."""
+        sizes = np.linalg.norm(rises, axis=1)
+        # A slope and its change are those of smooth forces.
+        change = np.median(np.diff(rises, axis=0), axis=0)
+        rest = rises - np.arange(len(rises))[:, None] * change
+        beside = np.linalg.norm(rest - np.median(rest, axis=0), axis=1)
+        slope = float(sizes.max()) * len(rises) / size
+        return _Seen(float(sizes.sum()), slope, float(beside.max()), int(np.argmax(beside)))
+
+    @property
+    def concentrated(self) -> bool:
+        """Whether the changes are those of a small part of a step."""
+        return self.total < _RESOLVED * self.slope
