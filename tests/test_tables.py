@@ -104,7 +104,7 @@ def test_tradeoffs_have_a_row_for_each_setting():
 def test_nonsense_is_refused_and_a_missing_package_named(solution, monkeypatch):
     with pytest.raises(InvalidInput, match="tip"):
         solution.to_dataframe({"tip [m]": [1.0, 2.0]})
-    with pytest.raises(InvalidInput, match="name of its own"):
+    with pytest.raises(InvalidInput, match="differ from the names of all other columns"):
         solution.to_dataframe({"rod[2].y": solution.t})
     with pytest.raises(InvalidInput, match="differentiate"):
         simulate(scene(), 1 / 128, STEPS).to_dataframe(derivatives=True)

@@ -304,10 +304,10 @@ class _Place:
         return norm(ahead - way, weights) <= _MISS * norm(way, weights) + self.digits
 
     def joins(self, after: _Place, small: bool) -> bool:
-        """Whether the path from here leads to another place, by the tangents of both.
+        """Whether the path from here leads to another place, by their tangents.
 
-        Their mean is the secant of a smooth path. Of a `small` step it may be any other mean: the
-        path has a kink there, as of a cable that slackens.
+        The mean of two tangents is the secant of a smooth path. A `small` step may have any other
+        mean, because the path may have a kink there, as that of a cable that slackens.
         """
         step, secant = after.p - self.p, after.at.q - self.at.q
         weights, (first, last) = self.system.weights, (step * x.paths[0] for x in (self, after))
@@ -502,7 +502,7 @@ class _Search:
             digits = 4 * _EPS * max(abs(p), self._size)
             if (abs(dp) >= 0.5 * last and last <= small) or abs(dp) <= digits:
                 return point if point.held and self._is_ahead(p) else None
-            # Nothing is known beyond the range: there may be no such system.
+            # Nothing is known beyond the range: the system may not exist there.
             room = self._room(p, -dp)
             if not abs(dp) < room:
                 part, leaving = 0.5 * room / abs(dp), leaving + 1
@@ -538,7 +538,7 @@ def _held(
 
 
 def _gradient(x: HeldPoint, k: int, kind: Kind, ends: tuple[float, float]) -> Array:
-    """Return the derivatives of p, which has come from the first of the ends of the range."""
+    """Return the derivatives of p, shape (n_b,); p has come from the first of the `ends` of the range."""
     if kind == "limit point":
         return -x.tau_b / x.tau_b[k]
     parted = x.parted()

@@ -71,7 +71,7 @@ def passed_over(system: MechanicalSystem, run: Solution, share: float) -> Transi
     reach = [float(np.ptp(x * root, axis=0).max()) for x in (run.q, run.v)]
 
     def of(states: Array, t: float) -> Array:
-        """Return accelerations of states at one instant, so that laws of time make no jump."""
+        """Return accelerations of `states` at one time t, (len(states), n_q): laws make no jump."""
         rows = solver.rows_of(np.full(len(states), t), states[:, :, None])
         return np.asarray(rows[:, 0, : system.n_q] * root)
 
@@ -98,8 +98,7 @@ def passed_over(system: MechanicalSystem, run: Solution, share: float) -> Transi
 class _Path:
     """Straight lines through four states of a run, parts of which are counted in steps.
 
-    `of` returns the accelerations of states at an instant, times roots of masses; `t` is the
-    instant.
+    `of` returns the accelerations of states at the time `t`, times roots of masses.
     """
 
     of: Callable[[Array, float], Array]
@@ -107,13 +106,13 @@ class _Path:
     t: float
 
     def _at(self, parts: Array) -> Array:
-        """Return the states at parts of the path."""
+        """Return the states at `parts` of the path, shape (len(parts), 2, n_q)."""
         n = np.minimum(parts.astype(int), len(self.states) - 2)
         share = (parts - n)[:, None, None]
         return np.asarray((1 - share) * self.states[n] + share * self.states[n + 1])
 
     def _rises(self, left: float, size: float, count: int) -> Array:
-        """Return the changes of accelerations on equal intervals of a part of the path."""
+        """Return the changes of accelerations on `count` equal intervals, shape (count, n_q)."""
         return np.diff(self.of(self._at(np.linspace(left, left + size, count + 1)), self.t), axis=0)
 
     def jumps(self, left: float, right: float) -> list[float]:
