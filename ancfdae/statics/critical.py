@@ -538,7 +538,7 @@ def _held(
 
 
 def _gradient(x: HeldPoint, k: int, kind: Kind, ends: tuple[float, float]) -> Array:
-    """Return the derivatives of p, shape (n_b,); p has come from the first of the `ends` of the range."""
+    """Return the derivatives of p, shape (n_b,), which has come from the first of `ends`."""
     if kind == "limit point":
         return -x.tau_b / x.tau_b[k]
     parted = x.parted()
