@@ -145,7 +145,7 @@ def test_a_thin_cantilever_of_one_damped_material_keeps_its_digits(slenderness):
 
 
 def test_what_is_too_thin_for_its_matrix_is_refused_in_words():
-    scene = thin_cantilever(1e-5, damping_time=1e-4)
+    scene = thin_cantilever(1e-6, damping_time=1e-4)
     tip = SpringDamper(scene.beams[0].at_end, 0.0, 1e-9, ground=(1.0, 1.0))
     with pytest.raises(AncfdaeError, match="too thin"):
         modes(replace(scene, loads=[tip]), 4)

@@ -8,24 +8,42 @@ import numpy as np
 import scipy
 
 from ancfdae.modes import dense, proportional, sparse
+from ancfdae.modes.completeness import all_found, none_vibrates_beyond
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
-from ancfdae.modes.pairs import Eigenpairs, finished, half_gap, likely_error, noise_of
-from ancfdae.modes.precise import ALLOWED, refuse_lost
-from ancfdae.modes.rigid import rigid_motions
+from ancfdae.modes.pairs import (
+    Eigenpairs,
+    coincident,
+    finished,
+    half_gap,
+    likely_error,
+    noise_of,
+)
+from ancfdae.modes.precise import ALLOWED, NoModes, refuse_lost
+from ancfdae.modes.rigid import rigid_motions, undamped_part
 from ancfdae.modes.sharpening import each_sharpened
 from ancfdae.modes.undamped import is_small, undamped, with_rigid
 from ancfdae.numerics.arrays import Array
 
-# Up to this many independent motions dense matrices take over where Arnoldi's method fails; some
-# seconds.
-_DENSE_CROWDED = 400
+# Up to this many independent motions dense matrices take over where Arnoldi's method fails or may
+# have missed a vibration; some seconds.
+_DENSE_CROWDED = 800
+# Arnoldi's method looks for _MORE pairs than are asked for, and for so many times as many where
+# some may be missing.
+_MORE, _TIMES = 2, (1, 2, 4)
+# Part of itself by which a vibration may move as it is sharpened; by more it became another one.
+_MOVED = 1e-3
+_HIDDEN = (
+    "modes: lower vibrations than those found may be missing, among motions that creep. Shorten "
+    "the retardation time of bodies that hardly vibrate, use fewer elements, or pass damped=False."
+)
 _TINY = float(np.finfo(float).tiny)
 
 
 def damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     """Return the first exponents with Im s >= 0, or the farthest from zero, and their shapes.
 
-    NoModes if one of them could be off by more than a part of 2e-6.
+    NoModes if one of them could be off by more than a part of 2e-6, or if a vibration below the
+    last one may be missing.
     """
     tau = proportional.retardation_time(small)
     if tau is not None:
@@ -33,39 +51,119 @@ def damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
         if np.all(_disproportion(small, tau, pairs) <= ALLOWED * np.abs(pairs.z)):
             return pairs
     rigid = rigid_motions(small)
-    s, X = _roots(small, count, highest, rigid)
-    falling = np.argsort(-np.abs(s), kind="stable")
-    order = (falling if highest else _ranked(s, noise_of(small, s, X)))[:count]
-    if not highest:
-        # Before they are sharpened some grow by round-off, which would take the place of others.
-        order = np.union1d(order, np.argsort(np.where(s.imag, np.abs(s), np.inf))[:count])
-    s, X, change = each_sharpened(small, s[order], X[:, order])
-    if not highest:
-        s, X, change = with_rigid(rigid, s, X, change)
-        order = _ranked(s, noise_of(small, s, X))
-        s, X, change = s[order], X[:, order], change[order]
+    if not is_small(small, count):
+        try:
+            few = _of_large(small, count, highest, rigid)
+        except scipy.sparse.linalg.ArpackError:
+            if small.n_free > _DENSE_CROWDED:
+                raise
+            few = None
+        if few is not None:
+            return few
+        if small.n_free > _DENSE_CROWDED:
+            raise NoModes(_HIDDEN)
+    s, X = dense.damped(small, rigid, _size(small, highest))
+    if highest:
+        return _highest(small, count, s, X)
+    lowest = _lowest(small, count, rigid, s, X)
+    if lowest is None or not _has_all_that_vibrate(small, 0, rigid, s, lowest):
+        raise NoModes(_HIDDEN)
+    return lowest
+
+
+def _of_large(small: Linearised, count: int, highest: bool, rigid: Array) -> Eigenpairs | None:
+    """Return modes by Arnoldi's method; None if vibrations may be missing.
+
+    It finds exponents nearest to a real shift, not those of least |s|, and fails where too many
+    crowd next to -1 over a retardation time.
+    """
+    more = count + (0 if highest else rigid.shape[1])
+    around = undamped(replace(small, D=None), more, highest)
+    size = float(np.sqrt(np.max(np.abs(around.z))))
+    if highest:
+        return _highest(small, count, *sparse.damped(small, count, size, highest, rigid))
+    for times in _TIMES:
+        try:
+            s, X = sparse.damped(small, times * (count + _MORE), size, highest, rigid)
+        except scipy.sparse.linalg.ArpackError:
+            if times == 1:
+                raise
+            return None
+        pairs = _lowest(small, count, rigid, s, X)
+        if pairs is not None and _has_all_that_vibrate(small, count, rigid, s, pairs):
+            return pairs
+    return None
+
+
+def _size(small: Linearised, highest: bool) -> float:
+    """Return the size of the exponents that dense matrices are to give most digits; 1/s."""
+    still = replace(small, D=None)
+    z = np.abs(dense.undamped(still, small.n_free, highest)[0])
+    largest = float(np.max(z))
+    if highest:
+        assert small.D is not None
+        return max(largest**0.5, small.largest(small.D))
+    moves = z[z > ROUND_OFF * EPS * largest]
+    return float(np.min(moves, initial=largest)) ** 0.5 or 1.0
+
+
+def _highest(small: Linearised, count: int, s: Array, X: Array) -> Eigenpairs:
+    """Return the exponents farthest from zero, sharpened."""
+    order = np.argsort(-np.abs(s), kind="stable")[:count]
+    return _checked(small, *each_sharpened(small, s[order], X[:, order]))
+
+
+def _lowest(small: Linearised, count: int, rigid: Array, s: Array, X: Array) -> Eigenpairs | None:
+    """Return the first modes, sharpened, rigid ones too; None if a vibration became another one."""
+    order = _ranked(s, noise_of(small, s, X))[:count]
+    # Before they are sharpened some grow by round-off, which would take the place of others.
+    lowest = np.argsort(np.where(s.imag, np.abs(s), np.inf))[: np.sum(s.imag > 0)]
+    order = np.union1d(order, lowest[:count])
+    sharp, X, change = each_sharpened(small, s[order], X[:, order])
+    vibrates = s[order].imag > 0
+    if np.any(vibrates & (np.abs(sharp - s[order]) > _MOVED * np.abs(sharp))):
+        return None
+    sharp, X, change = with_rigid(rigid, sharp, X, change)
+    order = _ranked(sharp, noise_of(small, sharp, X))
+    return _checked(small, sharp[order], X[:, order], change[order])
+
+
+def _checked(small: Linearised, s: Array, X: Array, change: Array) -> Eigenpairs:
+    """Return modes that round-off leaves as they are; NoModes if one is moved by too much."""
     pairs = finished(small, s, X)
     left = np.maximum(likely_error(small, pairs, change), _unsolved(small, pairs))
     refuse_lost(small, pairs.z, left)
     return pairs
 
 
-def _roots(small: Linearised, count: int, highest: bool, rigid: Array) -> tuple[Array, Array]:
-    """Return exponents and shapes, to be sharpened, by the method that suits the size.
+def _has_all_that_vibrate(
+    small: Linearised, count: int, rigid: Array, s: Array, pairs: Eigenpairs
+) -> bool:
+    """Whether modes have all vibrations below the last one, by a count of their own.
 
-    Arnoldi's method does not part exponents that crowd next to -1 over a retardation time.
+    The modes were sharpened from some of the exponents s. Where one of the first `count` modes only
+    decays, no vibration at all may be missing.
     """
-    if is_small(small, count):
-        return dense.damped(small, rigid)
-    more = count + (0 if highest else rigid.shape[1])
-    around = undamped(replace(small, D=None), more, highest)
-    size = float(np.sqrt(np.max(np.abs(around.z))))
-    try:
-        return sparse.damped(small, count, size, highest, rigid)
-    except scipy.sparse.linalg.ArpackError:
-        if small.n_free > _DENSE_CROWDED:
-            raise
-        return dense.damped(small, rigid)
+    vibrates = pairs.z.imag > 0
+    n_zero = rigid.shape[1] + undamped_part(small, rigid).shape[1]
+    decays = (pairs.z.imag == 0) & (pairs.z.real < 0)
+    if np.any(decays[:count]) and not none_vibrates_beyond(small, s, n_zero):
+        return False
+    if not np.any(vibrates):
+        return True
+    last = float(np.max(np.abs(pairs.z[vibrates])))
+    return _are_distinct(small, pairs) and all_found(small, s, n_zero, last)
+
+
+def _are_distinct(small: Linearised, pairs: Eigenpairs) -> bool:
+    """Whether vibrations that coincide have shapes that are independent."""
+    for group in coincident(pairs):
+        X = pairs.X[:, group]
+        if len(group) > 1 and np.any(pairs.z[group].imag):
+            gram = np.conj(X.T) @ small.times(small.M, X)
+            if np.linalg.eigvalsh(gram)[0] < EPS**0.5:
+                return False
+    return True
 
 
 def _in_proportion(small: Linearised, tau: float, count: int, highest: bool) -> Eigenpairs:

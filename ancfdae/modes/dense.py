@@ -41,30 +41,54 @@ def asymmetric(small: Linearised, rigid: Array) -> tuple[Array, Array]:
     return z, N @ (P @ W)
 
 
-def damped(small: Linearised, rigid: Array) -> tuple[Array, Array]:
-    """Return the exponents s with Im s >= 0 other than those of rigid motions, and their shapes.
+def damped(small: Linearised, rigid: Array, size: float) -> tuple[Array, Array]:
+    """Return all exponents s with Im s >= 0 but zeros of rigid motions, and their shapes.
+
+    Exponents of about `size` have most digits. Let sigma = size, or more where F(sigma) is not
+    positive definite, F = sigma^2 + sigma D_N + K_N and F + F^T = 2 L L^T. The matrix
+
+        [ -A    -Q ]     Q = sigma^2 G^-1 L^-1 L^-T,     A = Q + sigma G^-1 L^-1 D_N L^-T
+        [ 1-A   -Q ]     G = L^-1 F L^-T
+
+    acts on [L^T x, L^T v/sigma] and has the eigenvalues theta = sigma/(s - sigma). Where K and D
+    are symmetric G = 1, and no block has a norm above 1, however stiff the bodies and however
+    strong the damping. In x' = v, v' = -K x - D v round-off of D exceeds the low exponents s.
 
     Rigid motions R, K_N R = 0, have s = 0. They are split off, and with them the drift T t, T the
-    part of R without damping: in bases [P R] of positions and [S T] of velocities, the other
-    exponents belong to
-
-        p' = P^T S w,     w' = -S^T (K_N P p + D_N S w)
-
-    Where K or D is not symmetric shapes lack their part in T, which inverse iteration adds. The
-    columns of `rigid` are orthonormal in M.
+    part of R without damping: the matrix is taken on the complement of L^T R in positions and of
+    L^T T in velocities, from which shapes are taken. Shapes lack their part in T, which inverse
+    iteration adds. The columns of `rigid` are orthonormal in M.
     """
     assert small.D is not None
     N, K = _reduced(small, small.K)
     D = N.T @ small.times(small.D, N)
-    R = N.T @ small.times(small.M, rigid)
-    P, S = _complement(R), _complement(N.T @ small.times(small.M, undamped_part(small, rigid)))
-    p = P.shape[1]
-    force = -np.hstack([K @ P, D @ S])
-    J = np.vstack([np.hstack([np.zeros((p, p)), P.T @ S]), S.T @ force])
-    s, W = scipy.linalg.eig(J)
-    # A pair of complex conjugate exponents is one motion.
-    W, s = W[:, s.imag >= 0], s[s.imag >= 0]
-    return s, N @ (S @ W[p:])
+    while True:
+        F = size**2 * np.eye(len(K)) + size * D + K
+        L, failed = scipy.linalg.lapack.dpotrf((F + F.T) / 2, lower=True)
+        if not failed:
+            break
+        size *= 4.0
+
+    def scaled(matrix: Array) -> Array:
+        half = scipy.linalg.solve_triangular(L, matrix, lower=True)
+        return np.asarray(scipy.linalg.solve_triangular(L, half.T, lower=True).T)
+
+    parts = scaled(size**2 * np.eye(len(K))), scaled(size * D)
+    if not small.symmetric:
+        G = scipy.linalg.lu_factor(scaled(F))
+        parts = scipy.linalg.lu_solve(G, parts[0]), scipy.linalg.lu_solve(G, parts[1])
+    Q, A = parts[0], parts[0] + parts[1]
+    P, S = (
+        _complement(scipy.linalg.qr(L.T @ (N.T @ small.times(small.M, R)), mode="economic")[0])
+        for R in (rigid, undamped_part(small, rigid))
+    )
+    J = np.block([[-P.T @ A @ P, -P.T @ Q @ S], [S.T @ P - S.T @ A @ P, -S.T @ Q @ S]])
+    theta, W = scipy.linalg.eig(J)
+    W, theta = W[:, theta.imag <= 0], theta[theta.imag <= 0]
+    # Zero is an exponent at infinity.
+    W, theta = W[:, theta != 0], theta[theta != 0]
+    X = scipy.linalg.solve_triangular(L, S @ W[P.shape[1] :], lower=True, trans=1)
+    return size + size / theta, N @ X
 
 
 @final

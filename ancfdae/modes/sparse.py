@@ -28,6 +28,8 @@ _NEAR_ZERO = 1e-9
 # A rough pass gives sizes, not values.
 _ROUGH = 1e-2
 _SHIFTS = 6
+# Restarts of Arnoldi's method for damped motions; three where exponents do not crowd.
+_RESTARTS = 60
 # Vectors searched for beside those found.
 _MORE = 2
 
@@ -104,7 +106,9 @@ def damped(
     start = root * _start(small, factors)
     OP = scipy.sparse.linalg.LinearOperator((2 * n, 2 * n), matvec=step, dtype=float)
     # Both of a pair of complex conjugate exponents are found.
-    theta, Y = scipy.sparse.linalg.eigs(OP, k=2 * count, v0=np.concatenate([start, start]))
+    theta, Y = scipy.sparse.linalg.eigs(
+        OP, k=2 * count, v0=np.concatenate([start, start]), maxiter=_RESTARTS
+    )
     s, X = theta if highest else size + 1 / theta, Y[:n] / root[:, None]
     return s[s.imag >= 0], X[:, s.imag >= 0]
 

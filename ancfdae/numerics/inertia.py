@@ -72,7 +72,10 @@ class ConstrainedPattern:
 
     def matrix(self, *values: Array) -> scipy.sparse.csc_array:
         """Return the sum of entries of K, of K^T, a diagonal, of B, of B^T and of B^T B."""
-        data = np.bincount(self._to, np.concatenate(values), minlength=len(self._rows))
+        flat, entries = np.concatenate(values), len(self._rows)
+        data = np.bincount(self._to, flat.real, minlength=entries)
+        if flat.dtype.kind == "c":
+            data = data + 1j * np.bincount(self._to, flat.imag, minlength=entries)
         return scipy.sparse.csc_array((data, self._rows, self._first), shape=(self.size, self.size))
 
     def scaled(self, K: Array, B: Array, diagonal: Array) -> ConstrainedMatrix:
@@ -148,6 +151,18 @@ class ConstrainedMatrix:
             return None
         negative = int(np.sum(lu.U.diagonal() < 0)) - self.pattern.B.shape[0]
         return (negative + _exchanges(lu.perm_r) + _exchanges(lu.perm_c)) % 2 == 1
+
+    def log_determinant(self) -> complex | None:
+        """Return the logarithm of the determinant of K on the null space of B, up to a constant.
+
+        Its imaginary part is known up to multiples of 2 pi. The constant depends on B and on the
+        diagonal alone. K may be complex. None if the matrix is singular to working precision.
+        """
+        lu = self._factors(0.0, symmetric=False)
+        if lu is None:
+            return None
+        exchanges = _exchanges(lu.perm_r) + _exchanges(lu.perm_c)
+        return complex(np.sum(np.log(lu.U.diagonal() + 0j)) + 1j * np.pi * exchanges)
 
     def has_negative(self, M: Array) -> bool:
         """Whether K x = kappa M x has a real negative eigenvalue kappa on the null space of B.

@@ -47,8 +47,9 @@ def modes(
 
     Joints are kept exactly; those that are driven are held. Lowest first: growing motions (of an
     unstable equilibrium), rigid ones (s = 0), vibrations by |s|, then motions that only decay, by
-    |s|. Large damped systems (more than 120 independent motions and 3 `count` + 40) find those of
-    least distance from the natural frequencies without damping.
+    |s|. With damping vibrations are counted by the argument principle: all below the last one are
+    returned, or NoModes is raised. Large damped systems (more than 120 independent motions and
+    3 `count` + 40) are searched for real exponents next to their undamped frequencies only.
 
     Parameters
     ----------
@@ -64,7 +65,9 @@ def modes(
     design : sequence of str or DesignVariable, optional
         Design variables of a scene to differentiate in; a mechanical system has its own.
     damped : bool, optional
-        Whether velocity forces count; by default if there are any.
+        Whether velocity forces count; by default if there are any. False leaves out all of them,
+        gyroscopic forces in a `TurningFrame` included: centrifugal forces alone remain there, and
+        the frequencies are not those of the rotor.
     highest : bool
         Whether the highest modes are wanted instead of the lowest.
     method : Direct or Adjoint, optional
