@@ -34,7 +34,7 @@ _MORE, _TIMES = 2, (1, 2, 4)
 _MOVED = 1e-3
 _HIDDEN = (
     "modes: lower vibrations than those found may be missing, among motions that creep. Shorten "
-    "the retardation time of bodies that hardly vibrate, use fewer elements, or pass damped=False."
+    "the retardation time of bodies that creep, use fewer elements, or pass damped=False."
 )
 _TINY = float(np.finfo(float).tiny)
 
