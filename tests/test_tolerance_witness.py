@@ -39,7 +39,7 @@ from ancfdae.studies.tolerance.gradients import _wanted
 from ancfdae.studies.tolerance.observables import observed_within
 from ancfdae.studies.tolerance.sequences import Eighth, Second
 from ancfdae.studies.tolerance.spectrum import fades
-from ancfdae.studies.tolerance.transitions import RESOLVED, _Path, passed_over
+from ancfdae.studies.tolerance.transitions import RESOLVED, Transition, _Path, passed_over
 from ancfdae.studies.tolerance.waves import Wave, missed, radius, wave_of
 from validation.tolerance.generator import FAMILIES, case
 
@@ -336,16 +336,32 @@ def test_transitions_of_friction_are_not_stepped_over(coulomb, smooth_speed, tol
     assert np.all(off <= 2 * found.accuracy.gradient_bar * b + 1e-9 * size)
 
 
-def test_motions_with_transitions_of_friction_keep_their_bars():
-    """Errors of runs that pass over transitions fall with no order; bars were a ninth of them."""
-    scene, a = rubbing(3.0, 1e-3)
-    at = np.linspace(0, 2, 33)[1:]
-    exact = of_rubbing(3.0, 1e-3, at)[0]
-    found = simulate(scene, 2.0, tolerance=1e-3, observables=[position(a.at(0), 0)], at=at)
+@pytest.mark.parametrize(("coulomb", "smooth_speed"), [(2.0, 1e-4), (4.0, 3e-3), (6.0, 1e-3)])
+def test_motions_with_transitions_of_friction_keep_their_bars(coulomb, smooth_speed):
+    """Errors of runs that pass over transitions have no order: 40 to 60 % of bars did not hold."""
+    scene, a = rubbing(coulomb, smooth_speed)
+    at = np.linspace(0, 1.7, 33)[1:]
+    exact = of_rubbing(coulomb, smooth_speed, at)[0]
+    found = simulate(scene, 1.7, tolerance=1e-2, observables=[position(a.at(0), 0)], at=at)
     off = np.abs(found.values[:, 0] - exact)
     assert found.reached
-    assert np.linalg.norm(off) <= 1e-3 * np.linalg.norm(exact)
+    assert np.linalg.norm(off) <= 1e-2 * np.linalg.norm(exact)
     assert np.mean(off > found.bars[:, 0]) <= 0.05
+
+
+def test_explicit_knows_states_more_closely_than_transitions_are_wide():
+    """Where HHT saw a transition of a thousandth of the speed, rtol is below a ten-thousandth."""
+    scene, _ = rubbing(3.0, 1e-3)
+    wanted = _wanted(assemble(scene, ["f.coulomb"]), [], 2.0, 1e-1)
+    seer = Second(wanted)
+    sequence = Eighth(seer, 4, wanted)
+    loose = sequence.setting.rtol
+    seer.transitions = Transition(10_000, 1e-3)
+    assert loose == pytest.approx(1e-2)
+    assert sequence.setting.rtol == pytest.approx(1e-4)
+    # Values need no derivative: error control alone decides.
+    of_values = wanted._replace(slopes=False)
+    assert Eighth(seer, 4, of_values).setting.rtol == pytest.approx(1e-2)
 
 
 @pytest.mark.parametrize(("coulomb", "smooth_speed"), [(3.0, 1e-3), (0.3, 1e-5)])
@@ -390,14 +406,22 @@ def test_widths_of_jumps_are_found_and_kinks_are_none(force, width):
         assert np.diff(path.jumps(left, right)) <= 0
 
 
-@pytest.mark.parametrize(("t_end", "tolerance"), [(3.0, 1e-2), (3.0, 1e-3)])
-def test_a_coarse_run_of_a_double_pendulum_is_no_order(t_end, tolerance):
+# Masses, inertias, length, angles at the start and end time; an
+# extrapolation of the second from 512 and 1,024 steps missed it by eight bars.
+LEVEL = (1.0, 1.0, 0.02, 0.03, 1.0, 0.0, 0.0, 3.0)
+SLANTED = (1.18866, 1.73112, 0.08732, 0.01149, 0.84013, 0.37355, -0.49473, 3.33863)
+
+
+@pytest.mark.parametrize(
+    ("pendulum", "tolerance"), [(LEVEL, 1e-2), (LEVEL, 1e-3), (SLANTED, 1e-2), (SLANTED, 1e-3)]
+)
+def test_a_coarse_run_of_a_double_pendulum_is_no_order(pendulum, tolerance):
     """At 256 steps it is another motion; by chance its differences fell with the order.
 
     SciPy integrates two angles with complex design values: the derivative of its own steps.
     """
-    length, gravity, I_a = 1.0, 9.81, 0.02
-    given = np.array([1.0, 1.0, 0.03])
+    *given, I_a, I_b, length, x_0, z_0, t_end = pendulum
+    gravity, given = 9.81, np.array([*given, I_b])
 
     def end(design):
         m_a, m_b, I_b = design
@@ -411,16 +435,23 @@ def test_a_coarse_run_of_a_double_pendulum_is_no_order(t_end, tolerance):
             turned = half * sin * np.array([-(spin[1] ** 2), spin[0] ** 2])
             return np.concatenate([spin, np.linalg.solve(M, turned - weight)])
 
-        start = np.zeros(4, dtype=complex)
+        start = np.array([x_0, z_0, 0, 0], dtype=complex)
         known = {"rtol": 1e-11, "atol": 1e-13, "max_step": 0.01}
         y = scipy.integrate.solve_ivp(rates, (0, t_end), start, "DOP853", **known).y[:, -1]
         return length * (np.cos(y[0]) + np.cos(y[1]))
 
     exact = np.array([end(given * (1 + 1e-20j * e)).imag for e in np.eye(3)]) / 1e-20
-    a = RigidBody("a", (0, 0), mass=1.0, inertia=I_a, centre=(length / 2, 0))
-    b = RigidBody("b", (length, 0), mass=1.0, inertia=0.03, centre=(length / 2, 0))
+    joint = length * math.cos(x_0), length * math.sin(x_0)
+    bars = [
+        RigidBody(name, at, mass=mass, inertia=inertia, centre=(length / 2, 0), turn=turn)
+        for name, at, mass, inertia, turn in (
+            ("a", (0, 0), given[0], I_a, x_0),
+            ("b", joint, given[1], I_b, z_0),
+        )
+    ]
+    a, b = bars
     pins = [Pin(a.at(0, 0)), Pin(a.at(length, 0), b.at(0, 0))]
-    scene = Scene([], pins, (0, -gravity), bodies=[a, b])
+    scene = Scene([], pins, (0, -gravity), bodies=bars)
     goal, design = Terminal(position(b.at(length, 0), 0)), ["a.mass", "b.mass", "b.inertia"]
     found = gradient(scene, goal, t_end, tolerance=tolerance, design=design)
     off = np.abs(found.gradient * given - exact)

@@ -122,6 +122,14 @@ def test_recommends_the_cheapest_that_is_good_enough():
     assert table.pareto() == (a, c, b)
 
 
+@pytest.mark.parametrize("off", [-0.1, 0.0, 0.1])
+def test_times_that_differ_from_call_to_call_do_not_change_the_choice(off):
+    """Two settings that cost the same, the second measured ten per cent slower or faster."""
+    first, second, slow = made(1.0, 1e-4), made(1.0 + off, 1e-5), made(1.5, 1e-6)
+    assert Tradeoff((slow, first, second), made(9.0, 0.0)).recommend(1e-3) is first
+    assert Tradeoff((second, slow, first), made(9.0, 0.0)).recommend(1e-3) is second
+
+
 def test_a_target_out_of_reach_names_the_best():
     best = made(2.0, 1e-4)
     table = Tradeoff((made(1.0, 1e-2), best), made(9.0, 0.0))
