@@ -1,4 +1,4 @@
-"""Vibrations are all returned, lowest first, beside bodies whose motions mostly creep."""
+"""Vibrations are all returned, lowest first, beside bodies with many motions that creep."""
 
 import numpy as np
 import pytest

@@ -6,7 +6,7 @@ conjugate pairs. Over the polynomial of the roots that were found,
 
     q(s) = det F(s) / prod (s - s_j)
 
-turns (N - N_found)/2 times. Where all are found q hardly changes, and a few points of the circle
+turns (N - N_found)/2 times. Where all are found q varies little, and a few points of the circle
 are enough. Their distances grow by a factor: of equal ones each could hide whole turns.
 
 Real roots near -1 over a retardation time are too many to be found one by one in large systems.
@@ -63,7 +63,7 @@ def none_vibrates_beyond(small: Linearised, s: Array, n_zero: int) -> bool:
 
 
 def _between(sizes: Array, last: float) -> float:
-    """Return a radius a little beyond `last`, in the widest gap of the sizes next to it."""
+    """Return a radius just beyond `last`, in the widest gap of the sizes next to it."""
     top = _BEYOND * last
     ends = np.sort(np.concatenate([[last, top], sizes[(sizes > last) & (sizes < top)]]))
     widest = int(np.argmax(ends[1:] / ends[:-1]))

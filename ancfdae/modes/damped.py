@@ -27,8 +27,8 @@ from ancfdae.numerics.arrays import Array
 # Up to this many independent motions dense matrices take over where Arnoldi's method fails or may
 # have missed a vibration; some seconds.
 _DENSE_CROWDED = 800
-# Arnoldi's method looks for _MORE pairs than are asked for, and for so many times as many where
-# some may be missing.
+# Arnoldi's method looks for _MORE pairs than are asked for, and for that number times the next of
+# _TIMES where some may be missing.
 _MORE, _TIMES = 2, (1, 2, 4)
 # Part of itself by which a vibration may move as it is sharpened; by more it became another one.
 _MOVED = 1e-3
