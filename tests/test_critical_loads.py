@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq, minimize
+from scipy.optimize import brentq, minimize, minimize_scalar
 from scipy.special import ellipe, ellipk
 
 from ancfdae import (
@@ -858,6 +858,22 @@ def test_the_paths_on_both_sides_of_a_perfect_structure_do_not_join():
     for small in (False, True):
         assert not own[1].joins(across, small)
         assert not own[2].joins(across, small)
+
+
+@pytest.mark.parametrize(("free", "load"), [(1e-4, -19.94), (1e-3, -19.0), (1e-2, -17.3)])
+def test_the_limit_point_of_the_other_path_is_seen_not_to_be_on_this_one(free, load, monkeypatch):
+    system = assemble(leaning(free), ["load.force_y"]).with_values(np.array([load]))
+    place = critical._Place.of(system, 0, -1.0, find_equilibrium(system))
+    search = critical._Search(place, 0, (0.0, -35.0), place.ahead[0])
+    assert search.limit_point() is None
+    # Newton's method does find it: k (turn - free) / (l sin turn) is least there.
+    monkeypatch.setattr(critical._Search, "_ends_in", lambda *_: True)
+    found = search.limit_point()
+    least = minimize_scalar(
+        lambda turn: 20.0 * (turn - free) / np.sin(turn), bounds=(-2, -1e-6), method="bounded"
+    )
+    assert found is not None
+    np.testing.assert_allclose(found[0].system.b, [-least.fun], rtol=1e-8)
 
 
 @pytest.mark.parametrize("q", [1e-4, 1e-2, 1.0])
