@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq, minimize
+from scipy.optimize import brentq, minimize, minimize_scalar
 from scipy.special import ellipe, ellipk
 
 from ancfdae import (
@@ -465,6 +465,8 @@ def test_derivatives_of_the_holding_force():
     np.testing.assert_allclose(point.tau_a, (held(h).tau - held(-h).tau) / (2 * h), rtol=1e-5)
     np.testing.assert_allclose(tau_aa, (held(h).tau_a - held(-h).tau_a) / (2 * h), rtol=1e-5)
     tau_pb = point.in_p(0, 0.0, -40.0)
+    # Backward where the range ends at the point itself.
+    np.testing.assert_allclose(point.in_p(0, 0.0, system.b[0]), tau_pb, rtol=1e-5)
     for j, b in enumerate(system.b):
         change = 1e-3 * b * np.eye(len(system.b))[j]
         ends = held(0.0, change), held(0.0, -change)
@@ -914,6 +916,41 @@ def test_a_link_that_leans_has_no_critical_load(free):
         critical_load(leaning(free), "load.force_y", -35.0)
 
 
+def test_the_paths_on_both_sides_of_a_perfect_structure_do_not_join():
+    def place(free, load, start=None):
+        system = assemble(leaning(0.01).with_values({"spring.free_angle": free}), ["load.force_y"])
+        system = system.with_values(np.array([load]))
+        state = None if start is None else (start.at.q, start.at.lam)
+        return critical._Place.of(system, 0, -1.0, find_equilibrium(system, start=state))
+
+    own = [place(0.01, load) for load in (-18.0, -18.1, -25.0)]
+    # At the other side, at rest there first with the spring's angle on that side.
+    across = place(0.01, -25.0, place(-0.01, -25.0))
+    turn = [x.at.solution.q[0] for x in (own[2], across)]
+    assert np.max(np.abs(turn[0] - turn[1])) > 0.5
+    assert across.at.outcome.success
+    assert own[0].joins(own[1], small=False)
+    for small in (False, True):
+        assert not own[1].joins(across, small)
+        assert not own[2].joins(across, small)
+
+
+@pytest.mark.parametrize(("free", "load"), [(1e-4, -19.94), (1e-3, -19.0), (1e-2, -17.3)])
+def test_the_limit_point_of_the_other_path_is_seen_not_to_be_on_this_one(free, load, monkeypatch):
+    system = assemble(leaning(free), ["load.force_y"]).with_values(np.array([load]))
+    place = critical._Place.of(system, 0, -1.0, find_equilibrium(system))
+    search = critical._Search(place, 0, (0.0, -35.0), place.ahead[0])
+    assert search.limit_point() is None
+    # Newton's method does find it: k (turn - free) / (l sin turn) is least there.
+    monkeypatch.setattr(critical._Search, "_ends_in", lambda *_: True)
+    found = search.limit_point()
+    least = minimize_scalar(
+        lambda turn: 20.0 * (turn - free) / np.sin(turn), bounds=(-2, -1e-6), method="bounded"
+    )
+    assert found is not None
+    np.testing.assert_allclose(found[0].system.b, [-least.fun], rtol=1e-8)
+
+
 @pytest.mark.parametrize("q", [1e-4, 1e-2, 1.0])
 def test_a_link_that_is_pushed_aside_against_a_spring_across_snaps(q):
     # A spring k holds the top across: P = k l cos(turn) - q cot(turn), the most of it at
@@ -957,7 +994,7 @@ def test_a_modulus_falls_until_a_column_buckles_under_its_own_weight(E_0, to):
     np.testing.assert_allclose(logs, [-2.0, 1.0], rtol=2e-3)
 
 
-@pytest.mark.parametrize("share", [1.001, 1.01, 1.1, 3.0, 100.0])
+@pytest.mark.parametrize("share", [0.9, 0.99, 0.9999, 1.001, 1.01, 1.1, 3.0, 100.0])
 @pytest.mark.parametrize("scene", [column(2), lee(6)], ids=["column", "frame"])
 def test_no_value_beyond_the_range_is_tried(scene, share, monkeypatch):
     name = "load.force_x" if len(scene.beams) == 1 else "load.force_y"
@@ -973,6 +1010,11 @@ def test_no_value_beyond_the_range_is_tried(scene, share, monkeypatch):
         return moved(system, b)
 
     monkeypatch.setattr(kind, "with_values", noted)
+    if share < 1:
+        with pytest.raises(NoCriticalPoint, match="every equilibrium up to"):
+            critical_load(scene, name, share * value, design=design)
+        assert share * value <= min(tried) <= max(tried) <= 0.5 * value
+        return
     found = critical_load(scene, name, share * value, design=design)
     np.testing.assert_allclose(found.value, value, rtol=1e-8)
     np.testing.assert_allclose(found.gradient, far.gradient, rtol=1e-6)

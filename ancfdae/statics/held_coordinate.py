@@ -125,6 +125,10 @@ class HeldPoint:
         and vanishes within the digits of q, as of the stiffness of a spring that nothing stretches.
         """
         system, y_q = self.system, self.left[0]
+        parts = np.abs(self.tau_b) > _NONE * self.reach
+        unseen = parts & (np.abs(self.tau_b * system.b) <= self.round_off)
+        if not np.any(unseen):
+            return parts
         s_b, size = system.start_b()[0], Balance(system, 0.0, self.q, self.lam).extent
         digits = _SEEN * size / np.sqrt(np.sum(system.weights)) + _ROUNDINGS * _EPS * np.abs(self.q)
         rng, here = np.random.default_rng(0), y_q @ _totals(system, self.q, self.lam, s_b)[0]
@@ -133,9 +137,7 @@ class HeldPoint:
             moved = self.q + digits * rng.choice((-1.0, 1.0), len(digits))
             force, _ = _totals(system, moved, self.lam, s_b)
             seen = np.maximum(seen, np.abs(y_q @ force - here))
-        parts = np.abs(self.tau_b) > _NONE * self.reach
-        unseen = np.abs(self.tau_b) <= seen
-        return np.asarray(parts & ~(unseen & (np.abs(self.tau_b * system.b) <= self.round_off)))
+        return np.asarray(parts & ~(unseen & (np.abs(self.tau_b) <= seen)))
 
     @cached_property
     def round_off(self) -> float:
