@@ -1,6 +1,4 @@
-"""Vibrations are all returned, lowest first, beside bodies with many motions that creep."""
-
-from dataclasses import replace
+"""Vibrations are all returned, lowest first, beside bodies whose motions mostly creep."""
 
 import numpy as np
 import pytest
@@ -206,7 +204,7 @@ def test_large_systems_in_which_nothing_vibrates_creep(monkeypatch, crowded):
 def test_one_vibration_found_twice_is_not_two():
     small = linearised(cantilevers(4, (STEEL, STEEL), (0.0, 0.0)))
     z = np.array([52.5j, 52.5j])
-    X = dense.undamped(replace(small, D=None), 2, False)[1].astype(complex)
+    X = dense.undamped(small, 2, False)[1].astype(complex)
     assert damped._are_distinct(small, Eigenpairs(z, X, 1e-9 * np.ones(2)))
     X[:, 1] = X[:, 0]
     assert not damped._are_distinct(small, Eigenpairs(z, X, 1e-9 * np.ones(2)))
