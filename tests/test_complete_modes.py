@@ -18,6 +18,7 @@ from ancfdae import (
 )
 from ancfdae.modes import completeness, damped, dense, sparse, undamped
 from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.pairs import Eigenpairs
 from ancfdae.modes.precise import NoModes
 
 # Height, density, modulus.
@@ -185,3 +186,25 @@ def test_a_vibration_that_arnoldi_misses_is_found_or_the_modes_are_refused(monke
             modes(scene, 5)
     else:
         np.testing.assert_allclose(modes(scene, 5).exponents, expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("crowded", [0, 800])
+def test_large_systems_in_which_nothing_vibrates_creep(monkeypatch, crowded):
+    """Every motion of two rubbers has tau omega > 2; the slowest are near -1 over 50 s."""
+    monkeypatch.setattr(damped, "_DENSE_CROWDED", crowded)
+    scene = cantilevers(24, (RUBBER, RUBBER), (20.0, 50.0))
+    try:
+        found = modes(scene, 3).exponents
+    except NoModes:
+        assert not crowded
+    else:
+        np.testing.assert_allclose(found, -0.02, rtol=1e-2)
+
+
+def test_one_vibration_found_twice_is_not_two():
+    small = linearised(cantilevers(4, (STEEL, STEEL), (0.0, 0.0)))
+    z = np.array([52.5j, 52.5j])
+    X = dense.undamped(small, 2, False)[1].astype(complex)
+    assert damped._are_distinct(small, Eigenpairs(z, X, 1e-9 * np.ones(2)))
+    X[:, 1] = X[:, 0]
+    assert not damped._are_distinct(small, Eigenpairs(z, X, 1e-9 * np.ones(2)))
