@@ -73,13 +73,6 @@ class FrameDirection:
 Vectors: TypeAlias = tuple[tuple[Point, Quantity] | Normal | CentreLine | FrameDirection, ...]
 
 
-def _is_vector(name: object) -> bool:
-    """Whether an object is one of the vectors that `Vectors` allows."""
-    if isinstance(name, tuple):
-        return len(name) == 2 and isinstance(name[0], Point) and isinstance(name[1], Quantity)
-    return isinstance(name, Normal | CentreLine | FrameDirection)
-
-
 @dataclass(frozen=True)
 class Part(Designable, abc.ABC):
     """A named joint or load.
@@ -228,8 +221,13 @@ class Part(Designable, abc.ABC):
 
         Raises InvalidInput unless they are a non-empty tuple of vectors of points.
         """
-        vectors: object = self.vectors(elements)
-        if not isinstance(vectors, tuple) or not vectors or not all(map(_is_vector, vectors)):
+        vectors: Any = self.vectors(elements)
+        of_point = Point, Quantity
+        if not (isinstance(vectors, tuple) and vectors) or not all(
+            isinstance(x, Normal | CentreLine | FrameDirection)
+            or (isinstance(x, tuple) and len(x) == 2 and all(map(isinstance, x, of_point)))
+            for x in vectors
+        ):
             raise InvalidInput(
                 f"vectors of {self.role} {self.name!r}",
                 "must be a tuple of one or more vectors of points",
