@@ -44,6 +44,7 @@ from ancfdae.errors import InvalidInput
 from ancfdae.model.design import numbers
 from ancfdae.model.joints.axis_joint import AxisJoint
 from ancfdae.model.joints.joint import empty_coefficients
+from ancfdae.numerics.threads import in_one_thread
 from validation.performance.mechanisms import flexible_slider_crank
 
 from scenes import SCENES
@@ -57,6 +58,7 @@ def given(system, b):
     return structure.scene, structure.design, structure.mapping, b
 
 
+@in_one_thread  # As in `assemble`: sums over several threads round otherwise.
 def anew(system):
     """The same system with a structure of its own."""
     return AncfSystem(Numbers.first(*given(system, system.b)))

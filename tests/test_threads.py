@@ -33,6 +33,7 @@ from ancfdae import (
     static_gradient,
     suggest_step,
 )
+from ancfdae.assembly import block
 from ancfdae.numerics import threads
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.threads import in_one_thread
@@ -146,6 +147,23 @@ def test_a_run_without_the_variables_has_one_thread():
     free = {name: x for name, x in os.environ.items() if name not in names}
     free["PYTHONPATH"] = os.pathsep.join([*sys.path, str(Path(__file__).parent)])
     subprocess.run([sys.executable, "-c", textwrap.dedent(program)], env=free, check=True)
+
+
+def test_elements_are_prepared_in_one_thread(monkeypatch):
+    """Products of small matrices cost 20 times as much where two threads wait for each other."""
+    seen, prepare = [], block.prepare
+
+    def watched(*arguments):
+        seen.append(counts())
+        return prepare(*arguments)
+
+    monkeypatch.setattr(block, "prepare", watched)
+    system = assemble(clamped(BEAM_2D), [f"{clamped(BEAM_2D).members[0].name}.height"])
+    assert seen == [{1}] * len(seen) != []
+    seen.clear()
+    system.with_values(1.01 * system.b)
+    assert seen == [{1}] * len(seen) != []
+    assert counts() == {USER}
 
 
 @in_one_thread

@@ -24,11 +24,13 @@ from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only
+from ancfdae.numerics.threads import in_one_thread
 
 if TYPE_CHECKING:
     from ancfdae.statics.equilibrium import RestingStart
 
 
+@in_one_thread
 def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
     """Turn a scene into a mechanical system.
 
@@ -156,6 +158,7 @@ class AncfSystem(PlannedSystem):
 
     # -- the protocol --------------------------------------------------------------------------
 
+    @in_one_thread
     def with_values(self, b: Array) -> AncfSystem:
         """Return the same scene at other design values, real or complex; refuse unfit ones."""
         b = np.asarray(b)
