@@ -18,16 +18,21 @@ from ancfdae import (
     HHT,
     Adjoint,
     ContinuousAdjoint,
+    Direct,
     Explicit,
+    FiniteDifference,
     Integral,
     Radau,
     adjoint_error,
     assemble,
+    custom,
     differentiate,
     equilibrium,
+    evaluate,
     gradient,
     modes,
     observations,
+    observe,
     position,
     simulate,
     static_gradient,
@@ -164,6 +169,31 @@ def test_elements_are_prepared_in_one_thread(monkeypatch):
     system.with_values(1.01 * system.b)
     assert seen == [{1}] * len(seen) != []
     assert counts() == {USER}
+
+
+@pytest.mark.parametrize("call", ["observe", "evaluate", "direct", "differences"])
+def test_observables_are_evaluated_in_one_thread(call):
+    """The largest stress of a beam in space and its derivative: small matrices at each point."""
+    seen, scene = [], clamped(BEAM_2D)
+    system = assemble(scene, [f"{scene.members[0].name}.height"])
+
+    def watched(t, q, v, lam, b):
+        seen.append(counts())
+        return q[:, 1]
+
+    y = custom(watched, "y")
+    run = simulate(system, 2**-7, HHT(2**-9))
+    seen.clear()
+    match call:
+        case "observe":
+            observe(y, run, system)
+        case "evaluate":
+            evaluate(Integral(y), run, system)
+        case _:
+            method = Direct() if call == "direct" else FiniteDifference()
+            gradient(system, Integral(y), 2**-7, HHT(2**-9), method=method)
+    # A function of the user is tried before a run, with the user's number of threads.
+    assert all(each == {1} for each in seen[seen.index({1}) :])
 
 
 @in_one_thread

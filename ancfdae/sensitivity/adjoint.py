@@ -31,6 +31,7 @@ class Direct(Method):
         """Return the motion with its design derivatives."""
         return run.solution(sensitivities=True)
 
+    @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """One run for all objectives (eq. 21)."""
         solution, totals = run.integrals(objectives, differentiated=True, sensitivities=True)

@@ -15,6 +15,7 @@ from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities
 from ancfdae.errors import InvalidInput, require_flag, require_positive
 from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.method import Gradient, Method, Run
 from ancfdae.sensitivity.objectives import Objective
 
@@ -58,6 +59,7 @@ class Perturbation(Method):
             sensitivities=Sensitivities(run.system.design_names, run.system.b, *parts),
         )
 
+    @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """Differentiate the objectives of whole runs."""
         self.check(run)

@@ -25,6 +25,7 @@ from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
@@ -309,6 +310,7 @@ def _required(integrator: Integrator | None) -> Integrator:
     return integrator
 
 
+@in_one_thread
 def evaluate(
     objective: Objective,
     solution: Solution,

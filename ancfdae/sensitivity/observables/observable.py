@@ -14,6 +14,7 @@ from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import require_derivative
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.observables.expression import (
     Expression,
     Operation,
@@ -192,6 +193,7 @@ def remembered(nodes: Mapping[object, Array]) -> dict[object, float]:
     return {node: float(x[-1]) for node, x in last}
 
 
+@in_one_thread
 def observe(
     observable: Observable, solution: Solution, system: MechanicalSystem | None = None
 ) -> Array:
