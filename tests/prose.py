@@ -11,8 +11,9 @@ from typing import NamedTuple
 from documents import ROOT
 
 FOLDERS = ("ancfdae", "docs", "tests", "validation")
-# Reports are written by `validation`; the changelog is a diary; the test quotes bad sentences.
-UNREAD = ("docs/reports", "docs/changelog.md", "tests/test_english.py")
+# Sphinx makes docs/made, `validation` writes reports, the changelog is a diary, and the test quotes
+# bad sentences.
+UNREAD = ("docs/made", "docs/reports", "docs/changelog.md", "tests/test_english.py")
 
 
 # An entry of numpydoc that is a number or an array, with its description.
