@@ -145,3 +145,11 @@ def test_ctrl_c_in_an_attempt_keeps_the_run(monkeypatch):
         simulate(scene, 0.1, HHT(0.05))
     assert isinstance(caught.value.result, Solution)
     np.testing.assert_array_equal(caught.value.result.q, stopped.q)
+
+
+def test_attempts_end_where_the_next_one_would_take_too_long(monkeypatch):
+    scene, t_end = mechanism(STOPS[0][0])
+    monkeypatch.setattr(remedies, "_SECONDS", 1e-6)
+    run = simulate(scene, t_end, HHT(t_end / STOPS[0][1]))
+    assert not run.outcome.success
+    assert "HHT(step" not in str(run.outcome)
