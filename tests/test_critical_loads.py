@@ -299,7 +299,10 @@ def test_the_critical_load_has_a_derivative_in_a_spring_that_is_free_of_load(o, 
 def test_the_critical_load_has_a_derivative_in_a_spring_across_the_top(spring, name, n):
     # tan u = u - E I u^3 / (k L^3). The top goes down by 4e-5, which tilts the long spring.
     found = critical_load(on_a_spring(n, spring), "load.force_x", -1e4, design=[name])
-    equation = lambda u, k: np.sin(u) - (u - EI * u**3 / k) * np.cos(u)  # noqa: E731
+
+    def equation(u, k):
+        return np.sin(u) - (u - EI * u**3 / k) * np.cos(u)
+
     expected = slope_of_root(equation, 300.0, 1.6, 4.4)
     assert found.kind == "bifurcation"
     np.testing.assert_allclose(found.gradient, [expected], rtol=3e-3)
@@ -308,9 +311,14 @@ def test_the_critical_load_has_a_derivative_in_a_spring_across_the_top(spring, n
 @pytest.mark.parametrize("n", [2, 8])
 def test_the_critical_load_has_a_derivative_in_a_bushing_that_turns(n):
     # The turn is sin(u x), without a force across: E I u cos(u) + k sin(u) = 0 at the top.
-    hold = lambda rod: Bushing(rod.at_end, (0, 0), turn_stiffness=100.0, name="k")  # noqa: E731
+    def hold(rod):
+        return Bushing(rod.at_end, (0, 0), turn_stiffness=100.0, name="k")
+
     found = critical_load(on_a_spring(n, hold), "load.force_x", -1e4, design=["k.turn_stiffness"])
-    equation = lambda u, k: EI * u * np.cos(u) + k * np.sin(u)  # noqa: E731
+
+    def equation(u, k):
+        return EI * u * np.cos(u) + k * np.sin(u)
+
     expected = slope_of_root(equation, 100.0, np.pi / 2, np.pi - 1e-9)
     np.testing.assert_allclose(found.gradient, [expected], rtol=3e-3)
 

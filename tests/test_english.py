@@ -73,15 +73,15 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "opens with what": 57,
+    "opens with what": 52,
     "as far as": 5,
     "is none": 73,
     "that of, those of": 551,
     "inversion": 1,
-    "tells": 87,
+    "tells": 86,
     "all of them": 50,
     "the other": 35,
-    "instants": 528,
+    "instants": 523,
     "array without a shape": 349,
     "long sentence": 277,
 }

@@ -1,4 +1,4 @@
-"""What complex steps need of functions of a user: that they are analytic."""
+"""Check that functions of a user are analytic, as complex steps need."""
 
 import warnings
 from collections.abc import Callable, Collection

@@ -213,12 +213,12 @@ class FormulaSystem(ListedSystem):
 
     @property
     def index_1(self) -> tuple[OperationList, ...] | None:
-        """What accelerations follow from; None where functions are called."""
+        """The lists from which a kernel finds accelerations; None where functions are called."""
         return None if self._formulas.called else self._formulas.index_1
 
     @cached_property
     def list_plan(self) -> ListPlan | None:
-        """What a kernel marches; None where functions are called, or b is complex."""
+        """The lists that a kernel integrates; None where functions are called, or b is complex."""
         if self._formulas.called or np.iscomplexobj(self.b):
             return None
         velocity = self.traits.velocity_forces
@@ -297,7 +297,7 @@ class FormulaSystem(ListedSystem):
         return self._values(Formulas.constraint_q, len(motion) - 1, t=[t], **at)[0].ravel()
 
     def constraints_q(self, t: Array, q: Array) -> Array:
-        """Return Phi_q at k instants, shape (k, n_lam n_q)."""
+        """Return Phi_q at k time points, shape (k, n_lam n_q)."""
         k = len(t)
         return self._values(Formulas.constraint_q, 0, rows=k, t=t[:, None], q=q)[0].reshape(k, -1)
 
@@ -314,7 +314,7 @@ class FormulaSystem(ListedSystem):
         return self._values(of, order, rows=self.n_b, **at)[0].T
 
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
-        """Return the Jacobians of f and Phi at k instants."""
+        """Return the Jacobians of f and Phi at k time points."""
         if self._formulas.called:
             return super().linearise(t, q, v, a, lam)
         with_v = v is not None and self.traits.velocity_forces
@@ -328,7 +328,7 @@ class FormulaSystem(ListedSystem):
     def design_partials(
         self, t: Array, q: Array, v: Array | None, a: Array, lam: Array
     ) -> DesignPartials:
-        """Return the partials of f and Phi with respect to the design at k instants."""
+        """Return the partials of f and Phi with respect to the design at k time points."""
         if self._formulas.called:
             return super().design_partials(t, q, v, a, lam)
         at = {"q": q, "a": a, "lam": lam} | ({} if v is None else {"v": v})

@@ -439,7 +439,7 @@ class ListedSystem(MechanicalSystem):
     @property
     @abc.abstractmethod
     def list_plan(self) -> ListPlan | None:
-        """What a kernel marches; None where functions are called, or b is complex."""
+        """The lists that a kernel integrates; None where functions are called, or b is complex."""
 
 
 def planned(system: MechanicalSystem) -> Plan | ListPlan | None:

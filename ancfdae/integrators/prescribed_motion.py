@@ -44,7 +44,7 @@ _NUMBERS = 10_000
 
 
 class Lost(NamedTuple):
-    """The first of some instants at which a step ended elsewhere, how, and a remedy in words."""
+    """The first recorded state that a step reached wrongly, the verdict, and a remedy in words."""
 
     first: int
     verdict: Verdict

@@ -21,7 +21,7 @@ class Watch:
         self._right = max(recorder.instants, 1)
 
     def missed(self, all_of_them: bool = False) -> Lost | None:
-        """Check many instants, or all that there are; return what is wrong, or None.
+        """Check recorded states, in packets or all; return the first step that went wrong, or None.
 
         The recorder then forgets the step in which that happened and all after it.
         """

@@ -156,9 +156,9 @@ class _Path:
 
 
 class _Seen(NamedTuple):
-    """What changes of accelerations on equal intervals tell.
+    """Size and place of a jump in the changes of accelerations on equal intervals.
 
-    Their sum, the steepest slope, the largest change beside a smooth one, and where it is.
+    The sum of the changes, the steepest slope, the largest change beside a smooth one, its place.
     """
 
     total: float
