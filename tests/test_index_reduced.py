@@ -3,18 +3,10 @@
 import numpy as np
 import pytest
 
-from ancfdae import (
-    Beam,
-    IndexReduction,
-    Material,
-    Pin,
-    PointOnLine,
-    Rectangle,
-    Scene,
-    assemble,
-)
+from ancfdae import Beam, IndexReduction, Material, Pin, PointOnLine, Scene, assemble
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.sundials.index_reduced import ColumnStorage
+from ancfdae.sections import Rectangle
 
 from mechanisms import CartesianPendulum, chain
 from members import constraint_force, velocity_side

@@ -12,7 +12,7 @@ from ancfdae.integrators.hht.step import HHTStepper
 from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import consistent_start
-from ancfdae.integrators.step_control import ControlledSteps
+from ancfdae.integrators.step_control import AdaptiveSteps
 from ancfdae.integrators.step_control.derivative_sizes import (
     derivative_sizes,
     sizes_hold,
@@ -23,7 +23,7 @@ from mechanisms import CartesianPendulum
 
 H, RTOL, ATOL, T_END = 0.1, 1e-2, 1e-3, 5.0
 SIZES, SIZES_B = np.array([2.0, 4.0]), np.array([3.0, 0.0, 10.0])
-STEPS = ControlledSteps(RTOL, ATOL)
+STEPS = AdaptiveSteps(RTOL, ATOL)
 INCREMENTS = np.array([[0.3, 9.0, -0.1], [-0.2, 9.0, 0.7]])
 VALUES = np.array([[0.0, 1.0, -4.0], [0.5, 1.0, 3.0]])
 

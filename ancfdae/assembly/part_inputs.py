@@ -14,7 +14,7 @@ from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.vectors import Vectors, point_vectors
-from ancfdae.model.bodies import Point, Quantity
+from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients
 from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import Elements, FrameDirection, Part
@@ -98,7 +98,7 @@ class PartInputs:
         used = reference_b if load.refers else {}
         return LoadInput(load, vectors, p, p_b, reference, used)
 
-    def in_reference(self, point: Point, quantity: Quantity) -> tuple[Array, Array]:
+    def in_reference(self, point: MaterialPoint, quantity: Quantity) -> tuple[Array, Array]:
         """Return a vector of a point in the reference, (d,), and its design partials, (d, n_b)."""
         vectors = self._vectors([self.naming.vector(point, quantity)])
         (U_o,), moving = self._in_reference(vectors)

@@ -1,8 +1,10 @@
 """An element: a strand of loose wires, which bends a quarter as stiffly as a solid cable."""
 
-from ancfdae import CABLE_2D, HHT, Beam, Clamp, Material, Rectangle, Scene, position
+from ancfdae import CABLE_2D, HHT, Beam, Clamp, Material, Scene
 from ancfdae.model.elements import BeamElement
 from ancfdae.model.elements.element import Integrals
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 
 LOOSE = 0.25
 

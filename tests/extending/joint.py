@@ -4,17 +4,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ancfdae import HHT, Beam, Joint, Material, Pin, Point, Rectangle, RigidBody, Scene, position
+from ancfdae import HHT, Beam, Material, Pin, RigidBody, Scene
+from ancfdae.extend import Joint, MaterialPoint
 from ancfdae.model.design import numbers
 from ancfdae.model.joints.joint import Equations, empty_coefficients
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 
 
 @dataclass(frozen=True)
 class Pantograph(Joint):
     """The displacement of the other point is `ratio` times that of the point."""
 
-    point: Point
-    other: Point
+    point: MaterialPoint
+    other: MaterialPoint
     ratio: float = 1.0
 
     kind = "pantograph"

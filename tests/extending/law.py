@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ancfdae import HHT, Law, PointForce, RigidBody, Scene, velocity
+from ancfdae import HHT, PointForce, RigidBody, Scene
+from ancfdae.extend import Law
 from ancfdae.model.design import numbers
+from ancfdae.observables import velocity
 
 #: Polynomials by which the derivatives of exp(-x^2) multiply it.
 HERMITE = ((1.0,), (-2.0, 0.0), (4.0, 0.0, -2.0), (-8.0, 0.0, 12.0, 0.0))

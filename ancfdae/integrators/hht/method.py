@@ -8,10 +8,8 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import (
-    StabilityWarning,
-    Verdict,
-)
+from ancfdae.errors.kinds import StabilityWarning
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.equations import (
     Coefficients,
@@ -44,7 +42,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     Parameters
     ----------
     steps : StepControl or float
-        `FixedSteps`, `ControlledSteps` or `GivenSteps`; a number is the step of `FixedSteps`.
+        `FixedSteps`, `AdaptiveSteps` or `PrescribedSteps`; a number is the step of `FixedSteps`.
     hht_alpha : float
         Numerical damping, in [-1/3, 0]. Second order throughout; -1/3 damps frequencies above
         1/h most. At 0 the multipliers oscillate and do not converge, and a warning is given.
@@ -57,7 +55,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     step : float, optional
         Short for ``steps=FixedSteps(step)``; s.
     rtol : float, optional
-        Relative error per step, dimensionless; short for ``steps=ControlledSteps(rtol)``.
+        Relative error per step, dimensionless; short for ``steps=AdaptiveSteps(rtol)``.
     """
 
     order: ClassVar[int | None] = 2

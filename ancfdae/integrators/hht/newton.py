@@ -9,7 +9,8 @@ from typing import NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, reaction
-from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht.equations import (
     Coefficients,
     Node,

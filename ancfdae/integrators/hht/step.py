@@ -14,7 +14,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from ancfdae.errors import Verdict
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.compiled import CompiledSteps
 from ancfdae.integrators.hht.continuation import solved

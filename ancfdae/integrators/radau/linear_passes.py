@@ -23,7 +23,8 @@ import numpy as np
 from ancfdae.equations import DesignPartials, Linearisation, MechanicalSystem
 from ancfdae.equations.saddle_points import solve
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.completion import Completion
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.problem import Problem

@@ -9,7 +9,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import Verdict
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import PartwiseIntegrator, Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau import linear_passes
@@ -37,7 +37,7 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
     Parameters
     ----------
     steps : StepControl or float
-        `FixedSteps`, `ControlledSteps` or `GivenSteps`; a number is the step of `FixedSteps`.
+        `FixedSteps`, `AdaptiveSteps` or `PrescribedSteps`; a number is the step of `FixedSteps`.
     newton_tolerance : float, optional
         Largest last correction relative to the motion, as in `HHT`; dimensionless.
     max_iterations : int
@@ -45,11 +45,11 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
     step : float, optional
         Short for ``steps=FixedSteps(step)``; s.
     rtol : float, optional
-        Relative error per step, dimensionless; short for ``steps=ControlledSteps(rtol)``.
+        Relative error per step, dimensionless; short for ``steps=AdaptiveSteps(rtol)``.
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If a setting is out of range.
     """
 

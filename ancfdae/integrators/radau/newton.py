@@ -12,7 +12,8 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import planned, reaction
-from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.stages import (
     Begin,

@@ -13,7 +13,8 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import Outcome, SingularMatrix, Verdict
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.integrators.prescribed_motion import half_a_turn_off, lock
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.tolerance import Tolerance
@@ -206,7 +207,7 @@ def march(
     if verdict in _STUCK:
         t, q, _ = recorder.last(1)
         remedy = f"{lock(method.system, float(t[0]), q[0], t_end)} {remedy}".strip()
-    outcome = Outcome(verdict, recorder.time, recorder.steps, correction, advice=remedy)
+    outcome = RunOutcome(verdict, recorder.time, recorder.steps, correction, advice=remedy)
     return recorder.solution(outcome), reached
 
 

@@ -23,7 +23,7 @@ from typing import Any, TextIO, final
 import numpy as np
 import scipy
 
-from ancfdae.errors import Verdict
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.high_order import March, NotFinite
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.problem import Problem

@@ -12,7 +12,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import Verdict
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.high_order import March, NotFinite
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
@@ -31,8 +31,8 @@ from ancfdae.numerics.arrays import Array
 class IDAS(SundialsIntegrator, AdjointIntegrator):
     """Variable-order BDF of SUNDIALS with its own sensitivity analysis.
 
-    Needs the package sundials4py (Python 3.12 or newer) when it runs, or raises MissingPackage.
-    Parameters: `form`, and those of `HighOrder`.
+    Needs the package sundials4py (Python 3.12 or newer) when it runs, or raises
+    MissingPackageError. Parameters: `form`, and those of `HighOrder`.
     """
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:

@@ -19,7 +19,7 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import PassFailed, Verdict
+from ancfdae.errors.outcomes import PassFailed, Verdict
 from ancfdae.integrators.high_order import HighOrder, NotFinite, pace
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.problem import Problem

@@ -19,7 +19,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.elements.cable_forces import CableSectionLaw, CableStressLaw
 from ancfdae.model.elements.element import (
     Batch,
@@ -60,7 +60,7 @@ class Cable(BeamElement):
         """Refuse sections that bend more easily one way than another, in space."""
         (yy, yz), (_, zz) = section.second_moments()
         if self.d == 3 and max(abs(yy - zz), 2 * abs(yz)) > _ROUND * (yy + zz):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"{where}, section",
                 "must bend as easily about every axis: a cable in space has no axes across it",
                 repr(section),
@@ -79,7 +79,7 @@ class Cable(BeamElement):
     def integrals(self, batch: Batch, owners: Array) -> Integrals:
         """Integrals times E A, rho A and E I."""
         if not batch.kind.straight:
-            raise InvalidInput(
+            raise InvalidInputError(
                 str(owners[0]),
                 "a cable must be straight in its reference configuration",
                 "a curved one",

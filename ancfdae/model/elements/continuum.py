@@ -16,7 +16,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
@@ -68,7 +68,7 @@ class ContinuumBeam(BeamElement):
     def check_section(self, where: str, section: Section) -> None:
         """Refuse sections that do not resist bending about every axis."""
         if not self._is_spread(section):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"{where}, section",
                 "the area of a section must spread along y, in space not along one line only",
                 repr(section),

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ancfdae.errors import require_kind
+from ancfdae.errors.checks import require_kind
 from ancfdae.kernels import gram
 from ancfdae.model.elements.element import (
     Batch,
@@ -42,7 +42,7 @@ def prepare(
 ) -> Invariants:
     """Integrate the invariants of a batch, and the derivatives in the parameters wanted.
 
-    InvalidInput, with what each element belongs to, if the reference configuration folds (det
+    InvalidInputError, with what each element belongs to, if the reference configuration folds (det
     dr_o/dx <= 0 somewhere).
     """
     wanted, n = tuple(wanted), len(batch.parameters)

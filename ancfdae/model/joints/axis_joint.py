@@ -6,8 +6,8 @@ from typing import TypeAlias, final
 
 import numpy as np
 
-from ancfdae.errors import require_direction, require_vector
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_direction, require_vector
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import (
     Carrier,
@@ -50,10 +50,10 @@ class AxisJoint(Joint):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     axis : sequence of float
         Direction of the axis in the reference configuration; not zero.
-    other : Point, optional
+    other : MaterialPoint, optional
         Point of another beam, whose section carries the axis along; without it the axis is fixed
         to ground.
     ground : sequence of float, optional
@@ -61,9 +61,9 @@ class AxisJoint(Joint):
         configuration, see `Pin`.
     """
 
-    point: Point
+    point: MaterialPoint
     axis: Sequence[float]
-    other: Point | None = None
+    other: MaterialPoint | None = None
     ground: Sequence[float] | None = None
 
     takes_part = SECTION

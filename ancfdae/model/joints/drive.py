@@ -6,8 +6,8 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import require_direction
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_direction
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import (
     OUT_OF_PLANE,
@@ -27,7 +27,7 @@ from ancfdae.numerics.arrays import Array
 
 @final
 @dataclass(frozen=True)
-class Drive(DrivenJoint):
+class RotationDriver(DrivenJoint):
     """Turn the section of a beam at a point by a law of time: a driven crank, a motor in an elbow.
 
     The angle is that from the reference configuration, in rad, about an axis that stays, or against
@@ -38,18 +38,18 @@ class Drive(DrivenJoint):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     angle : Law
     axis : sequence of float, optional
         Axis of the turning in space, not zero; z by default. Not in the plane.
-    other : Point, optional
+    other : MaterialPoint, optional
         Point of another beam, whose section the angle counts from; without it from ground.
     """
 
-    point: Point
+    point: MaterialPoint
     angle: Law
     axis: Sequence[float] | None = None
-    other: Point | None = None
+    other: MaterialPoint | None = None
 
     kind = "drive"
     sign = Sign("drive", r"$\circlearrowleft$", filled=True, size=17.0)

@@ -6,7 +6,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.model.bodies import Point
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.joint import Equations, RightAngle
 from ancfdae.numerics.arrays import Array
@@ -84,7 +84,7 @@ class SectionFrame(Carrier):
     the reference, shape (d,).
     """
 
-    def __init__(self, point: Point, reference: Array, first: int) -> None:
+    def __init__(self, point: MaterialPoint, reference: Array, first: int) -> None:
         d = reference.shape[1]
         self.point, self._place, self._count = point, slice(first, first + d), len(reference)
         self._slopes = reference[self._place]
@@ -141,16 +141,16 @@ class SectionFrame(Carrier):
         self.meet(c, row, self.carried(first), second)
 
 
-def flat_angle(point: Point) -> tuple[RightAngle, ...]:
+def flat_angle(point: MaterialPoint) -> tuple[RightAngle, ...]:
     """Return the right angle in a section in space."""
     return (_angle(point, Quantity.SLOPE_Y, Quantity.SLOPE_Z),)
 
 
-def _angle(point: Point, first: Quantity, second: Quantity) -> RightAngle:
+def _angle(point: MaterialPoint, first: Quantity, second: Quantity) -> RightAngle:
     return RightAngle(point.beam, point.fraction, point.before, frozenset((first, second)))
 
 
-def sections(points: Sequence[Point], reference: Array) -> list[SectionFrame]:
+def sections(points: Sequence[MaterialPoint], reference: Array) -> list[SectionFrame]:
     """Return the sections of points whose slopes are the last vectors of a joint."""
     n, d = reference.shape
     firsts = range(n - d * len(points), n, d)

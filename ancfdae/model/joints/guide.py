@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.model.bodies import Point
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.frames import carrier_of, hold_place, place_shapes, sections, square, unit
@@ -14,7 +14,7 @@ from ancfdae.numerics.arrays import Array
 
 @final
 @dataclass(frozen=True)
-class Guide(Travelling):
+class TranslationDriver(Travelling):
     """Move a point along a direction by a law of time.
 
     direction . (r(point) - r(other)) = x(t) more than in the reference configuration, the ground
@@ -24,15 +24,15 @@ class Guide(Travelling):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     direction : sequence of float
         Not zero; its length does not count.
     travel : Law
-    other : Point, optional
+    other : MaterialPoint, optional
         Point of another beam, whose section carries the direction; without it it is fixed.
     """
 
-    other: Point | None = None
+    other: MaterialPoint | None = None
 
     kind = "guide"
     sign = Sign("guide", r"$\leftrightarrow$", filled=True, size=15.0)

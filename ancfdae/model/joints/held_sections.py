@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.errors import require_vector
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_vector
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.frames import (
@@ -44,13 +44,13 @@ class Clamp(Joint):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     ground : sequence of float, optional
         Position on the ground, with design targets ``ground_x`` ...; by default where the point is
         in the reference configuration.
     """
 
-    point: Point
+    point: MaterialPoint
     ground: Sequence[float] | None = None
 
     kind = "clamp"
@@ -89,12 +89,12 @@ class Weld(Joint):
 
     Parameters
     ----------
-    point, other : Point
+    point, other : MaterialPoint
         At the same place in the reference configuration.
     """
 
-    point: Point
-    other: Point
+    point: MaterialPoint
+    other: MaterialPoint
 
     kind = "weld"
     sign = Sign("weld", "X", filled=True)
@@ -119,17 +119,17 @@ class Weld(Joint):
 
 @final
 @dataclass(frozen=True)
-class MovingBase(Travelling):
+class MovingSupport(Travelling):
     """Hold a section as a `Clamp` does, on a base that moves along a direction by a law of time.
 
     r(point) = r_o(point) + e x(t), e being the direction at unit length. A base that turns is a
-    `Revolute`, in the plane a `Pin`, with a `Drive`; one that moves in a plane and turns a
-    `PlanarJoint` with two of `Guide` and a `Drive`. Design targets: ``direction_x`` ... and the
-    parameters of the law.
+    `Revolute`, in the plane a `Pin`, with a `RotationDriver`; one that moves in a plane and turns a
+    `PlanarJoint` with two of `TranslationDriver` and a `RotationDriver`. Design targets:
+    ``direction_x`` ... and the parameters of the law.
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     direction : sequence of float
         Not zero; its length does not count.
     travel : Law

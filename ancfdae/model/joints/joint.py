@@ -19,8 +19,9 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_direction, require_kind
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_direction, require_kind
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
 from ancfdae.model.laws.law import Law, require_law
@@ -69,7 +70,9 @@ class Equations:
         kept = np.delete(np.arange(len(self.offset)), dropped)
         return Equations(self.linear[kept], self.bilinear[kept], self.offset[kept])
 
-    def at_points(self, before: Sequence[Point], after: Sequence[Point]) -> Equations:
+    def at_points(
+        self, before: Sequence[MaterialPoint], after: Sequence[MaterialPoint]
+    ) -> Equations:
         """Return the same equations of a joint that has points `after` instead of `before`."""
         pairs = zip(before, after, strict=True)
         places = {(x.beam, x.fraction, x.before): (y.beam, y.fraction, y.before) for x, y in pairs}
@@ -130,7 +133,7 @@ class Joint(Part):
 
     @final
     def checked_coefficients(self, p: Array, reference: Array) -> Equations:
-        """Return the coefficients; InvalidInput if their arrays do not fit their vectors."""
+        """Return the coefficients; InvalidInputError if their arrays do not fit their vectors."""
         where, (n, d) = f"coefficients of joint {self.name!r}", reference.shape
         c: object = self.coefficients(p, reference)
         require_kind(where, c, (Equations,), "Fill in the arrays of `empty_coefficients`.")
@@ -138,7 +141,7 @@ class Joint(Part):
         rows, shapes = len(c.offset), (c.linear.shape, c.bilinear.shape, c.offset.shape)
         if shapes != ((rows, n, d), (rows, n, n), (rows,)):
             rule = f"{rows} equations in {n} vectors need ({rows}, {n}, {d}), ({rows}, {n}, {n})"
-            raise InvalidInput(
+            raise InvalidInputError(
                 where, rule, shapes[:2], "Fill in the arrays of `empty_coefficients`."
             )
         return c
@@ -191,7 +194,7 @@ class DrivenJoint(Joint):
 class Travelling(DrivenJoint):
     """A joint that moves its point along a direction, not zero, by one law, its one factor."""
 
-    point: Point
+    point: MaterialPoint
     direction: Sequence[float]
     travel: Law
 

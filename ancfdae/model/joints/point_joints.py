@@ -6,8 +6,8 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import require_direction, require_positive, require_vector
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_direction, require_positive, require_vector
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign, Stroke
 from ancfdae.model.joints.frames import across
 from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients, place_coincidence
@@ -24,16 +24,16 @@ class Pin(Joint):
 
     Parameters
     ----------
-    point : Point
-    other : Point, optional
+    point : MaterialPoint
+    other : MaterialPoint, optional
         Point of another beam; without it the joint holds to ground.
     ground : sequence of float, optional
         Position on the ground; by default where the point is in the reference configuration, also
         where other design variables move it, until a target such as ``ground_x`` writes it.
     """
 
-    point: Point
-    other: Point | None = None
+    point: MaterialPoint
+    other: MaterialPoint | None = None
     ground: Sequence[float] | None = None
 
     kind = "pin"
@@ -68,17 +68,17 @@ class Distance(Joint):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     length : float
         Length L of the link; positive.
-    other : Point, optional
+    other : MaterialPoint, optional
     ground : sequence of float, optional
         Position on the ground; just one of `other` and `ground` must be given.
     """
 
-    point: Point
+    point: MaterialPoint
     length: float
-    other: Point | None = None
+    other: MaterialPoint | None = None
     ground: Sequence[float] | None = None
 
     kind = "link"
@@ -112,14 +112,14 @@ class PointOnLine(Joint):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     direction : sequence of float
         Direction of the line, not zero; its length has no effect (dimensionless).
     through : sequence of float, optional
         A point of the line; by default where `point` is in the reference configuration.
     """
 
-    point: Point
+    point: MaterialPoint
     direction: Sequence[float]
     through: Sequence[float] | None = None
 

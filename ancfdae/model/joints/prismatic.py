@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.errors import require_direction
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_direction
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import (
     across,
@@ -34,17 +34,17 @@ class Prismatic(Joint):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     axis : sequence of float
         Direction in the reference configuration; not zero.
-    other : Point, optional
+    other : MaterialPoint, optional
         Point of another beam, whose section carries the axis along; without it the axis is fixed
         to ground.
     """
 
-    point: Point
+    point: MaterialPoint
     axis: Sequence[float]
-    other: Point | None = None
+    other: MaterialPoint | None = None
 
     kind = "prismatic"
     sign = Sign("prismatic joint", "d")

@@ -26,7 +26,7 @@ class Constant(Law):
 
 @final
 @dataclass(frozen=True)
-class Uniform(Law):
+class ConstantAcceleration(Law):
     """x = offset + speed t + acceleration t^2 / 2."""
 
     speed: float

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-from ancfdae.errors import require_vector
-from ancfdae.model.bodies import Point, Quantity
+from ancfdae.errors.checks import require_vector
+from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.loads.load import LAW, ConstantLoad, Load
 from ancfdae.model.parts import CentreLine, Elements, Vectors
 from ancfdae.numerics.arrays import Array
@@ -21,12 +21,12 @@ class PointForce(ConstantLoad):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     force_vector : sequence of float
         N.
     """
 
-    point: Point
+    point: MaterialPoint
     force_vector: Sequence[float]
 
     kind = "force"
@@ -73,12 +73,12 @@ class FollowerForce(Load):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     force_components : sequence of float
         Components along tangent, height axis(, width axis); N.
     """
 
-    point: Point
+    point: MaterialPoint
     force_components: Sequence[float]
 
     kind = "follower"

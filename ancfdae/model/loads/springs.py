@@ -6,8 +6,8 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from ancfdae.errors import require_axial, require_not_negative, require_vector
-from ancfdae.model.bodies import Point, Quantity
+from ancfdae.errors.checks import require_axial, require_not_negative, require_vector
+from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.design import numbers
 from ancfdae.model.drawing import Stroke
 from ancfdae.model.loads.load import LAW, Load, require_damping
@@ -32,23 +32,23 @@ class SpringDamper(Load):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     stiffness : float
         k; N/m. It may be negative, as of a part that pushes away from its middle position.
     damping : float
         c, not negative; N s/m.
     free_length : float
         l_0, not negative; m.
-    other : Point, optional
+    other : MaterialPoint, optional
     ground : sequence of float, optional
         Place on the ground; m. Give either `other` or `ground`.
     """
 
-    point: Point
+    point: MaterialPoint
     stiffness: float
     damping: float = 0.0
     free_length: float = 0.0
-    other: Point | None = None
+    other: MaterialPoint | None = None
     ground: Sequence[float] | None = None
 
     kind = "spring"
@@ -92,23 +92,23 @@ class Bushing(Load):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     stiffness : sequence of float
         N/m. They may be negative.
     damping : sequence of float, optional
         Not negative; N s/m.
     turn_stiffness, turn_damping : float or sequence of float, optional
         A number in the plane, three in space; N m/rad and N m s/rad. Damping is not negative.
-    other : Point, optional
+    other : MaterialPoint, optional
         Body to which the bearing is fixed; the ground by default.
     """
 
-    point: Point
+    point: MaterialPoint
     stiffness: Sequence[float]
     damping: Sequence[float] | None = None
     turn_stiffness: float | Sequence[float] | None = None
     turn_damping: float | Sequence[float] | None = None
-    other: Point | None = None
+    other: MaterialPoint | None = None
 
     kind = "bushing"
     elastic = True

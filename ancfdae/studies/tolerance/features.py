@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, PlannedSystem
-from ancfdae.errors import AncfdaeError
+from ancfdae.errors.kinds import AncfdaeError
 from ancfdae.integrators.problem import Problem
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.observable import Observable
