@@ -57,6 +57,14 @@ def public_module(name: str, file: str, others: Iterable[str] = ()) -> PublicMod
     return PublicModule(homes, names, get, lambda: sorted({*vars(module), *names}))
 
 
+def public_names() -> dict[str, str]:
+    """Return every public name with the module from which it is imported."""
+    package = Path(__file__).parent
+    stubs = {"ancfdae": package / "__init__.pyi", "ancfdae.errors": package / "errors/__init__.pyi"}
+    stubs |= {f"ancfdae.{part}": package / f"{part}.pyi" for part in PARTS if part != "errors"}
+    return {name: module for module, stub in stubs.items() for name in listed_names(stub)}
+
+
 def listed_names(stub: Path) -> dict[str, str]:
     """Return the names that a stub imports, each with the module that defines it."""
     return {

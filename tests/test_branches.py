@@ -139,7 +139,7 @@ def test_the_check_does_not_depend_on_the_place(integrator):
     assert ends[0] == ends[1]
 
 
-@pytest.mark.filterwarnings("ignore::ancfdae.StabilityWarning")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
 @pytest.mark.parametrize("turns", [2.0, 5.0, 15.0])
 def test_fast_free_turns_raise_no_alarm(turns):
     """A pendulum that spins freely by up to 0.75 rad in a step leaves no branch."""

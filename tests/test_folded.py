@@ -278,7 +278,7 @@ def test_a_folded_state_is_no_equilibrium():
     assert "'rod', element 1" in str(taken.outcome)
 
 
-@pytest.mark.filterwarnings("ignore::ancfdae.StabilityWarning")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
 def test_a_bar_bears_no_more_than_the_largest_force_of_its_law():
     area = 0.01
     most = STEEL.youngs_modulus * area / (3 * np.sqrt(3.0))

@@ -106,7 +106,7 @@ GOOD: dict[str, list[Any]] = {
 RESPONSES = ancfdae.Responses(SYSTEM, {"tip": OBJECTIVE}, 0.05, STEP)
 FIT = Misfit([TIP], [0.02], [[1.0]]).fit(SYSTEM, 0.05, STEP)
 MODES = ancfdae.modes(SYSTEM)
-TRADE = ancfdae.tradeoff(SYSTEM, OBJECTIVE, 0.05, [STEP], reference=HHT(0.005))
+TRADE = ancfdae.work_precision(SYSTEM, OBJECTIVE, 0.05, [STEP], reference=HHT(0.005))
 DERIVED = ancfdae.differentiate(SYSTEM, 0.05, STEP)
 PRESSED = replace(
     SCENE, gravity=(0.0, 0.0), loads=[ancfdae.PointForce(ROD.at_end, (0.0, 0.0), name="load")]
@@ -115,35 +115,35 @@ CRITICAL = ancfdae.critical_load(PRESSED, "load.force_x", -1e7)
 TURNING = replace(SCENE, frame=ancfdae.RotatingFrame(1.0), gravity=(0.0, 0.0))
 
 
-def campbell(rates: Any, count: Any) -> ancfdae.Campbell:
+def campbell(rates: Any, count: Any) -> ancfdae.results.Campbell:
     return ancfdae.campbell(TURNING, rates, count)
 
 
-def critical_load(parameter: Any, to: Any, design: Any = None) -> ancfdae.CriticalLoad:
+def critical_load(parameter: Any, to: Any, design: Any = None) -> ancfdae.results.CriticalLoad:
     return ancfdae.critical_load(PRESSED, parameter, to, design=design)
 
 
 def within(
     t_end: Any, observables: Any, tolerance: Any, at_times: Any = None
-) -> ancfdae.ObservableEstimates:
+) -> ancfdae.results.ObservableEstimates:
     return simulate(SCENE, t_end, tolerance=tolerance, observables=observables, at=at_times)
 
 
-def gradient_within(objective: Any, tolerance: Any, design: Any) -> ancfdae.Gradient:
+def gradient_within(objective: Any, tolerance: Any, design: Any) -> ancfdae.results.Gradient:
     return ancfdae.gradient(SCENE, objective, 0.05, tolerance=tolerance, design=design)
 
 
 CALLS = [
     *(ancfdae.simulate, ancfdae.differentiate, ancfdae.gradient, ancfdae.gradients),
-    *(ancfdae.observe, ancfdae.evaluate, ancfdae.modes, ancfdae.equilibrium),
+    *(ancfdae.observables.observe, ancfdae.evaluate, ancfdae.modes, ancfdae.equilibrium),
     *(
         ancfdae.equilibrium_gradient,
         ancfdae.error_bars,
         ancfdae.estimate_adjoint_error,
-        ancfdae.tradeoff,
+        ancfdae.work_precision,
     ),
     *(ancfdae.sweep, ancfdae.mass_properties, ancfdae.suggest_step, ancfdae.Responses, assemble),
-    *(ancfdae.taylor_test, ancfdae.observations, ancfdae.check_system),
+    *(ancfdae.taylor_test, ancfdae.record_observables, ancfdae.check_system),
     *(RUN.at, RUN.position, RUN.slope, RUN.reaction, RUN.to_dataframe, DERIVED.design_index),
     *(RESPONSES.values, RESPONSES.constraint, RESPONSES.__getitem__, FIT.residuals, Misfit),
     *(MODES.shape_b, SCENE.with_values, SCENE.beam, SCENE.member, SCENE.numbers, SCENE.value),
@@ -253,8 +253,8 @@ def with_junk(call: Callable[..., Any], **junk: Any) -> tuple[Any, dict[str, Any
 @given(calls())
 @example(with_junk(ancfdae.simulate, progress="x"))
 @example(with_junk(ancfdae.estimate_adjoint_error, progress=object()))
-@example(with_junk(ancfdae.tradeoff, progress=3))
-@example(with_junk(ancfdae.tradeoff, time_limit=1e308))
+@example(with_junk(ancfdae.work_precision, progress=3))
+@example(with_junk(ancfdae.work_precision, time_limit=1e308))
 @example(with_junk(ancfdae.error_bars, levels=np.zeros(3)))
 @example(with_junk(ancfdae.gradient, model=SYSTEM, design=0.5))
 @example(with_junk(ancfdae.mass_properties, model=SYSTEM, design=int))
@@ -263,14 +263,14 @@ def with_junk(call: Callable[..., Any], **junk: Any) -> tuple[Any, dict[str, Any
 @example(with_junk(ancfdae.gradients, objectives=[]))
 @example(with_junk(ancfdae.modes, highest=[]))
 @example(with_junk(ancfdae.modes, model=SYSTEM, at=equilibrium(TWO)))
-@example(with_junk(ancfdae.observe, observable=kinetic_energy(), system=assemble(TWO)))
+@example(with_junk(ancfdae.observables.observe, observable=kinetic_energy(), system=assemble(TWO)))
 @example(with_junk(ancfdae.taylor_test, sizes=[]))
 @example(with_junk(ancfdae.taylor_test, direction=[0.0]))
 @example(with_junk(ancfdae.check_system, seed=iter([1.0])))
 @example(with_junk(ancfdae.sweep, file=__file__))
 @example(with_junk(ancfdae.sweep, file=""))
 @example(with_junk(ancfdae.sweep, file="no such folder/rows"))
-@example(with_junk(ancfdae.observations, keep=1, file="no such folder/rows.npy"))
+@example(with_junk(ancfdae.record_observables, keep=1, file="no such folder/rows.npy"))
 @example(with_junk(RUN.save, path=""))
 @example(with_junk(RUN.slope, along=np.zeros(3)))
 @example(with_junk(RUN.reaction, joint=np.zeros(3)))

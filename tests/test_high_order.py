@@ -260,7 +260,7 @@ def test_runs_of_the_paper_do_not_meet_the_default_limit_of_steps(integrator, ne
 
 
 # Steps shrink before the run ends: it warns of their number, rightly.
-@pytest.mark.filterwarnings("ignore::ancfdae.ManyStepsWarning")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.ManyStepsWarning")
 @pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), DOP853])
 def test_trouble_prints_nothing_but_what_the_user_prints(kind, capfd):
     rng = np.random.default_rng(0)

@@ -38,7 +38,7 @@ def half_circle(strain, n, element=None):
     return Scene([rod], [Clamp(rod.at_start)], loads=[Moment(rod.at_end, moment)]), rod
 
 
-@pytest.mark.filterwarnings("ignore::ancfdae.LargeStrainWarning")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.LargeStrainWarning")
 @pytest.mark.parametrize(("strain", "n"), [(0.13, 12), (0.065, 24), (0.03, 52)])
 def test_half_a_circle_errs_by_the_squared_strain_of_its_fibres(strain, n):
     scene, rod = half_circle(strain, n)

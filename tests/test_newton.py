@@ -101,7 +101,7 @@ def test_nothing_changes_where_full_steps_converge(scene, monkeypatch):
     assert simulate(scene(), 0.25, HHT(2.0**-7)).statistics.continued == 0
 
 
-@pytest.mark.filterwarnings("ignore::ancfdae.StabilityWarning")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
 @pytest.mark.parametrize("name", STALLING)
 def test_a_stalled_step_finds_the_solution_that_belongs_to_short_ones(name, monkeypatch):
     make, h, steps = STALLING[name]
@@ -120,7 +120,7 @@ def test_a_stalled_step_finds_the_solution_that_belongs_to_short_ones(name, monk
     np.testing.assert_allclose(fine.q, run.q, atol=1e-9 * np.max(np.abs(run.q)), rtol=0)
 
 
-@pytest.mark.filterwarnings("ignore::ancfdae.StabilityWarning")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
 def test_statistics_count_what_shorter_steps_cost():
     run = simulate(loaded(10.0), 0.5, HHT(0.05)).statistics
     assert 0 < run.continued <= run.steps

@@ -195,7 +195,7 @@ STEADY = [
 ]
 
 
-@pytest.mark.filterwarnings("ignore::ancfdae.ManyStepsWarning")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.ManyStepsWarning")
 @pytest.mark.parametrize(
     ("integrator", "end"),
     [(x, end) for x in STEADY for end in ((0.2, 0.9) if isinstance(x, Radau) else (0.9,))],
@@ -261,7 +261,7 @@ def test_a_wrong_root_within_a_packet_of_steps_is_found_at_its_step(d, other):
     assert np.max(np.abs(tip - np.stack([np.cos(angle), np.sin(angle)], axis=1))) <= 1e-9
 
 
-@pytest.mark.filterwarnings("ignore::ancfdae.StabilityWarning")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
 @pytest.mark.parametrize("step", [0.02, 0.05, 0.1])
 @pytest.mark.parametrize("method", [HHT, Radau])
 def test_success_of_a_four_bar_is_its_own_branch(method, step):

@@ -107,7 +107,7 @@ class Jump(FormulaSystem):
         return np.zeros(0)
 
 
-@pytest.mark.filterwarnings("ignore::ancfdae.NotTracedWarning")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.NotTracedWarning")
 def test_an_iteration_that_stalls_is_no_equilibrium():
     # Corrections of 2e-8 to and fro, that leave 1e-8 of the spring's force.
     found = equilibrium(Jump(()))

@@ -1,4 +1,4 @@
-"""Report on work and precision: which integrator for which scene, by the library's `tradeoff`."""
+"""Report on work and precision: which integrator for which scene, by `work_precision`."""
 
 from collections.abc import Sequence
 
@@ -251,7 +251,7 @@ def _line(row: MeasuredSetting) -> str:
 
 
 _METHOD = """
-Every number comes from `ancfdae.tradeoff`, the call with which users measure their own scenes.
+Every number comes from `ancfdae.work_precision`, the call with which users measure their own scenes.
 Each setting runs with two design variables along (direct differentiation) for two objectives: the
 gradient of a time integral (*integrated*) and of a value at the end time (*pointwise*). Errors
 are relative to a reference, the last row of each table: states and multipliers the largest over
@@ -317,7 +317,7 @@ wanted, 0 never.
 """
 
 _LIMITS = """
-- Seven scenes, one objective of each kind, two variables: `tradeoff` is there to measure others.
+- Seven scenes, one objective of each kind, two variables: `work_precision` is for others.
 - An error below that of the reference means nothing. References of high order are good to 1e-7 or
   better, those of the damped pendulums of larger modulus are HHT at 2⁻¹⁴ of the end time, good to
   about 1e-6.

@@ -1,9 +1,8 @@
 """Answers to names that the package does not have: the call or page that serves, or near names."""
 
 import difflib
-from pathlib import Path
 
-from ancfdae.facade import PARTS, listed_names
+from ancfdae.facade import public_names
 
 _CABLE = "A cable is a Beam(..., element=CABLE_2D), in space CABLE_3D (docs/howto/elements.md)."
 _CONTACT = (
@@ -24,11 +23,14 @@ _ROTATION = (
 )
 _RUN = "simulate(scene, t_end, HHT(step=...)) integrates the motion (docs/howto/integrator.md)."
 _GROUND = "The ground needs no object: joints and loads take ground=(x, y), a place."
-_SPRING = "Springs are SpringDamper (two points), TorsionalSpringDamper (an angle) and Bushing (all axes)."
+_SPRING = (
+    "Springs are SpringDamper (two points), TorsionalSpringDamper (an angle) and Bushing (all "
+    "axes)."
+)
 _GRAVITY = "Gravity is an argument: Scene(..., gravity=(0, -9.81))."
 _MOTOR = (
-    "A prescribed rotation is a RotationDriver, a prescribed force a PointForce, a prescribed torque "
-    "a MotorTorque."
+    "A prescribed rotation is a RotationDriver, a prescribed force a PointForce, a prescribed "
+    "torque a MotorTorque."
 )
 _FORCE = "Forces on a point are PointForce, FollowerForce and DistributedForce."
 _RIGID = "Rigid bodies are RigidBody, RigidBox, RigidCylinder and RigidSphere."
@@ -179,7 +181,7 @@ def answer(name: str, module: str) -> str:
     It says where the name is now, what serves instead, or near names.
     """
     text = f"{module} has no name {name!r}."
-    homes = _public_homes()
+    homes = public_names()
     now = _RENAMED.get(name, name)
     if now in homes:
         renamed = f"It is called {now} now" if now != name else "It is"
@@ -193,11 +195,3 @@ def answer(name: str, module: str) -> str:
         places = " or ".join(f"{homes[x]}.{x}" for x in near)
         return f"{text} Did you mean {places}?"
     return f"{text} dir({module}) lists all names, docs/limits.md what is not supported."
-
-
-def _public_homes() -> dict[str, str]:
-    """Return every public name with the module from which it is imported."""
-    package = Path(__file__).parents[1]
-    stubs = {"ancfdae": package / "__init__.pyi", "ancfdae.errors": package / "errors/__init__.pyi"}
-    stubs |= {f"ancfdae.{part}": package / f"{part}.pyi" for part in PARTS if part != "errors"}
-    return {name: module for module, stub in stubs.items() for name in listed_names(stub)}

@@ -123,7 +123,7 @@ class Scene(SceneDesign):
         )
 
     def at_rest(self) -> Scene | None:
-        """Return the scene from whose equilibrium the motion starts; None if it starts elsewhere."""
+        """Return the scene whose equilibrium is the start of the motion; None if none is."""
         rest = self.rest
         if rest is None:
             return None

@@ -316,7 +316,7 @@ class SceneDesign(Designable):
         held = self._held(text)
         if _differ(held):
             rule = "elements that one variable changes must have one value"
-            repair = "Name the elements, as in 'rod.height[2]', or use `distribution`."
+            repair = "Name the elements, as in 'rod.height[2]', or use `distributed_variables`."
             raise InvalidInputError(f"design target {text}", rule, sorted(set(held)), repair)
         return held[0]
 

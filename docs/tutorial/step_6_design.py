@@ -51,8 +51,8 @@ for name, value, a, b in zip(design, values, results[0].gradient, results[1].gra
     print(f"1 % of {name:20s} {1e6 * 0.01 * value * a: .2f} um {0.01 * value * b: .3f} MPa")
 
 # %%
-# `distribution` makes one variable for each element. With many variables the adjoint is the
-# cheaper way to the same numbers: one pass backward for each objective, however many variables
+# `distributed_variables` makes one variable for each element. With many variables the adjoint is
+# the cheaper way to the same numbers: one pass backward for each objective, however many variables
 # there are.
 
 heights = distributed_variables("rod.height", 4)
