@@ -13,7 +13,7 @@ PARTS = ("errors", "extend", "laws", "observables", "results", "sections")
 
 
 class PublicModule(NamedTuple):
-    """What a module of public names gives to Python.
+    """Attributes that Python asks a module of public names for.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class PublicModule(NamedTuple):
 
 
 def public_module(name: str, file: str, others: Iterable[str] = ()) -> PublicModule:
-    """Return what the module `name` gives: the names that the stub beside its `file` imports.
+    """Return the names of the module `name`, which the stub beside its `file` imports.
 
     An unknown name raises AttributeError with the call or page that serves, or with near names;
     ``from package import`` of it raises ImportError with the same text. `others` are public names

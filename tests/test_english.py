@@ -118,7 +118,7 @@ def hits(root: Path = ROOT) -> dict[str, list[Hit]]:
     return found
 
 
-def _near(words: str, mark: re.SparsityPattern[str], name: str) -> list[str]:
+def _near(words: str, mark: re.Pattern[str], name: str) -> list[str]:
     cut = (words[max(0, m.start() - 60) : m.end() + 60] for m in mark.finditer(words))
     near = (" ".join(x.split()) for x in cut)
     return [x for x in near if not any(phrase in x for phrase in EXCEPTIONS.get(name, ()))]

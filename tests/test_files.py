@@ -17,7 +17,9 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 sys.path.insert(0, "tests")
-from ancfdae import HHT, SaveError, load_solution, plotting, record_observables, sweep
+from ancfdae import HHT, load_solution, plotting, record_observables, sweep
+from ancfdae.errors import SaveError
+from ancfdae.observables import position
 from validation.scenes import pendulum
 from mechanisms import CartesianPendulum
 

@@ -47,7 +47,10 @@ def test_a_first_assembly_and_step_load_no_other_package_either() -> None:
     scene = "Scene([rod], [Pin(rod.at_start)], (0, -9.81))"
     rod = "Beam('rod', (0, 0), (1.2, 0), 6, Rectangle(0.02, 0.02), Material(5540, 1e7, 0.3))"
     run = f"rod = {rod}\nsimulate(assemble({scene}), 1e-3, HHT(1e-3))"
-    before, after = (packages_after(f"from ancfdae import *\n{x}") for x in ("", run))
+    before, after = (
+        packages_after(f"from ancfdae import *\nfrom ancfdae.sections import *\n{x}")
+        for x in ("", run)
+    )
     assert {x for x in after - before if not x.startswith("ancfdae")} == set()
 
 

@@ -251,7 +251,7 @@ def _line(row: MeasuredSetting) -> str:
 
 
 _METHOD = """
-Every number comes from `ancfdae.work_precision`, the call with which users measure their own scenes.
+Every number comes from `ancfdae.work_precision`, with which users measure their own scenes.
 Each setting runs with two design variables along (direct differentiation) for two objectives: the
 gradient of a time integral (*integrated*) and of a value at the end time (*pointwise*). Errors
 are relative to a reference, the last row of each table: states and multipliers the largest over

@@ -1,4 +1,4 @@
-"""Errors, warnings and interruptions: what a call raises or warns of."""
+"""Errors, warnings and interruptions that calls raise or warn of."""
 
 from ancfdae.facade import public_module
 

@@ -96,7 +96,7 @@ _ANSWERS = {
 _NEAR, _MOST = 0.6, 3
 
 
-# Names of versions before 0.1, and what they are called now.
+# Names of versions before 0.1, with their names of today.
 _RENAMED = {
     "AdjointError": "AdjointErrorEstimate",
     "AtRest": "EquilibriumStart",
@@ -178,7 +178,7 @@ _RENAMED = {
 def answer(name: str, module: str) -> str:
     """Return the message for a name that a public module does not have.
 
-    It says where the name is now, what serves instead, or near names.
+    It says where the name is now, which call or page serves instead, or near names.
     """
     text = f"{module} has no name {name!r}."
     homes = public_names()
