@@ -70,7 +70,7 @@ def require_text(where: str, value: object) -> None:
 
 
 def require_path(where: str, value: object) -> Path:
-    """Return `value` as a path. Refuse what is neither a string nor a path, and a folder."""
+    """Return `value` as a path; refuse a folder, and values other than strings and paths."""
     require_kind(where, value, (str, os.PathLike), "Give the name of a file.")
     path = Path(value)  # type: ignore[arg-type]  # as was just seen
     if path.is_dir():

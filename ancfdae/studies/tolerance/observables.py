@@ -35,7 +35,7 @@ _INSTANTS, _INTERVALS = 65, 64
 @final
 @dataclass(frozen=True, repr=False)
 class ObservableEstimates(ToleranceSearch):
-    """Observables at some instants with estimated bounds of their errors.
+    """Values of observables at given times with estimated bounds of their errors.
 
     The tolerance is relative: of each observable the norm of its error over the instants, to the
     norm of its values there.
