@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Sequence
 from dataclasses import MISSING, fields
 from functools import reduce
+from importlib import import_module
 from itertools import product
 from operator import or_
 from types import UnionType
@@ -14,10 +15,10 @@ from typing import Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-import ancfdae
 from ancfdae import RigidBody, Scene, assemble
 from ancfdae.errors import InvalidInputError
 from ancfdae.extend import Law, MaterialPoint
+from ancfdae.facade import public_names
 from ancfdae.laws import Harmonic, RunUp
 from ancfdae.model import laws
 from ancfdae.model.joints.joint import DrivenJoint, Equations
@@ -45,9 +46,9 @@ def coefficients_of(joint, p, reference, t, order=0):
 def public_classes(module, base):
     """Concrete classes of a kind that modules of a package define, by name; synonyms once."""
     inside = f"{module.__name__}."
-    names = [name for name, home in ancfdae._MODULES.items() if home.startswith(inside)]
-    found = (getattr(ancfdae, name) for name in names)
+    found = (getattr(import_module(home), name) for name, home in public_names().items())
     kinds = (x for x in found if inspect.isclass(x) and issubclass(x, base))
+    kinds = (x for x in kinds if x.__module__.startswith(inside))
     return {kind.__name__: kind for kind in kinds if not inspect.isabstract(kind)}
 
 

@@ -257,7 +257,9 @@ def test_settings_out_of_range_are_refused_by_name(make, match):
 
 
 def test_an_end_that_is_no_given_instant_is_refused_with_both():
-    match = r"end, PrescribedSteps\.times\[-1\] = 1; got 2\.0\. Run to t_end = 1, or give instants up to 2"
+    match = (
+        r"PrescribedSteps\.times\[-1\] = 1; got 2\.0\. Run to t_end = 1, or give instants up to 2"
+    )
     with pytest.raises(InvalidInputError, match=match):
         simulate(CartesianPendulum(), 2.0, HHT(PrescribedSteps((0.0, 0.5, 1.0))))
 

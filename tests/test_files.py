@@ -17,7 +17,9 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 sys.path.insert(0, "tests")
-from ancfdae import HHT, SaveError, load_solution, observations, plotting, position, sweep
+from ancfdae import HHT, load_solution, plotting, record_observables, sweep
+from ancfdae.errors import SaveError
+from ancfdae.observables import position
 from validation.scenes import pendulum
 from mechanisms import CartesianPendulum
 
@@ -34,7 +36,8 @@ def refused(call):
 for name in ("new.npz", "new.h5", "run.npz", "run.h5"):
     refused(lambda: solution.save(folder / name))
 drop = [position(pendulum().beams[0].at_end, 1)]
-refused(lambda: record_observables(pendulum(), drop, 32.0, HHT(2.0**-6), keep=1, file=folder / "x.npy"))
+x = folder / "x.npy"
+refused(lambda: record_observables(pendulum(), drop, 32.0, HHT(2.0**-6), keep=1, file=x))
 rows = folder / "rows.jsonl"
 refused(lambda: sweep(system, [[1.0, 9.0], [2.0, 9.0]], lambda s: np.ones(3000), file=rows))
 scene, shown = pendulum(elements=1), solution.at(np.linspace(0, 1, 40))

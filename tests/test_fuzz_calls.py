@@ -115,27 +115,27 @@ CRITICAL = ancfdae.critical_load(PRESSED, "load.force_x", -1e7)
 TURNING = replace(SCENE, frame=ancfdae.RotatingFrame(1.0), gravity=(0.0, 0.0))
 
 
-def campbell(rates: Any, count: Any) -> ancfdae.Campbell:
+def campbell(rates: Any, count: Any) -> ancfdae.results.Campbell:
     return ancfdae.campbell(TURNING, rates, count)
 
 
-def critical_load(parameter: Any, to: Any, design: Any = None) -> ancfdae.CriticalLoad:
+def critical_load(parameter: Any, to: Any, design: Any = None) -> ancfdae.results.CriticalLoad:
     return ancfdae.critical_load(PRESSED, parameter, to, design=design)
 
 
 def within(
     t_end: Any, observables: Any, tolerance: Any, at_times: Any = None
-) -> ancfdae.ObservableEstimates:
+) -> ancfdae.results.ObservableEstimates:
     return simulate(SCENE, t_end, tolerance=tolerance, observables=observables, at=at_times)
 
 
-def gradient_within(objective: Any, tolerance: Any, design: Any) -> ancfdae.Gradient:
+def gradient_within(objective: Any, tolerance: Any, design: Any) -> ancfdae.results.Gradient:
     return ancfdae.gradient(SCENE, objective, 0.05, tolerance=tolerance, design=design)
 
 
 CALLS = [
     *(ancfdae.simulate, ancfdae.differentiate, ancfdae.gradient, ancfdae.gradients),
-    *(ancfdae.observe, ancfdae.evaluate, ancfdae.modes, ancfdae.equilibrium),
+    *(ancfdae.observables.observe, ancfdae.evaluate, ancfdae.modes, ancfdae.equilibrium),
     *(
         ancfdae.equilibrium_gradient,
         ancfdae.error_bars,
@@ -263,7 +263,7 @@ def with_junk(call: Callable[..., Any], **junk: Any) -> tuple[Any, dict[str, Any
 @example(with_junk(ancfdae.gradients, objectives=[]))
 @example(with_junk(ancfdae.modes, highest=[]))
 @example(with_junk(ancfdae.modes, model=SYSTEM, at=equilibrium(TWO)))
-@example(with_junk(ancfdae.observe, observable=kinetic_energy(), system=assemble(TWO)))
+@example(with_junk(ancfdae.observables.observe, observable=kinetic_energy(), system=assemble(TWO)))
 @example(with_junk(ancfdae.taylor_test, sizes=[]))
 @example(with_junk(ancfdae.taylor_test, direction=[0.0]))
 @example(with_junk(ancfdae.check_system, seed=iter([1.0])))

@@ -8,10 +8,11 @@ import types
 from pathlib import Path
 
 import ancfdae
+from ancfdae.facade import PARTS, listed_names, public_names
 
 # SciPy loads its parts at their first use, which an import must not be.
-PARTS = ("sparse", "linalg", "special", "interpolate", "integrate", "optimize")
-HEAVY = {f"scipy.{part}" for part in PARTS}
+HEAVY_PARTS = ("sparse", "linalg", "special", "interpolate", "integrate", "optimize")
+HEAVY = {f"scipy.{part}" for part in HEAVY_PARTS}
 
 
 def packages_after(program: str) -> set[str]:
@@ -46,7 +47,10 @@ def test_a_first_assembly_and_step_load_no_other_package_either() -> None:
     scene = "Scene([rod], [Pin(rod.at_start)], (0, -9.81))"
     rod = "Beam('rod', (0, 0), (1.2, 0), 6, Rectangle(0.02, 0.02), Material(5540, 1e7, 0.3))"
     run = f"rod = {rod}\nsimulate(assemble({scene}), 1e-3, HHT(1e-3))"
-    before, after = (packages_after(f"from ancfdae import *\n{x}") for x in ("", run))
+    before, after = (
+        packages_after(f"from ancfdae import *\nfrom ancfdae.sections import *\n{x}")
+        for x in ("", run)
+    )
     assert {x for x in after - before if not x.startswith("ancfdae")} == set()
 
 
@@ -74,11 +78,19 @@ def test_the_names_of_a_first_program_load_no_study_of_another_kind() -> None:
 
 
 def test_every_listed_name_is_the_one_of_its_module() -> None:
-    for name, module in ancfdae._MODULES.items():
-        assert getattr(ancfdae, name) is getattr(sys.modules[module], name)
-    text = Path(ancfdae.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-    (listed,) = (x for x in ast.parse(text).body if isinstance(x, ast.Assign))
-    assert sorted(ast.literal_eval(listed.value)) == sorted(ancfdae.__all__)
+    modules = [ancfdae, *(getattr(ancfdae, part) for part in PARTS)]
+    for module in modules:
+        stub = Path(module.__file__).with_suffix(".pyi")
+        for name, home in listed_names(stub).items():
+            assert getattr(module, name) is getattr(sys.modules[home], name)
+        (listed,) = (x for x in ast.parse(stub.read_text()).body if isinstance(x, ast.Assign))
+        assert sorted(ast.literal_eval(listed.value)) == sorted(module.__all__)
+
+
+def test_a_public_name_stands_in_one_module():
+    listed = [name for part in PARTS for name in getattr(ancfdae, part).__all__]
+    listed += ancfdae.__all__
+    assert len(listed) == len(set(listed)) == len(public_names()) + 1  # and __version__
 
 
 def test_a_module_of_the_name_of_a_function_does_not_replace_it() -> None:

@@ -1,4 +1,4 @@
-"""`simulate(keep=)` and `record_observables` return the values of the full run at the kept times."""
+"""`simulate(keep=)` and `record_observables` give the full run at the kept times."""
 
 import numpy as np
 import pytest

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-import ancfdae
 from ancfdae import plotting
+from ancfdae.facade import public_names
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted((ROOT / "docs" / "reference").glob("*.rst"))
@@ -16,9 +16,9 @@ ENTRY = re.compile(r"^\.\. auto\w+:: (ancfdae\.[\w.]+)$", re.MULTILINE)
 OPTIONS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL
 
 
-def public_names() -> list[str]:
+def full_names() -> list[str]:
     """Names that a person imports, in full."""
-    names = [f"ancfdae.{name}" for name in ancfdae.__all__ if not name.startswith("__")]
+    names = [f"{module}.{name}" for name, module in public_names().items()]
     mine = (n for n in plotting.__all__ if plotting.__name__ in getattr(plotting, n).__module__)
     others = [f"{plotting.__name__}.{name}" for name in mine]
     return [*names, *others, "ancfdae.studies.openmdao.ResponsesComponent"]
@@ -40,11 +40,11 @@ ALL = "\n".join(path.read_text(encoding="utf-8") for path in PAGES)
 
 
 def test_every_public_name_is_in_the_reference_with_an_example() -> None:
-    assert names_without_example(public_names(), ALL) == []
+    assert names_without_example(full_names(), ALL) == []
 
 
 def test_the_reference_describes_no_name_that_is_not_public() -> None:
-    assert sorted(set(entries(ALL)) - set(public_names())) == []
+    assert sorted(set(entries(ALL)) - set(full_names())) == []
 
 
 def test_a_name_without_entry_or_example_is_found() -> None:

@@ -278,7 +278,7 @@ def test_an_interrupt_keeps_the_rows():
     (whole,) = work_precision(CartesianPendulum(), X2, 1.0, [HHT(0.1)], reference=HHT(0.02)).rows
     assert table.rows[0].gradient == whole.gradient
     assert [row.finished for row in table.rows] == [True, False, False]
-    assert table.rows[1].outcome == "not measured: the tradeoff was interrupted"
+    assert table.rows[1].outcome == "not measured: the comparison was interrupted"
     with pytest.raises(KeyboardInterrupt):
         work_precision(Pressing(), X2, 1.0, [HHT(0.1)], reference=HHT(2.0**-4))
 

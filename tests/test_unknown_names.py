@@ -11,7 +11,8 @@ import ancfdae
 import ancfdae.plotting
 from ancfdae import Material
 from ancfdae.errors import UnlikelyValueWarning
-from ancfdae.errors.unknown_names import _ANSWERS, answer
+from ancfdae.errors.unknown_names import _ANSWERS, _RENAMED, answer
+from ancfdae.facade import public_names
 
 from documents import ROOT
 
@@ -25,9 +26,9 @@ from documents import ROOT
         ("time", "elapsed_time()"),
         ("acceleration", "solution.acceleration(point)"),
         ("ANCFCable2D", "CABLE_2D"),
-        ("Simulate", "Did you mean simulate?"),
+        ("Simulate", "Did you mean ancfdae.simulate?"),
         ("Hinge", "Pin"),
-        ("bending_momnet", "Did you mean bending_moment"),
+        ("bending_momnet", "Did you mean ancfdae.observables.bending_moment"),
         ("zzz", "dir(ancfdae)"),
     ],
 )
@@ -41,7 +42,7 @@ def test_an_unknown_name_is_answered_by_attribute_and_by_import(name, serves):
 
 def test_answers_name_calls_and_pages_that_exist():
     """Words with a parenthesis, and words with capitals inside or alone, are public names."""
-    known = {*ancfdae.__all__, *dir(ancfdae.plotting), "Solution", "SciPy", "step"}
+    known = {*public_names(), *dir(ancfdae.plotting), "Solution", "SciPy", "step"}
     for text in set(_ANSWERS.values()):
         for page in re.findall(r"docs/\S+\.md", text):
             assert (ROOT / page).is_file(), page
@@ -51,7 +52,7 @@ def test_answers_name_calls_and_pages_that_exist():
 
 
 def test_no_answer_hides_a_public_name():
-    assert not set(_ANSWERS) & {name.lower() for name in ancfdae.__all__ if name not in ("step",)}
+    assert not set(_ANSWERS) & {name.lower() for name in public_names() if name not in ("step",)}
 
 
 def test_answers_are_loaded_when_one_is_needed():
@@ -67,7 +68,27 @@ def test_answers_are_loaded_when_one_is_needed():
 def test_private_names_and_modules_are_refused_in_plain_words():
     with pytest.raises(AttributeError, match="has no attribute '_x'"):
         ancfdae._x  # noqa: B018
-    assert "Did you mean" in answer("Beem", ancfdae.__all__)
+    assert "Did you mean ancfdae.Beam or" in answer("Beem", "ancfdae")
+
+
+@pytest.mark.parametrize(
+    ("name", "serves"),
+    [
+        ("position", "It is: from ancfdae.observables import position."),
+        ("Explicit", "It is called DOP853 now: from ancfdae import DOP853."),
+        ("Ramp", "It is called SmoothStep now: from ancfdae.laws import SmoothStep."),
+    ],
+)
+def test_a_name_of_old_or_of_another_module_is_told_where_it_is(name, serves):
+    with pytest.raises(AttributeError, match=re.escape(serves)):
+        getattr(ancfdae, name)
+    with pytest.raises(AttributeError, match=re.escape(serves)):
+        getattr(ancfdae.results, name)
+
+
+def test_every_renamed_name_is_one_of_today():
+    assert set(_RENAMED.values()) <= set(public_names())
+    assert not set(_RENAMED) & set(public_names())
 
 
 @pytest.mark.parametrize("values", [(2e11, 7850.0), (7e10, 2700.0), (1e7, 1.1e3)])

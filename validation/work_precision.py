@@ -1,4 +1,4 @@
-"""Report on work and precision: which integrator for which scene, by the library's `work_precision`."""
+"""Report on work and precision: which integrator for which scene, by `work_precision`."""
 
 from collections.abc import Sequence
 
@@ -251,14 +251,13 @@ def _line(row: MeasuredSetting) -> str:
 
 
 _METHOD = """
-Every number comes from `ancfdae.work_precision`, the call with which users measure their own
-scenes. Each setting runs with two design variables along (direct differentiation) for two
-objectives: the gradient of a time integral (*integrated*) and of a value at the end time
-(*pointwise*). Errors are relative to a reference, the last row of each table: states and
-multipliers the largest over 201 common times over the largest of the reference, gradients in the
-Euclidean norm after multiplication by the design values. Processor time is that of motion and
-gradient, the smaller of two runs where one takes less than a second; on a shared machine read
-ratios, to a third.
+Every number comes from `ancfdae.work_precision`, with which users measure their own scenes.
+Each setting runs with two design variables along (direct differentiation) for two objectives: the
+gradient of a time integral (*integrated*) and of a value at the end time (*pointwise*). Errors
+are relative to a reference, the last row of each table: states and multipliers the largest over
+201 common times over the largest of the reference, gradients in the Euclidean norm after
+multiplication by the design values. Processor time is that of motion and gradient, the smaller of
+two runs where one takes less than a second; on a shared machine read ratios, to a third.
 
 *HHT fixed* and *HHT controlled* are HHT-I3 with `step` or with `rtol`, each at four values of
 hht_alpha; *both* stands for `sensitivities=True`, where the tolerance bounds the errors
@@ -318,8 +317,7 @@ wanted, 0 never.
 """
 
 _LIMITS = """
-- Seven scenes, one objective of each kind, two variables: `work_precision` is there to measure
-others.
+- Seven scenes, one objective of each kind, two variables: `work_precision` is for others.
 - An error below that of the reference means nothing. References of high order are good to 1e-7 or
   better, those of the damped pendulums of larger modulus are HHT at 2⁻¹⁴ of the end time, good to
   about 1e-6.

@@ -37,7 +37,7 @@ class AssembledStart:
 
     @cached_property
     def state(self) -> tuple[Array, Array]:
-        """The start q, v; raises InconsistentStartError where joints stay open that nothing projects."""
+        """The start q, v; InconsistentStartError where joints stay open that nothing projects."""
         if self._stands:
             q = self.reference.Z.ravel()
             v = self.reference.velocities(q, None)

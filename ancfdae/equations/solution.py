@@ -90,9 +90,9 @@ class Solution:
         return self._known_naming().ends(self.q, beam)
 
     def position(self, point: Any) -> Array:
-        """Position of a point like ``rod.at(0.3)`` or ``MaterialPoint("rod", 0.3, y=0.01)``, (n_t, d).
+        """Position of a point such as ``rod.at(0.3)``, shape (n_t, d), in m.
 
-        In m. UnknownNameError if the scene has no body of that name, InvalidInputError if z is not
+        UnknownNameError if the scene has no body of that name, InvalidInputError if z is not
         zero in the plane.
         """
         return self._known_naming().position(self.q, point)

@@ -57,7 +57,7 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
 
 
 def read(path: Path, naming: Unpack) -> dict[str, Any]:
-    """Return the fields of a solution; InvalidInputError if the file is not one written by `write`."""
+    """Return the fields of a solution; InvalidInputError unless `write` wrote the file."""
     try:
         # Opened here, because np.load does not close a file that is not a complete archive.
         with path.open("rb") as raw:

@@ -13,7 +13,7 @@ from ancfdae.errors.kinds import _LONGEST, InvalidInputError, MissingPackageErro
 
 
 def require_package(where: str, module: str, extra: str) -> Any:
-    """Import a module of an optional package; raise MissingPackageError, naming the extra with it."""
+    """Import a module of an optional package; MissingPackageError names the extra with it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -70,7 +70,7 @@ def require_text(where: str, value: object) -> None:
 
 
 def require_path(where: str, value: object) -> Path:
-    """Return `value` as a path. Raise InvalidInputError unless it is a string or path, not a folder."""
+    """Return `value` as a path; refuse a folder, and values other than strings and paths."""
     require_kind(where, value, (str, os.PathLike), "Give the name of a file.")
     path = Path(value)  # type: ignore[arg-type]  # as was just seen
     if path.is_dir():
@@ -108,7 +108,7 @@ def require_function(where: str, value: object) -> None:
 
 
 def require_name(where: str, value: object) -> None:
-    """Raise InvalidInputError unless `value` can name a part in design targets like 'rod.height[2]'."""
+    """Refuse a `value` that cannot name a part in design targets like 'rod.height[2]'."""
     if not isinstance(value, str) or not value or "." in value or "[" in value:
         raise InvalidInputError(
             where,
@@ -132,7 +132,7 @@ def require_sequence(
 def require_each(
     where: str, values: object, kinds: tuple[type, ...], repair: str
 ) -> tuple[Any, ...]:
-    """Return the entries of a sequence; raise InvalidInputError if one is of none of the classes."""
+    """Return the entries of a sequence; refuse one that is of none of the classes."""
     entries = require_sequence(where, values)
     for entry in entries:
         require_kind(where, entry, kinds, repair)
@@ -192,7 +192,7 @@ def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -
 
 
 def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
-    """Raise InvalidInputError for anything but a vector, as in `require_vector`, that is not zero."""
+    """Refuse anything but a vector, as in `require_vector`, that is not zero."""
     require_vector(where, value, sizes)
     if not any(value):  # type: ignore[arg-type]  # a sequence, as was just seen
         raise InvalidInputError(where, "must be a direction, a vector that is not zero", value)

@@ -1,7 +1,8 @@
 """Answers to names that the package does not have: the call or page that serves, or near names."""
 
 import difflib
-from collections.abc import Iterable
+
+from ancfdae.facade import public_names
 
 _CABLE = "A cable is a Beam(..., element=CABLE_2D), in space CABLE_3D (docs/howto/elements.md)."
 _CONTACT = (
@@ -9,8 +10,8 @@ _CONTACT = (
     "Load of your own (docs/howto/own-parts.md)."
 )
 _GEAR = (
-    "Gears are not supported (docs/limits.md). Two RotationDriver joints, with laws in the ratio, prescribe "
-    "both rotations."
+    "Gears are not supported (docs/limits.md). Two RotationDriver joints, with laws in the ratio, "
+    "prescribe both rotations."
 )
 _ACCELERATION = (
     "No observable of acceleration exists. solution.acceleration(point) returns it, (n_t, d); "
@@ -22,12 +23,21 @@ _ROTATION = (
 )
 _RUN = "simulate(scene, t_end, HHT(step=...)) integrates the motion (docs/howto/integrator.md)."
 _GROUND = "The ground needs no object: joints and loads take ground=(x, y), a place."
-_SPRING = "Springs are SpringDamper (two points), TorsionalSpringDamper (an angle) and Bushing (all axes)."
+_SPRING = (
+    "Springs are SpringDamper (two points), TorsionalSpringDamper (an angle) and Bushing (all "
+    "axes)."
+)
 _GRAVITY = "Gravity is an argument: Scene(..., gravity=(0, -9.81))."
-_MOTOR = "A prescribed rotation is a RotationDriver, a prescribed force or torque a PointForce or MotorTorque."
+_MOTOR = (
+    "A prescribed rotation is a RotationDriver, a prescribed force a PointForce, a prescribed "
+    "torque a MotorTorque."
+)
 _FORCE = "Forces on a point are PointForce, FollowerForce and DistributedForce."
 _RIGID = "Rigid bodies are RigidBody, RigidBox, RigidCylinder and RigidSphere."
-_LAW = "Functions of time are laws: Constant, ConstantAcceleration, Harmonic, SmoothStep, RunUp, Spline, UserLaw."
+_LAW = (
+    "Functions of time are laws: Constant, ConstantAcceleration, Harmonic, SmoothStep, RunUp, "
+    "Spline, UserLaw."
+)
 _MODES = "modes(scene, count) returns frequencies and shapes."
 _OPTIMISE = (
     "Responses gives SciPy values and gradients (docs/optimisation.md); gradient computes one."
@@ -86,14 +96,102 @@ _ANSWERS = {
 _NEAR, _MOST = 0.6, 3
 
 
-def answer(name: str, known: Iterable[str]) -> str:
-    """Return the message for a name that the package does not have: what serves, or near names."""
-    text = f"ancfdae has no name {name!r}."
+# Names of versions before 0.1, with their names of today.
+_RENAMED = {
+    "AdjointError": "AdjointErrorEstimate",
+    "AtRest": "EquilibriumStart",
+    "Change": "Transition",
+    "Choice": "ModelChoice",
+    "CoarseMesh": "CoarseMeshWarning",
+    "Configuration": "LinearisationPoint",
+    "Conformance": "SystemCheck",
+    "ControlledSteps": "AdaptiveSteps",
+    "Direct": "DirectDifferentiation",
+    "Direction": "StateDirection",
+    "Drive": "RotationDriver",
+    "EstimatedErrors": "ErrorEstimates",
+    "Evaluate": "Evaluator",
+    "Explicit": "DOP853",
+    "FailedDesign": "FailedDesignWarning",
+    "Fit": "ResidualFunction",
+    "FreeMechanism": "FreeMotionError",
+    "GivenSteps": "PrescribedSteps",
+    "Guide": "TranslationDriver",
+    "InconsistentStart": "InconsistentStartError",
+    "InvalidInput": "InvalidInputError",
+    "JointFriction": "RotationalFriction",
+    "LargeStrain": "LargeStrainWarning",
+    "LoadOutcome": "EquilibriumOutcome",
+    "ManySteps": "ManyStepsWarning",
+    "MissingPackage": "MissingPackageError",
+    "ModelLadder": "ModelComparison",
+    "MomentSection": "GeneralSection",
+    "MotionKind": "ModeKind",
+    "MovingBase": "MovingSupport",
+    "NoCriticalPoint": "NoCriticalPointError",
+    "NoEquilibrium": "NoEquilibriumError",
+    "NoModel": "NoAccurateModelError",
+    "NodeState": "NodalState",
+    "NonFiniteObjective": "NonFiniteObjectiveError",
+    "NotSaved": "SaveError",
+    "NotTraced": "NotTracedWarning",
+    "Observations": "ObservableRecord",
+    "Observed": "ObservableEstimates",
+    "Outcome": "RunOutcome",
+    "Pattern": "SparsityPattern",
+    "Point": "MaterialPoint",
+    "PointSection": "QuadratureSection",
+    "Ramp": "SmoothStep",
+    "RedundantConstraints": "RedundantConstraintsError",
+    "RigidMotion": "InitialVelocity",
+    "RunFit": "RunResidualFunction",
+    "Rung": "ModelVariant",
+    "RungRun": "VariantRun",
+    "Setting": "MeasuredSetting",
+    "SlideFriction": "TranslationalFriction",
+    "StrainEnergy": "StrainEnergyFunction",
+    "TargetNotReached": "TargetNotReachedError",
+    "ToleranceMissed": "ToleranceWarning",
+    "Torque": "MotorTorque",
+    "TorsionSpring": "TorsionalSpringDamper",
+    "Tradeoff": "WorkPrecision",
+    "Traits": "SystemProperties",
+    "TurningFrame": "RotatingFrame",
+    "UnfinishedRun": "UnfinishedRunError",
+    "Uniform": "ConstantAcceleration",
+    "UnknownName": "UnknownNameError",
+    "UnlikelyValue": "UnlikelyValueWarning",
+    "UpperMaximum": "SmoothUpperBound",
+    "adjoint_error": "estimate_adjoint_error",
+    "distribution": "distributed_variables",
+    "drive_torque": "driver_torque",
+    "guide_force": "driver_force",
+    "maximum_stress": "maximum_von_mises",
+    "observations": "record_observables",
+    "static_gradient": "equilibrium_gradient",
+    "torque": "torsional_moment",
+    "tradeoff": "work_precision",
+    "ComplexStepSystem": "FormulaSystem",
+}
+
+
+def answer(name: str, module: str) -> str:
+    """Return the message for a name that a public module does not have.
+
+    It says where the name is now, which call or page serves instead, or near names.
+    """
+    text = f"{module} has no name {name!r}."
+    homes = public_names()
+    now = _RENAMED.get(name, name)
+    if now in homes:
+        renamed = f"It is called {now} now" if now != name else "It is"
+        return f"{text} {renamed}: from {homes[now]} import {now}."
     plain = name.lower().replace("_", "")
     if plain in _ANSWERS:
         return f"{text} {_ANSWERS[plain]}"
-    plains = {x.lower().replace("_", ""): x for x in known}
+    plains = {x.lower().replace("_", ""): x for x in homes}
     near = [plains[x] for x in difflib.get_close_matches(plain, plains, _MOST, _NEAR)]
     if near:
-        return f"{text} Did you mean {' or '.join(near)}?"
-    return f"{text} dir(ancfdae) lists all names, docs/limits.md what is not supported."
+        places = " or ".join(f"{homes[x]}.{x}" for x in near)
+        return f"{text} Did you mean {places}?"
+    return f"{text} dir({module}) lists all names, docs/limits.md what is not supported."

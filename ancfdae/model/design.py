@@ -283,6 +283,7 @@ def distributed_variables(target: str, count: int) -> tuple[DesignVariable, ...]
         Number of elements of the beam, or of control values.
     """
     parse_target(target)
-    require_count("distribution, count", count, "Give the number of elements or control values.")
+    where, repair = "distributed_variables, count", "Give the number of elements or control values."
+    require_count(where, count, repair)
     names = [f"{target}[{k}]" for k in range(count)]
     return tuple(DesignVariable(name, (name,)) for name in names)

@@ -123,7 +123,7 @@ class Scene(SceneDesign):
         )
 
     def at_rest(self) -> Scene | None:
-        """Return the scene whose equilibrium the motion starts from, None without `EquilibriumStart`."""
+        """Return the scene whose equilibrium is the start of the motion; None if none is."""
         rest = self.rest
         if rest is None:
             return None
@@ -138,7 +138,7 @@ class Scene(SceneDesign):
         )
 
     def _freeze(self, name: str, kinds: tuple[type, ...], repair: str) -> None:
-        """Store a field as a tuple; raise InvalidInputError for parts of none of the given classes."""
+        """Store a field as a tuple; refuse parts of none of the given classes."""
         parts = require_sequence(f"Scene.{name}", getattr(self, name))
         for part in parts:
             require_kind(f"Scene.{name}", part, kinds, repair)

@@ -64,7 +64,7 @@ class RotatingFrame(Designable):
                 "Scene.gravity",
                 "must act along the axis of the turning frame: across it, it turns there",
                 g.tolist(),
-                "Leave gravity out, or simulate the scene with a RotationDriver in a frame at rest.",
+                "Leave gravity out, or drive the scene by a RotationDriver in a frame at rest.",
             )
 
     def turn(self, p: Array, dimension: int) -> tuple[Array, Array, Array]:

@@ -35,8 +35,7 @@ def gradient_bars(
     ----------
     scene : Scene
     gradient : Gradient
-        In the variables ``target[0]``, ``target[1]`` ... of `distributed_variables`, and maybe
-        others.
+        In the variables ``target[0]``, ``target[1]`` ... of `distributed_variables`, and others.
     target : str
         ``"rod.height"``, say.
     time : float, optional

@@ -41,7 +41,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Searched(abc.ABC):
+class ToleranceSearch(abc.ABC):
     """Results that every call to a tolerance returns: the tolerance, the choice and all runs.
 
     Attributes
@@ -81,7 +81,7 @@ class Searched(abc.ABC):
 
 @final
 @dataclass(frozen=True, repr=False)
-class Accuracy(Searched):
+class Accuracy(ToleranceSearch):
     """Estimated errors of value and gradient of a call to a tolerance.
 
     The tolerance is relative to the norm of the gradient scaled by the design values,
@@ -93,6 +93,18 @@ class Accuracy(Searched):
         Estimated bound of the error of the value; unit of the objective.
     gradient_bar : array, shape (n_b,)
         Estimated bounds of the errors; no proofs: docs/reports/tolerance says how often they hold.
+    tolerance : float
+        The tolerance that was asked for; relative.
+    reached : bool
+        Whether all bars are within it.
+    integrator : Integrator
+        The integrator of the finest run of the chosen kind.
+    why : str
+        The reason for this integrator, or why the tolerance is out of reach and its price.
+    trials : tuple of Trial
+        All runs in their order.
+    seconds : float
+        Processor time of all runs; s.
     """
 
     value_bar: float
@@ -293,7 +305,7 @@ def keeping(solution: Solution) -> Iterator[None]:
 
 
 def finished(solution: Solution) -> Solution:
-    """Return a solution that reached its end time; raise UnfinishedRunError, or Interrupted, else."""
+    """Return a solution that reached its end time; else raise UnfinishedRunError or Interrupted."""
     if not uninterrupted(solution).outcome.success:
         raise UnfinishedRunError(solution)
     return solution

@@ -356,7 +356,7 @@ class Balance:
         return solve(factors, self.held_back(q), -float(self.closes) * self.Phi_0)
 
     def refuse_motion(self) -> None:
-        """Raise InvalidInputError if joints drive a motion at time t, whose inertia forces would lack.
+        """Refuse joints that drive a motion at time t, whose inertia forces would lack.
 
         They do if M v^2/|q|, v the velocities that the joints prescribe, is more than the round-off
         of forces.

@@ -108,7 +108,7 @@ def simulate(
 
         return observed_within(system, observables, at, t_end, tolerance, progress)
     if observables is not None or at is not None:
-        rule, repair = "need `tolerance`", "Call observe(observable, solution), or observations."
+        rule, repair = "need `tolerance`", "Call observe(observable, solution)."
         raise InvalidInputError("observables, at", rule, "an integrator", repair)
     run = Run(system, t_end, _required(integrator), progress, after)
     if keep is not None:

@@ -24,7 +24,7 @@ _LIBRARIES = frozenset({"ancfdae", "numpy", "scipy"}) | sys.stdlib_module_names 
 
 
 def digest(where: str, value: object) -> str:
-    """Return the SHA-256 digest of a value; InvalidInputError for unreadable contents, as of a lock."""
+    """Return the SHA-256 digest of a value; refuse unreadable contents, as of a lock."""
     told = hashlib.sha256()
     for part in _Description(where).of(value):
         # Lengths, so that ("ab", "c") is not ("a", "bc").

@@ -35,7 +35,7 @@ _STEPS = 50_000
 # The steps of `DOP853` in the first of _PARTS parts of the motion show whether it can be the
 # reference; fewer than _FEW steps show nothing.
 _PARTS, _FEW = 64, 20
-_LEFT = Measurement(0.0, "not measured: the tradeoff was interrupted")
+_LEFT = Measurement(0.0, "not measured: the comparison was interrupted")
 
 
 def work_precision(

@@ -17,8 +17,9 @@ __all__ = ["measure"]
 _IMPORT = """
 import time
 t = time.perf_counter()
-from ancfdae import HHT, Beam, Integral, Material, Pin, Rectangle, Scene, deflection, gradient
-from ancfdae import simulate
+from ancfdae import HHT, Beam, Integral, Material, Pin, Scene, gradient, simulate
+from ancfdae.observables import deflection
+from ancfdae.sections import Rectangle
 print(time.perf_counter() - t)
 """
 _FIRST = """

@@ -156,7 +156,7 @@ class PrescribedSteps(_KnownSteps):
         return len(self.times) - 1
 
     def instants(self, t_end: float) -> Array:
-        """Return the given times, shape (n + 1,), s; InvalidInputError if the run ends elsewhere."""
+        """Return the given times, shape (n + 1,), s; refuse a run that ends elsewhere."""
         self.count(t_end)
         return np.array(self.times)
 

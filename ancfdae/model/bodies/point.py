@@ -77,7 +77,7 @@ class MaterialPoint:
 
 
 def require_point(where: str, point: object, dimension: int = 3) -> None:
-    """Raise InvalidInputError unless `point` is a `MaterialPoint`, in the plane z = 0 if the scene is planar."""
+    """Refuse another object than a `MaterialPoint`, and z other than 0 in a planar scene."""
     require_kind(
         where, point, (MaterialPoint,), "Write beam.at_end, beam.at(fraction) or body.at(x, y)."
     )

@@ -104,7 +104,7 @@ class Observable(Expression["Observable"]):
         return isinstance(other, Observable)
 
     def check(self, system: Named) -> None:
-        """Raise UnknownNameError or InvalidInputError for an observable that the system does not have."""
+        """Raise UnknownNameError or InvalidInputError if the system lacks the observable."""
         for leaf in self.leaves():
             leaf.check_leaf(system)
 

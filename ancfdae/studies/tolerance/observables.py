@@ -18,7 +18,7 @@ from ancfdae.errors.text import columns
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import LOBATTO_DEGREE, TimeGrid
-from ancfdae.sensitivity.method import Searched, UnfinishedRunError
+from ancfdae.sensitivity.method import ToleranceSearch, UnfinishedRunError
 from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import States, states_of
 from ancfdae.studies.parts import instants
@@ -34,8 +34,8 @@ _INSTANTS, _INTERVALS = 65, 64
 
 @final
 @dataclass(frozen=True, repr=False)
-class ObservableEstimates(Searched):
-    """Observables at some instants, with bars; also `Searched`.
+class ObservableEstimates(ToleranceSearch):
+    """Values of observables at given times with estimated bounds of their errors.
 
     The tolerance is relative: of each observable the norm of its error over the instants, to the
     norm of its values there.
@@ -49,6 +49,18 @@ class ObservableEstimates(Searched):
         several runs; they are then better than those of the solution.
     solution : Solution
         The finest run of the chosen kind.
+    tolerance : float
+        The tolerance that was asked for; relative.
+    reached : bool
+        Whether all bars are within it.
+    integrator : Integrator
+        The integrator of the finest run of the chosen kind.
+    why : str
+        The reason for this integrator, or why the tolerance is out of reach and its price.
+    trials : tuple of Trial
+        All runs in their order.
+    seconds : float
+        Processor time of all runs; s.
     """
 
     t: Array

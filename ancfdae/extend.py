@@ -1,0 +1,5 @@
+"""Base classes for joints, loads, laws, sections, systems and integrators of one's own."""
+
+from ancfdae.facade import public_module
+
+_HOMES, __all__, __getattr__, __dir__ = public_module(__name__, __file__)

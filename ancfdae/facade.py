@@ -1,0 +1,96 @@
+"""Public modules: their names are listed once, in a stub, and imported when they are first used."""
+
+import ast
+import importlib
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+# Modules of public names, by the kind of thing that they hold.
+PARTS = ("errors", "extend", "laws", "observables", "results", "sections")
+
+
+class PublicModule(NamedTuple):
+    """Attributes that Python asks a module of public names for.
+
+    Attributes
+    ----------
+    homes : dict of str to str
+        The public names, each with the module that defines it.
+    names : list of str
+        `__all__` of the module.
+    get : callable
+        `__getattr__` of the module.
+    list_names : callable
+        `__dir__` of the module.
+    """
+
+    homes: dict[str, str]
+    names: list[str]
+    get: Callable[[str], Any]
+    list_names: Callable[[], list[str]]
+
+
+def public_module(name: str, file: str, others: Iterable[str] = ()) -> PublicModule:
+    """Return the names of the module `name`, which the stub beside its `file` imports.
+
+    An unknown name raises AttributeError with the call or page that serves, or with near names;
+    ``from package import`` of it raises ImportError with the same text. `others` are public names
+    that the module defines itself.
+    """
+    homes = listed_names(Path(file).with_suffix(".pyi"))
+    module = sys.modules[name]
+
+    def get(wanted: str) -> Any:
+        if name == "ancfdae" and wanted in (*PARTS, "plotting"):
+            return importlib.import_module(f"{name}.{wanted}")
+        if wanted not in homes:
+            raise _unknown(module, wanted)
+        value = getattr(importlib.import_module(homes[wanted]), wanted)
+        setattr(module, wanted, value)
+        return value
+
+    names = [*homes, *others]
+    module.__class__ = _Names
+    return PublicModule(homes, names, get, lambda: sorted({*vars(module), *names}))
+
+
+def public_names() -> dict[str, str]:
+    """Return every public name with the module from which it is imported."""
+    package = Path(__file__).parent
+    stubs = {"ancfdae": package / "__init__.pyi", "ancfdae.errors": package / "errors/__init__.pyi"}
+    stubs |= {f"ancfdae.{part}": package / f"{part}.pyi" for part in PARTS if part != "errors"}
+    return {name: module for module, stub in stubs.items() for name in listed_names(stub)}
+
+
+def listed_names(stub: Path) -> dict[str, str]:
+    """Return the names that a stub imports, each with the module that defines it."""
+    return {
+        alias.name: str(line.module)
+        for line in ast.parse(stub.read_text(encoding="utf-8")).body
+        if isinstance(line, ast.ImportFrom)
+        for alias in line.names
+    }
+
+
+def _unknown(module: ModuleType, name: str) -> Exception:
+    """Return the error for a name that the module does not have, with an answer to it."""
+    here = Path(str(module.__file__)).parent
+    if name.startswith("_") or (here / name).is_dir() or list(here.glob(f"{name}.*")):
+        return AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
+    from ancfdae.errors.unknown_names import answer
+
+    # The import system asks for names by `hasattr` first, and would replace the text by its own.
+    importing = sys._getframe(2).f_code.co_name == "_handle_fromlist"
+    return (ImportError if importing else AttributeError)(answer(name, module.__name__))
+
+
+class _Names(ModuleType):
+    """A module whose public names no module of its package replaces: `modes` is a function."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute; the import system does so with every module that it has loaded."""
+        if not (isinstance(value, ModuleType) and name in self.__all__):
+            super().__setattr__(name, value)

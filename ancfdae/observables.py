@@ -1,0 +1,5 @@
+"""Observables: quantities of a motion at every instant, with exact partial derivatives."""
+
+from ancfdae.facade import public_module
+
+_HOMES, __all__, __getattr__, __dir__ = public_module(__name__, __file__)

@@ -1,0 +1,73 @@
+"""Observables: quantities of a motion at every instant, with exact partial derivatives."""
+
+from ancfdae.sensitivity.observables.drives import (
+    driver_force,
+    driver_torque,
+    joint_power,
+    load_power,
+)
+from ancfdae.sensitivity.observables.mass import (
+    angular_momentum,
+    centre_of_mass,
+    inertia,
+    linear_momentum,
+    mass,
+)
+from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.quantities import (
+    design_value,
+    elapsed_time,
+    kinetic_energy,
+    multiplier,
+    reaction,
+    strain_energy,
+)
+from ancfdae.sensitivity.observables.section_forces import (
+    axial_force,
+    bending_moment,
+    shear_force,
+    torsional_moment,
+)
+from ancfdae.sensitivity.observables.stress import maximum_von_mises, von_mises
+from ancfdae.sensitivity.observables.user_functions import apply, custom
+from ancfdae.sensitivity.observables.vectors import (
+    axial_strain,
+    deflection,
+    position,
+    slope,
+    slope_angle,
+    velocity,
+)
+
+__all__ = [
+    "angular_momentum",
+    "apply",
+    "axial_force",
+    "axial_strain",
+    "bending_moment",
+    "centre_of_mass",
+    "custom",
+    "deflection",
+    "design_value",
+    "driver_force",
+    "driver_torque",
+    "elapsed_time",
+    "inertia",
+    "joint_power",
+    "kinetic_energy",
+    "linear_momentum",
+    "load_power",
+    "mass",
+    "maximum_von_mises",
+    "multiplier",
+    "observe",
+    "position",
+    "reaction",
+    "shear_force",
+    "slope",
+    "slope_angle",
+    "strain_energy",
+    "torsional_moment",
+    "velocity",
+    "von_mises",
+]

@@ -1,0 +1,5 @@
+"""Results: classes that calls return and that nobody constructs."""
+
+from ancfdae.facade import public_module
+
+_HOMES, __all__, __getattr__, __dir__ = public_module(__name__, __file__)
