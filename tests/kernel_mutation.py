@@ -1,6 +1,6 @@
 """Flips in the compiled kernels (docs/mutation.md): python tests/kernel_mutation.py NUMBER SEED.
 
-Writes one wrong sign, number, comparison or index at a time into the C sources, compiles without
+Writes one wrong sign, number, comparison or index at a time into the C++ sources, compiles without
 optimisation, and tells which flips tests/test_kernels.py and tests/test_march.py let pass.
 """
 
@@ -17,7 +17,16 @@ import numpy as np
 FOLDER = Path("ancfdae/kernels")
 LIBRARY = FOLDER / f"_kernels{sysconfig.get_config_var('EXT_SUFFIX')}"
 INCLUDES = [f"-I{sysconfig.get_paths()['include']}", f"-I{np.get_include()}"]
-COMPILE = ["gcc", "-O0", "-w", "-shared", "-fPIC", *INCLUDES, str(FOLDER / "kernels.c")]
+COMPILE = [
+    "g++",
+    "-std=c++17",
+    "-O0",
+    "-w",
+    "-shared",
+    "-fPIC",
+    *INCLUDES,
+    str(FOLDER / "kernels.cpp"),
+]
 TESTS = [
     "tests/test_kernels.py",
     "tests/test_march.py",
@@ -63,7 +72,9 @@ def _limit():
 
 
 def main(number, seed):
-    found = [x for path in sorted(FOLDER.glob("*.[ch]")) for x in flips(path)]
+    found = [
+        x for path in sorted([*FOLDER.glob("*.h"), *FOLDER.glob("*.cpp")]) for x in flips(path)
+    ]
     words = {None: "does not compile", True: "SURVIVES", False: "killed"}
     outcomes = []
     for path, place, length, new in random.Random(seed).sample(found, int(number)):

@@ -158,7 +158,7 @@ def _of_rst(path: Path, name: str) -> Iterator[Text]:
 _READERS = {
     ".py": _of_python,
     ".h": _of_c,
-    ".c": _of_c,
+    ".cpp": _of_c,
     ".md": _of_markdown,
     ".rst": _of_rst,
 }

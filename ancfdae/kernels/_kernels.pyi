@@ -1,4 +1,4 @@
-"""Functions of `kernels.c`: arrays are double or complex, and converted where they are neither.
+"""Functions of `kernels.cpp`: arrays are double or complex, and converted where they are neither.
 
 States are rows, (..., n_q), leading axes are instants. Relative node vectors Y = R q have the
 shape (..., n, n_y, d), packed matrices (..., n, n_g).
@@ -298,7 +298,7 @@ def prepare(plan: Plan | ListPlan, layout: MatrixLayout, rules: Array, /) -> obj
     """Return what `march` takes.
 
     The rules are hht_alpha, Newton's tolerance, most iterations and the other numbers of
-    `integrators/hht/newton.py` in the order of `march_rules` in `kernels.c`.
+    `integrators/hht/newton.py` in the order of `march_rules` in `kernels.cpp`.
     """
 
 Steps: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, Array]

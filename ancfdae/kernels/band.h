@@ -4,9 +4,9 @@
  * column holds 3 half + 1 numbers. LAPACK's routines are those of SciPy.
  */
 
-typedef void (*NAME(gbtrf_t))(int *, int *, int *, int *, T *, int *, int *, int *);
-typedef void (*NAME(gbtrs_t))(char *, int *, int *, int *, int *, T *, int *, int *, T *, int *,
-                              int *);
+template <class T> using Gbtrf = void (*)(int *, int *, int *, int *, T *, int *, int *, int *);
+template <class T>
+using Gbtrs = void (*)(char *, int *, int *, int *, int *, T *, int *, int *, T *, int *, int *);
 
 /* Scale values, write them where `flat` says, and factorise. Returns LAPACK's info, or -1 where a
  * value is not finite. The values of B come twice, for B and its transpose.
@@ -14,16 +14,16 @@ typedef void (*NAME(gbtrs_t))(char *, int *, int *, int *, int *, T *, int *, in
  * Rows are exchanged by the size of their entries: B is multiplied with the size of the largest
  * scaled entry of K, so that neither units of time nor the length of a step matter. It is a power
  * of two, `of_B`, by which multipliers and constraints of right sides are scaled, too. */
-static int NAME(band_factor)(NAME(gbtrf_t) gbtrf, int n, int half, npy_intp n_K, npy_intp n_B,
-                             const T *K, const T *B, const double *factors, const npy_int64 *flat,
-                             T *band, int *pivots, double *of_B)
+template <class T>
+int band_factor(Gbtrf<T> gbtrf, int n, int half, Size n_K, Size n_B, const T *K, const T *B,
+                const double *factors, const int64_t *flat, T *band, int *pivots, double *of_B)
 {
     int width = 3 * half + 1, info = 0, exponent = 0;
     double largest = 0;
     T sum = 0;
-    for (npy_intp i = 0; i < n_K; i++) {
+    for (Size i = 0; i < n_K; i++) {
         T value = K[i] * factors[i];
-        double size = fabs(creal(value)) + fabs(cimag(value));
+        double size = fabs(real_part(value)) + fabs(imaginary_part(value));
         largest = size > largest ? size : largest;
         sum += value;
         band[flat[i]] = value;
@@ -31,20 +31,21 @@ static int NAME(band_factor)(NAME(gbtrf_t) gbtrf, int n, int half, npy_intp n_K,
     if (isfinite(largest))
         frexp(largest, &exponent);
     *of_B = ldexp(1, exponent);
-    for (npy_intp i = 0; i < n_B; i++) {
+    for (Size i = 0; i < n_B; i++) {
         T value = B[i] * (*of_B * factors[n_K + i]);
         sum += value;
         band[flat[n_K + i]] = band[flat[n_K + n_B + i]] = value;
     }
-    if (!isfinite(creal(sum)) || !isfinite(cimag(sum)))
+    if (!isfinite(real_part(sum)) || !isfinite(imaginary_part(sum)))
         return -1;
     gbtrf(&n, &n, &half, &half, band, &width, pivots, &info);
     return info;
 }
 
 /* Solve for rows of right sides that are numbered and scaled already. */
-static void NAME(band_solve)(NAME(gbtrs_t) gbtrs, char transposed, int n, int half, int rows,
-                             T *lu, int *pivots, T *right)
+template <class T>
+void band_solve(Gbtrs<T> gbtrs, char transposed, int n, int half, int rows, T *lu, int *pivots,
+                T *right)
 {
     int width = 3 * half + 1, info = 0;
     if (n == 0) /* LAPACK would complain about the rows of nothing. */

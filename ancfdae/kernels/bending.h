@@ -5,7 +5,6 @@
  * r_x2, packed row by row: six of them. `bending` holds E I and l; E I is zero in a beam.
  */
 
-#ifndef BEND_AT
 /* Gauss points lie 1/(2 sqrt 3) from the middle, and have the weights 1/2. */
 #define BEND_AT 0.28867513459481288225
 #define BEND_WEIGHT 0.5
@@ -16,12 +15,11 @@
             {12, -24 * s - 12, 24 * s - 12, 4 + 12 * s, 4, 4 - 12 * s},                            \
             {12 * s, -6 * s, -6 * s, -s - 0.5, 2 * s, 0.5 - s},                                    \
     }
-static const double BEND[2][3][6] = {BEND_OF(BEND_AT), BEND_OF(-BEND_AT)};
-#endif
+const double BEND[2][3][6] = {BEND_OF(BEND_AT), BEND_OF(-BEND_AT)};
 
 /* R = chord, r_x1 and r_x2, the rows of Y that bending needs: three of 3 numbers, zero out of the
  * plane, so that the functions below have one size and stand once. */
-INLINE void NAME(bend_rows)(int n_y, int d, const T *Y, T *R)
+template <class T> INLINE void bend_rows(int n_y, int d, const T *Y, T *R)
 {
     const int row[] = {0, 1, (n_y + 1) / 2};
     for (int i = 0; i < 3; i++)
@@ -30,7 +28,7 @@ INLINE void NAME(bend_rows)(int n_y, int d, const T *Y, T *R)
 }
 
 /* Where the products of those rows stand in g. */
-INLINE void NAME(bend_places)(int n_y, int *at)
+template <class T> INLINE void bend_places(int n_y, int *at)
 {
     const int row[] = {0, 1, (n_y + 1) / 2};
     for (int i = 0, k = 0; i < 3; i++)
@@ -39,23 +37,23 @@ INLINE void NAME(bend_places)(int n_y, int *at)
 }
 
 /* p += x, what bending adds to the stresses of products. */
-INLINE void NAME(bend_add)(int n_y, const T *x, T *p)
+template <class T> INLINE void bend_add(int n_y, const T *x, T *p)
 {
     int at[6];
-    NAME(bend_places)(n_y, at);
+    bend_places<T>(n_y, at);
     for (int k = 0; k < 6; k++)
         p[at[k]] += x[k];
 }
 
 /* What scales the products: 1/l for each chord. */
-INLINE void NAME(bend_scales)(T per_l, T *scale)
+template <class T> INLINE void bend_scales(T per_l, T *scale)
 {
     for (int k = 0; k < 6; k++)
         scale[k] = k == 0 ? per_l * per_l : k < 3 ? per_l : 1;
 }
 
 /* m = products of rows of R and S, both ways round, times `part` and the scales. */
-INLINE void NAME(bend_products)(T part, const T *scale, const T *R, const T *S, T *m)
+template <class T> INLINE void bend_products(T part, const T *scale, const T *R, const T *S, T *m)
 {
     for (int i = 0, k = 0; i < 3; i++)
         for (int j = i; j < 3; j++, k++) {
@@ -67,7 +65,7 @@ INLINE void NAME(bend_products)(T part, const T *scale, const T *R, const T *S, 
 }
 
 /* a, b and c of a point, or their rates. */
-INLINE void NAME(bend_measures)(int point, const T *m, T *x)
+template <class T> INLINE void bend_measures(int point, const T *m, T *x)
 {
     for (int i = 0; i < 3; i++) {
         x[i] = 0;
@@ -77,7 +75,7 @@ INLINE void NAME(bend_measures)(int point, const T *m, T *x)
 }
 
 /* Second partials of psi, times the weight of the point: in aa, ab, ac, cc; others vanish. */
-INLINE void NAME(bend_curvature)(const T *x, T *of)
+template <class T> INLINE void bend_curvature(const T *x, T *of)
 {
     T per_a = 1 / x[0], r = x[2] * per_a, square = BEND_WEIGHT * per_a * per_a;
     of[0] = square * per_a * (x[1] - 3 * x[2] * r);
@@ -87,13 +85,13 @@ INLINE void NAME(bend_curvature)(const T *x, T *of)
 }
 
 /* x = sum of the partials of w psi in the six products. */
-INLINE void NAME(bend_gradient)(const T *m, T *x)
+template <class T> INLINE void bend_gradient(const T *m, T *x)
 {
     for (int k = 0; k < 6; k++)
         x[k] = 0;
     for (int point = 0; point < 2; point++) {
         T s[3];
-        NAME(bend_measures)(point, m, s);
+        bend_measures<T>(point, m, s);
         T per_a = 1 / s[0], r = s[2] * per_a, half = BEND_WEIGHT * per_a;
         T on[] = {(s[2] * r - 0.5 * s[1]) * per_a * half, 0.5 * half, -r * half};
         for (int i = 0; i < 3; i++)
@@ -103,15 +101,15 @@ INLINE void NAME(bend_gradient)(const T *m, T *x)
 }
 
 /* x = change of the gradient along the products m_u. */
-INLINE void NAME(bend_along)(const T *m, const T *m_u, T *x)
+template <class T> INLINE void bend_along(const T *m, const T *m_u, T *x)
 {
     for (int k = 0; k < 6; k++)
         x[k] = 0;
     for (int point = 0; point < 2; point++) {
         T s[3], u[3], of[4];
-        NAME(bend_measures)(point, m, s);
-        NAME(bend_measures)(point, m_u, u);
-        NAME(bend_curvature)(s, of);
+        bend_measures<T>(point, m, s);
+        bend_measures<T>(point, m_u, u);
+        bend_curvature<T>(s, of);
         T on[] = {of[0] * u[0] + of[1] * u[1] + of[2] * u[2], of[1] * u[0],
                   of[2] * u[0] + of[3] * u[2]};
         for (int i = 0; i < 3; i++)
@@ -121,39 +119,39 @@ INLINE void NAME(bend_along)(const T *m, const T *m_u, T *x)
 }
 
 /* x = dU/dg of bending in the six products. */
-static void NAME(bend_stress)(const T *bending, const T *R, T *x)
+template <class T> void bend_stress(const T *bending, const T *R, T *x)
 {
     T m[6], scale[6], per_l = 1 / bending[1];
-    NAME(bend_scales)(per_l, scale);
-    NAME(bend_products)(0.5, scale, R, R, m);
-    NAME(bend_gradient)(m, x);
+    bend_scales<T>(per_l, scale);
+    bend_products<T>(0.5, scale, R, R, m);
+    bend_gradient<T>(m, x);
     for (int k = 0; k < 6; k++)
         x[k] *= bending[0] * per_l * scale[k];
 }
 
 /* x = the derivative of that along rows S. */
-static void NAME(bend_stress_along)(const T *bending, const T *R, const T *S, T *x)
+template <class T> void bend_stress_along(const T *bending, const T *R, const T *S, T *x)
 {
     T m[6], m_u[6], scale[6], per_l = 1 / bending[1];
-    NAME(bend_scales)(per_l, scale);
-    NAME(bend_products)(0.5, scale, R, R, m);
-    NAME(bend_products)(1, scale, R, S, m_u);
-    NAME(bend_along)(m, m_u, x);
+    bend_scales<T>(per_l, scale);
+    bend_products<T>(0.5, scale, R, R, m);
+    bend_products<T>(1, scale, R, S, m_u);
+    bend_along<T>(m, m_u, x);
     for (int k = 0; k < 6; k++)
         x[k] *= bending[0] * per_l * scale[k];
 }
 
 /* x = its partial at held R along changes `bending_b` of E I and l. The length stands in E I/l, in
  * the scales of the products, and in the products themselves. */
-static void NAME(bend_stress_partial)(const T *bending, const T *bending_b, const T *R, T *x)
+template <class T> void bend_stress_partial(const T *bending, const T *bending_b, const T *R, T *x)
 {
     T m[6], m_l[6], x_l[6], scale[6], per_l = 1 / bending[1], grown = bending_b[1] * per_l;
-    NAME(bend_scales)(per_l, scale);
-    NAME(bend_products)(0.5, scale, R, R, m);
-    NAME(bend_gradient)(m, x);
+    bend_scales<T>(per_l, scale);
+    bend_products<T>(0.5, scale, R, R, m);
+    bend_gradient<T>(m, x);
     for (int k = 0; k < 6; k++)
         m_l[k] = k == 0 ? -2 * m[k] : k < 3 ? -m[k] : 0;
-    NAME(bend_along)(m, m_l, x_l);
+    bend_along<T>(m, m_l, x_l);
     for (int k = 0; k < 6; k++) {
         T change = bending_b[0] - bending[0] * grown * (k == 0 ? 3 : k < 3 ? 2 : 1);
         x[k] = per_l * scale[k] * (change * x[k] + bending[0] * grown * x_l[k]);
@@ -161,19 +159,19 @@ static void NAME(bend_stress_partial)(const T *bending, const T *bending_b, cons
 }
 
 /* M = d^2U/dg^2 in the six products. */
-static void NAME(bend_stiffness)(const T *bending, const T *R, T M[6][6])
+template <class T> void bend_stiffness(const T *bending, const T *R, T M[6][6])
 {
     T m[6], scale[6], per_l = 1 / bending[1];
-    NAME(bend_scales)(per_l, scale);
-    NAME(bend_products)(0.5, scale, R, R, m);
+    bend_scales<T>(per_l, scale);
+    bend_products<T>(0.5, scale, R, R, m);
     for (int k = 0; k < 6; k++)
         for (int j = 0; j < 6; j++)
             M[k][j] = 0;
     for (int point = 0; point < 2; point++) {
         T s[3], of[4];
         const double *a = BEND[point][0], *b = BEND[point][1], *c = BEND[point][2];
-        NAME(bend_measures)(point, m, s);
-        NAME(bend_curvature)(s, of);
+        bend_measures<T>(point, m, s);
+        bend_curvature<T>(s, of);
         for (int k = 0; k < 6; k++) {
             T on_a = of[0] * a[k] + of[1] * b[k] + of[2] * c[k], on_b = of[1] * a[k];
             T on_c = of[2] * a[k] + of[3] * c[k];

@@ -13,8 +13,8 @@ from setuptools.command.build_ext import build_ext
 from setuptools.errors import CompileError
 
 _PACKAGES = (
-    "Debian and Ubuntu: apt install gcc libc6-dev python3-dev; Fedora: dnf install gcc "
-    "python3-devel; macOS: xcode-select --install; conda: conda install c-compiler"
+    "Debian and Ubuntu: apt install g++ python3-dev; Fedora: dnf install gcc-c++ "
+    "python3-devel; macOS: xcode-select --install; conda: conda install cxx-compiler"
 )
 
 
@@ -28,18 +28,18 @@ class BuildKernels(build_ext):
         self.include_dirs.append(np.get_include())
 
     def run(self) -> None:
-        """Build; end in one sentence where there is no C compiler."""
-        command = environ.get("CC") or sysconfig.get_config_var("CC") or "cc"
+        """Build; end in one sentence where there is no C++ compiler."""
+        command = environ.get("CXX") or sysconfig.get_config_var("CXX") or "c++"
         compiler = shlex.split(command)[0]
         if shutil.which(compiler) is None:
             raise SystemExit(
-                "ancfdae: needs a C compiler to be installed from source; got none under the name "
-                f"{compiler!r}. {_PACKAGES}; or name yours in CC, or install a wheel."
+                "ancfdae: needs a C++ compiler to be installed from source; got none under the name "
+                f"{compiler!r}. {_PACKAGES}; or name yours in CXX, or install a wheel."
             )
         try:
             super().run()
         except CompileError as error:
             raise SystemExit(
-                "ancfdae: its C code could not be compiled; the words of the compiler are above. "
+                "ancfdae: its C++ code could not be compiled; the words of the compiler are above. "
                 f"Where Python.h or another header is missing: {_PACKAGES}."
             ) from error

@@ -1,4 +1,4 @@
-/* Element forces and tangents for one scalar type: included with T and NAME(x) defined.
+/* Element forces and tangents for one scalar type.
  *
  * Y and U are relative node vectors of one element, n_y rows of d numbers. g is the packed upper
  * triangle of a symmetric n_y x n_y matrix, row by row; A is symmetric, n_g x n_g
@@ -6,13 +6,13 @@
  * compiler unrolls the loops.
  */
 
-typedef struct {
-    const T *A, *g_o, *bending; /* bending is NULL where no element bends as cables do. */
+template <class T> struct Element {
+    const T *A, *g_o, *bending; /* bending is nullptr where no element bends as cables do. */
     T tau;
-} NAME(element);
+};
 
 /* g = Y U^T + U Y^T, the derivative of Y Y^T in direction U. */
-INLINE void NAME(gram)(int n_y, int d, const T *Y, const T *U, T *g)
+template <class T> INLINE void gram(int n_y, int d, const T *Y, const T *U, T *g)
 {
     for (int i = 0, k = 0; i < n_y; i++)
         for (int j = i; j < n_y; j++, k++) {
@@ -24,7 +24,7 @@ INLINE void NAME(gram)(int n_y, int d, const T *Y, const T *U, T *g)
 }
 
 /* p += A x. */
-INLINE void NAME(apply)(int n_g, const T *A, const T *x, T *p)
+template <class T> INLINE void apply(int n_g, const T *A, const T *x, T *p)
 {
     for (int k = 0; k < n_g; k++)
         for (int l = 0; l < n_g; l++)
@@ -32,7 +32,7 @@ INLINE void NAME(apply)(int n_g, const T *A, const T *x, T *p)
 }
 
 /* F += W(p) Y: the gradient of p . g(Y). */
-INLINE void NAME(stressed)(int n_y, int d, const T *p, const T *Y, T *F)
+template <class T> INLINE void stressed(int n_y, int d, const T *p, const T *Y, T *F)
 {
     T W[MOST_Y * MOST_Y];
     for (int i = 0; i < n_y; i++)
@@ -52,88 +52,92 @@ INLINE void NAME(stressed)(int n_y, int d, const T *p, const T *Y, T *F)
 }
 
 /* x = g(Y) - g_o + tau g'(Y, V), what stresses are proportional to. */
-INLINE void NAME(strain)(int n_y, int d, const T *g_o, const T *Y, T tau, const T *V, T *x)
+template <class T>
+INLINE void strain(int n_y, int d, const T *g_o, const T *Y, T tau, const T *V, T *x)
 {
     int n_g = n_y * (n_y + 1) / 2;
     T rate[MOST_G];
-    NAME(gram)(n_y, d, Y, Y, x);
+    gram<T>(n_y, d, Y, Y, x);
     for (int k = 0; k < n_g; k++)
         x[k] = x[k] / 2 - g_o[k];
-    if (V == NULL)
+    if (V == nullptr)
         return;
-    NAME(gram)(n_y, d, Y, V, rate);
+    gram<T>(n_y, d, Y, V, rate);
     for (int k = 0; k < n_g; k++)
         x[k] += tau * rate[k];
 }
 
 /* Whether the element bends as cables do. */
-INLINE int NAME(is_cable)(int n_y, const NAME(element) *e)
+template <class T> INLINE int is_cable(int n_y, const Element<T> *e)
 {
     return n_y > 2 && e->bending && e->bending[0] != 0;
 }
 
 /* p = dU/dg = A x, and in cables the part of bending. */
-INLINE void NAME(stress_of)(int n_y, int d, const NAME(element) *e, const T *x, const T *Y, T *p)
+template <class T>
+INLINE void stress_of(int n_y, int d, const Element<T> *e, const T *x, const T *Y, T *p)
 {
     int n_g = n_y * (n_y + 1) / 2;
     for (int k = 0; k < n_g; k++)
         p[k] = 0;
-    NAME(apply)(n_g, e->A, x, p);
-    if (NAME(is_cable)(n_y, e)) {
+    apply<T>(n_g, e->A, x, p);
+    if (is_cable<T>(n_y, e)) {
         T R[9], bent[6];
-        NAME(bend_rows)(n_y, d, Y, R);
-        NAME(bend_stress)(e->bending, R, bent);
-        NAME(bend_add)(n_y, bent, p);
+        bend_rows<T>(n_y, d, Y, R);
+        bend_stress<T>(e->bending, R, bent);
+        bend_add<T>(n_y, bent, p);
     }
 }
 
-INLINE void NAME(stress)(int n_y, int d, const NAME(element) *e, const T *Y, const T *V, T *p)
+template <class T>
+INLINE void stress(int n_y, int d, const Element<T> *e, const T *Y, const T *V, T *p)
 {
     T x[MOST_G];
-    NAME(strain)(n_y, d, e->g_o, Y, e->tau, V, x);
-    NAME(stress_of)(n_y, d, e, x, Y, p);
+    strain<T>(n_y, d, e->g_o, Y, e->tau, V, x);
+    stress_of<T>(n_y, d, e, x, Y, p);
 }
 
 /* F += W(p) Y (eqs. 13, 17). */
-INLINE void NAME(force)(int n_y, int d, const NAME(element) *e, const T *Y, const T *V, T *F)
+template <class T>
+INLINE void force(int n_y, int d, const Element<T> *e, const T *Y, const T *V, T *F)
 {
     T p[MOST_G];
-    NAME(stress)(n_y, d, e, Y, V, p);
-    NAME(stressed)(n_y, d, p, Y, F);
+    stress<T>(n_y, d, e, Y, V, p);
+    stressed<T>(n_y, d, p, Y, F);
 }
 
 /* F += derivative of the force along (U, Z) of (Y, V), along g_b of g_o, and along p_b of p at
  * held Y, V and g_o: W(A x' + p_b) Y + W(p) U with x' = g'(Y, U) - g_b + tau (g'(U, V) + g'(Y, Z)).
  * Where the element follows its reference x' vanishes before A, far larger, multiplies it. */
-INLINE void NAME(force_along)(int n_y, int d, const NAME(element) *e, const T *p, const T *Y,
-                              const T *V, const T *U, const T *Z, const T *g_b, const T *p_b,
-                              T *F)
+template <class T>
+INLINE void force_along(int n_y, int d, const Element<T> *e, const T *p, const T *Y, const T *V,
+                        const T *U, const T *Z, const T *g_b, const T *p_b, T *F)
 {
     int n_g = n_y * (n_y + 1) / 2;
     T x[MOST_G], rate[MOST_G], change[MOST_G];
-    NAME(gram)(n_y, d, Y, U, x);
+    gram<T>(n_y, d, Y, U, x);
     for (int k = 0; g_b && k < n_g; k++)
         x[k] -= g_b[k];
-    if (V != NULL) {
-        NAME(gram)(n_y, d, U, V, rate);
+    if (V != nullptr) {
+        gram<T>(n_y, d, U, V, rate);
         for (int k = 0; k < n_g; k++)
             x[k] += e->tau * rate[k];
-        NAME(gram)(n_y, d, Y, Z, rate);
+        gram<T>(n_y, d, Y, Z, rate);
         for (int k = 0; k < n_g; k++)
             x[k] += e->tau * rate[k];
     }
     for (int k = 0; k < n_g; k++)
         change[k] = p_b ? p_b[k] : 0;
-    NAME(apply)(n_g, e->A, x, change);
-    if (NAME(is_cable)(n_y, e)) {
+    apply<T>(n_g, e->A, x, change);
+    if (is_cable<T>(n_y, e)) {
         T R[9], S[9], bent[6];
-        NAME(bend_rows)(n_y, d, Y, R);
-        NAME(bend_rows)(n_y, d, U, S);
-        NAME(bend_stress_along)(e->bending, R, S, bent);
-        NAME(bend_add)(n_y, bent, change);
+        bend_rows<T>(n_y, d, Y, R);
+        bend_rows<T>(n_y, d, U, S);
+        bend_stress_along<T>(e->bending, R, S, bent);
+        bend_add<T>(n_y, bent, change);
     }
-    NAME(stressed)(n_y, d, change, Y, F);
-    NAME(stressed)(n_y, d, p, U, F);
+    stressed<T>(n_y, d, change, Y, F);
+    stressed<T>(n_y, d, p, U, F);
 }
 
 /* K^T += (G(Y)^T A G(X))^T: A g'(X, U) of each unit vector U, a row of P, times W(.) Y.
@@ -141,8 +145,8 @@ INLINE void NAME(force_along)(int n_y, int d, const NAME(element) *e, const T *p
  * Rows of d numbers have room for `wide`, so that they are vectors of the processor; those of Y
  * are filled with zeros.
  */
-INLINE void NAME(add_stress_columns)(int n_y, int d, int wide, const T *A, const T *X, const T *Y,
-                                     T *K)
+template <class T>
+INLINE void add_stress_columns(int n_y, int d, int wide, const T *A, const T *X, const T *Y, T *K)
 {
     int n_g = n_y * (n_y + 1) / 2;
     T P[MOST_M * MOST_G];
@@ -160,11 +164,11 @@ INLINE void NAME(add_stress_columns)(int n_y, int d, int wide, const T *A, const
                         of_j[l] += A[l] * y;
             }
     for (int k = 0; k < n_y * d; k++)
-        NAME(stressed)(n_y, wide, P + k * n_g, Y, K + k * n_y * wide);
+        stressed<T>(n_y, wide, P + k * n_g, Y, K + k * n_y * wide);
 }
 
 /* Copy rows of d numbers, scaled, into rows of `wide`. */
-INLINE void NAME(widened)(int n_y, int d, int wide, T scale, const T *Y, T *wide_Y)
+template <class T> INLINE void widened(int n_y, int d, int wide, T scale, const T *Y, T *wide_Y)
 {
     for (int i = 0; i < n_y; i++)
         for (int c = 0; c < wide; c++)
@@ -172,13 +176,14 @@ INLINE void NAME(widened)(int n_y, int d, int wide, T scale, const T *Y, T *wide
 }
 
 /* A + d^2U/dg^2 of bending. */
-INLINE void NAME(stiffness_of_cable)(int n_y, int d, const NAME(element) *e, const T *Y, T *A)
+template <class T>
+INLINE void stiffness_of_cable(int n_y, int d, const Element<T> *e, const T *Y, T *A)
 {
     int at[6], n_g = n_y * (n_y + 1) / 2;
     T R[9], M[6][6];
-    NAME(bend_places)(n_y, at);
-    NAME(bend_rows)(n_y, d, Y, R);
-    NAME(bend_stiffness)(e->bending, R, M);
+    bend_places<T>(n_y, at);
+    bend_rows<T>(n_y, d, Y, R);
+    bend_stiffness<T>(e->bending, R, M);
     for (int k = 0; k < n_g * n_g; k++)
         A[k] = e->A[k];
     for (int k = 0; k < 6; k++)
@@ -188,42 +193,43 @@ INLINE void NAME(stiffness_of_cable)(int n_y, int d, const NAME(element) *e, con
 
 /* K^T of K = W(p) (x) I_d + G(Y)^T A (G(Y) + tau G(V)) (eq. 19): m rows of n_y times `wide`. In
  * cables bending adds to A, but not to damping. */
-INLINE void NAME(tangent)(int n_y, int d, int wide, const NAME(element) *e, const T *Y, const T *V,
-                          T *K)
+template <class T>
+INLINE void tangent(int n_y, int d, int wide, const Element<T> *e, const T *Y, const T *V, T *K)
 {
     int row = n_y * wide;
     T p[MOST_G], X[MOST_WIDE], wide_Y[MOST_WIDE], A[MOST_G * MOST_G];
-    int bends = NAME(is_cable)(n_y, e);
+    int bends = is_cable<T>(n_y, e);
     for (int k = 0; k < n_y * d * row; k++)
         K[k] = 0;
-    NAME(stress)(n_y, d, e, Y, V, p);
+    stress<T>(n_y, d, e, Y, V, p);
     for (int i = 0, k = 0; i < n_y; i++)
         for (int j = i; j < n_y; j++, k++)
             for (int c = 0; c < d; c++) {
                 K[(i * d + c) * row + j * wide + c] += p[k];
                 K[(j * d + c) * row + i * wide + c] += p[k];
             }
-    NAME(widened)(n_y, d, wide, 1, Y, wide_Y);
+    widened<T>(n_y, d, wide, 1, Y, wide_Y);
     if (bends) {
-        NAME(stiffness_of_cable)(n_y, d, e, Y, A);
-        NAME(add_stress_columns)(n_y, d, wide, A, wide_Y, wide_Y, K);
-        if (V == NULL)
+        stiffness_of_cable<T>(n_y, d, e, Y, A);
+        add_stress_columns<T>(n_y, d, wide, A, wide_Y, wide_Y, K);
+        if (V == nullptr)
             return;
     }
-    NAME(widened)(n_y, d, wide, bends ? 0 : 1, Y, X);
+    widened<T>(n_y, d, wide, bends ? 0 : 1, Y, X);
     for (int i = 0; V && i < n_y; i++)
         for (int c = 0; c < d; c++)
             X[i * wide + c] += e->tau * V[i * d + c];
-    NAME(add_stress_columns)(n_y, d, wide, e->A, X, wide_Y, K);
+    add_stress_columns<T>(n_y, d, wide, e->A, X, wide_Y, K);
 }
 
 /* K^T of K = tau G(Y)^T A G(Y), the derivative of the force in V. */
-INLINE void NAME(damping_tangent)(int n_y, int d, int wide, const NAME(element) *e, const T *Y, T *K)
+template <class T>
+INLINE void damping_tangent(int n_y, int d, int wide, const Element<T> *e, const T *Y, T *K)
 {
     T X[MOST_WIDE], wide_Y[MOST_WIDE];
     for (int k = 0; k < n_y * d * n_y * wide; k++)
         K[k] = 0;
-    NAME(widened)(n_y, d, wide, 1, Y, wide_Y);
-    NAME(widened)(n_y, d, wide, e->tau, Y, X);
-    NAME(add_stress_columns)(n_y, d, wide, e->A, X, wide_Y, K);
+    widened<T>(n_y, d, wide, 1, Y, wide_Y);
+    widened<T>(n_y, d, wide, e->tau, Y, X);
+    add_stress_columns<T>(n_y, d, wide, e->A, X, wide_Y, K);
 }

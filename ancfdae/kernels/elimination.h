@@ -5,58 +5,58 @@
  * of one structure form a front; a front joins the next one where that stores few zeros more.
  */
 
-typedef struct {
-    npy_intp n;
-    npy_int32 *parent, *count, *post, *place; /* n each; rows of a column of L, the new order. */
-    npy_int64 *first;                         /* n + 1; entries left of the diagonal, */
-    npy_int32 *columns;                       /* row by row. */
-    npy_int32 *mark, *head, *next;            /* n + 1 each. */
-} elimination;
+struct Elimination {
+    Size n;
+    int32_t *parent, *count, *post, *place; /* n each; rows of a column of L, the new order. */
+    int64_t *first;                         /* n + 1; entries left of the diagonal, */
+    int32_t *columns;                       /* row by row. */
+    int32_t *mark, *head, *next;            /* n + 1 each. */
+};
 
 /* Parents, from entries left of the diagonal (Liu 1990, with compressed paths). */
-static void elimination_parents(elimination *x)
+void elimination_parents(Elimination *x)
 {
-    npy_int32 *ancestor = x->mark;
-    for (npy_intp i = 0; i < x->n; i++) {
+    int32_t *ancestor = x->mark;
+    for (Size i = 0; i < x->n; i++) {
         x->parent[i] = ancestor[i] = -1;
-        for (npy_int64 e = x->first[i]; e < x->first[i + 1]; e++)
-            for (npy_int32 j = x->columns[e], up; j != -1 && j != i; j = up) {
+        for (int64_t e = x->first[i]; e < x->first[i + 1]; e++)
+            for (int32_t j = x->columns[e], up; j != -1 && j != i; j = up) {
                 up = ancestor[j];
-                ancestor[j] = (npy_int32)i;
+                ancestor[j] = (int32_t)i;
                 if (up == -1)
-                    x->parent[j] = (npy_int32)i;
+                    x->parent[j] = (int32_t)i;
             }
     }
 }
 
 /* Number of rows of each column of L, the diagonal included: column j has row i where a path from
  * an entry of row i leads through j. */
-static void elimination_counts(elimination *x)
+void elimination_counts(Elimination *x)
 {
-    for (npy_intp i = 0; i < x->n; i++)
+    for (Size i = 0; i < x->n; i++)
         x->count[i] = 1, x->mark[i] = -1;
-    for (npy_intp i = 0; i < x->n; i++) {
-        x->mark[i] = (npy_int32)i;
-        for (npy_int64 e = x->first[i]; e < x->first[i + 1]; e++)
-            for (npy_int32 j = x->columns[e]; x->mark[j] != i; j = x->parent[j])
-                x->mark[j] = (npy_int32)i, x->count[j]++;
+    for (Size i = 0; i < x->n; i++) {
+        x->mark[i] = (int32_t)i;
+        for (int64_t e = x->first[i]; e < x->first[i + 1]; e++)
+            for (int32_t j = x->columns[e]; x->mark[j] != i; j = x->parent[j])
+                x->mark[j] = (int32_t)i, x->count[j]++;
     }
 }
 
 /* Children before parents, the one with most rows last, so that it may join its parent. */
-static void elimination_postorder(elimination *x)
+void elimination_postorder(Elimination *x)
 {
-    npy_intp n = x->n, N = 0;
-    npy_int32 *head = x->head, *next = x->next, *stack = x->mark;
-    for (npy_intp i = 0; i <= n; i++)
+    Size n = x->n, N = 0;
+    int32_t *head = x->head, *next = x->next, *stack = x->mark;
+    for (Size i = 0; i <= n; i++)
         head[i] = -1;
-    for (npy_intp i = n - 1; i >= 0; i--) {
-        npy_intp p = x->parent[i] < 0 ? n : x->parent[i];
-        next[i] = head[p], head[p] = (npy_int32)i;
+    for (Size i = n - 1; i >= 0; i--) {
+        Size p = x->parent[i] < 0 ? n : x->parent[i];
+        next[i] = head[p], head[p] = (int32_t)i;
     }
-    for (npy_intp p = 0; p < n; p++) {
-        npy_int32 most = head[p], before = -1, last = -1;
-        for (npy_int32 i = head[p], left = -1; i >= 0; left = i, i = next[i]) {
+    for (Size p = 0; p < n; p++) {
+        int32_t most = head[p], before = -1, last = -1;
+        for (int32_t i = head[p], left = -1; i >= 0; left = i, i = next[i]) {
             if (x->count[i] > x->count[most])
                 most = i, before = left;
             last = i;
@@ -69,11 +69,11 @@ static void elimination_postorder(elimination *x)
             next[before] = next[most];
         next[last] = most, next[most] = -1;
     }
-    npy_intp top = 0;
-    for (npy_int32 root = head[n]; root >= 0; root = next[root]) {
+    Size top = 0;
+    for (int32_t root = head[n]; root >= 0; root = next[root]) {
         stack[top++] = root;
         while (top) {
-            npy_int32 i = stack[top - 1];
+            int32_t i = stack[top - 1];
             if (head[i] >= 0) {
                 stack[top++] = head[i];
                 head[i] = next[head[i]];
@@ -83,94 +83,92 @@ static void elimination_postorder(elimination *x)
             }
         }
     }
-    for (npy_intp i = 0; i < n; i++)
-        x->place[x->post[i]] = (npy_int32)i;
+    for (Size i = 0; i < n; i++)
+        x->place[x->post[i]] = (int32_t)i;
 }
 
 /* Whether a front of k columns in all may store a part of zeros (the rule of CHOLMOD; Chen, Davis,
  * Hager & Rajamanickam 2008). */
-static int joined(double k, double zeros)
+int joined(double k, double zeros)
 {
     return k <= 4 || (k <= 16 && zeros < 0.8) || (k <= 48 && zeros < 0.1) || zeros < 0.05;
 }
 
 /* Write the first pivots and the numbers of rows of fronts; returns how many there are. Counts and
  * parents are in the new order. */
-static npy_intp elimination_fronts(npy_intp n, const npy_int32 *parent, const npy_int32 *count,
-                                   npy_int32 *begin, npy_int32 *rows, double *zeros)
+Size elimination_fronts(Size n, const int32_t *parent, const int32_t *count, int32_t *begin,
+                        int32_t *rows, double *zeros)
 {
-    npy_intp N = 0;
-    for (npy_intp j = 0; j < n; j++) {
+    Size N = 0;
+    for (Size j = 0; j < n; j++) {
         if (j == 0 || parent[j - 1] != j || count[j - 1] != count[j] + 1)
-            begin[N] = (npy_int32)j, rows[N] = count[j], zeros[N++] = 0;
+            begin[N] = (int32_t)j, rows[N] = count[j], zeros[N++] = 0;
         int last = j + 1 == n || parent[j] != j + 1 || count[j] != count[j + 1] + 1;
         while (last && N > 1) {
-            npy_intp own = begin[N - 1], before = begin[N - 2], up = parent[own - 1];
+            Size own = begin[N - 1], before = begin[N - 2], up = parent[own - 1];
             double k = (double)(j + 1 - before), left = (double)(own - before);
             double f = left + rows[N - 1];
             double more = zeros[N - 1] + zeros[N - 2] + left * (f - rows[N - 2]);
             if (up < own || up > j || !joined(k, more / (k * f - 0.5 * k * k)))
                 break;
             N--;
-            zeros[N - 1] = more, rows[N - 1] = (npy_int32)f;
+            zeros[N - 1] = more, rows[N - 1] = (int32_t)f;
         }
     }
-    begin[N] = (npy_int32)n;
+    begin[N] = (int32_t)n;
     return N;
 }
 
-static int by_number(const void *a, const void *b)
+int by_number(const void *a, const void *b)
 {
-    npy_int32 x = *(const npy_int32 *)a, y = *(const npy_int32 *)b;
+    int32_t x = *(const int32_t *)a, y = *(const int32_t *)b;
     return (x > y) - (x < y);
 }
 
 /* Fronts of the renumbered matrix with their rows; `below` holds, column by column from `down` on,
- * rows below the diagonal. Returns the multiplications; `stack` and `most` as in `fronts`. */
-static double elimination_rows(npy_intp n, npy_intp N, const npy_int32 *begin, const npy_int64 *down,
-                               const npy_int32 *below, const npy_int64 *row_at, npy_int32 *rows,
-                               npy_int64 *factor_at, npy_int32 *children, npy_int32 *mark,
-                               npy_int32 *front_of, npy_int32 *lists, npy_intp *stack,
-                               npy_intp *most)
+ * rows below the diagonal. Returns the multiplications; `stack` and `most` as in `Fronts`. */
+double elimination_rows(Size N, const int32_t *begin, const int64_t *down, const int32_t *below,
+                        const int64_t *row_at, int32_t *rows, int64_t *factor_at, int32_t *children,
+                        int32_t *mark, int32_t *front_of, int32_t *lists, Size *stack, Size *most)
 {
-    npy_int32 *head = lists, *next = lists + N;
+    int32_t *head = lists, *next = lists + N;
     double work = 0;
-    npy_intp top = 0;
+    Size top = 0;
     *stack = *most = 0;
     factor_at[0] = 0;
-    for (npy_intp s = 0; s < N; s++) {
+    for (Size s = 0; s < N; s++) {
         head[s] = -1, children[s] = 0;
-        for (npy_int32 j = begin[s]; j < begin[s + 1]; j++)
-            front_of[j] = (npy_int32)s, mark[j] = -1;
+        for (int32_t j = begin[s]; j < begin[s + 1]; j++)
+            front_of[j] = (int32_t)s, mark[j] = -1;
     }
-    for (npy_intp s = 0; s < N; s++) {
-        npy_int32 end = begin[s + 1], *own = rows + row_at[s];
-        npy_intp f = 0, k = end - begin[s], taken = 0;
-        for (npy_int32 j = begin[s]; j < end; j++)
+    for (Size s = 0; s < N; s++) {
+        int32_t end = begin[s + 1], *own = rows + row_at[s];
+        Size f = 0, k = end - begin[s], taken = 0;
+        for (int32_t j = begin[s]; j < end; j++)
             own[f++] = j;
-        for (npy_int32 j = begin[s]; j < end; j++)
-            for (npy_int64 e = down[j]; e < down[j + 1]; e++)
+        for (int32_t j = begin[s]; j < end; j++)
+            for (int64_t e = down[j]; e < down[j + 1]; e++)
                 if (below[e] >= end && mark[below[e]] != s)
-                    mark[below[e]] = (npy_int32)s, own[f++] = below[e];
-        for (npy_int32 c = head[s]; c >= 0; c = next[c]) {
-            npy_intp pivots = begin[c + 1] - begin[c], size = row_at[c + 1] - row_at[c] - pivots;
+                    mark[below[e]] = (int32_t)s, own[f++] = below[e];
+        for (int32_t c = head[s]; c >= 0; c = next[c]) {
+            Size pivots = begin[c + 1] - begin[c], size = row_at[c + 1] - row_at[c] - pivots;
             taken += size * size;
             children[s]++;
-            for (npy_int64 e = row_at[c] + pivots; e < row_at[c + 1]; e++)
+            for (int64_t e = row_at[c] + pivots; e < row_at[c + 1]; e++)
                 if (rows[e] >= end && mark[rows[e]] != s)
-                    mark[rows[e]] = (npy_int32)s, own[f++] = rows[e];
+                    mark[rows[e]] = (int32_t)s, own[f++] = rows[e];
         }
         qsort(own + k, (size_t)(f - k), sizeof *own, by_number);
         if (f > k) {
-            npy_int32 up = front_of[own[k]];
-            next[s] = head[up], head[up] = (npy_int32)s;
+            int32_t up = front_of[own[k]];
+            next[s] = head[up], head[up] = (int32_t)s;
         }
-        npy_intp u = f - k;
+        Size u = f - k;
         *stack = top + u * u > *stack ? top + u * u : *stack;
         top += u * u - taken;
         *most = f > *most ? f : *most;
         factor_at[s + 1] = factor_at[s] + f * k;
-        for (npy_intp j = 0; j < k; j++)
+        for (Size j = 0; j < k; j++)
             work += 0.5 * (double)(f - j) * (double)(f - j);
     }
     return work;

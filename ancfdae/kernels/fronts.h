@@ -11,17 +11,17 @@
  */
 
 /* Fronts in the order of elimination. */
-typedef struct {
-    npy_intp n, count, most, stack; /* Unknowns, fronts, rows of the largest one, room of updates. */
-    const npy_int32 *begin;         /* First pivot of each, and n. */
-    const npy_int64 *row_at;        /* Where its row numbers begin. */
-    const npy_int32 *rows;          /* Row numbers, ascending. */
-    const npy_int64 *factor_at;     /* Where its factors begin. */
-    const npy_int32 *children;      /* Fronts whose updates it takes from the stack. */
-    const npy_int64 *column_at;     /* Lower triangle of the matrix: where columns begin, */
-    const npy_int32 *column_rows;   /* and their rows, the diagonal first. */
-    const double *signs;            /* Of the pivots. */
-} fronts;
+struct Fronts {
+    Size n, count, most, stack; /* Unknowns, fronts, rows of the largest one, room of updates. */
+    const int32_t *begin;       /* First pivot of each, and n. */
+    const int64_t *row_at;      /* Where its row numbers begin. */
+    const int32_t *rows;        /* Row numbers, ascending. */
+    const int64_t *factor_at;   /* Where its factors begin. */
+    const int32_t *children;    /* Fronts whose updates it takes from the stack. */
+    const int64_t *column_at;   /* Lower triangle of the matrix: where columns begin, */
+    const int32_t *column_rows; /* and their rows, the diagonal first. */
+    const double *signs;        /* Of the pivots. */
+};
 
 /* The diagonal of scaled multipliers in what is factorised. Refinement shrinks errors by about this
  * factor over the smallest squared singular value of the scaled constraints. */
@@ -29,31 +29,31 @@ typedef struct {
 
 /* C -= L diag(d) (first n rows of L)^T, for m rows; blocks of 8 x 4 numbers stay in registers. `dl`
  * has room for 4 k. What stands above the diagonal of C is no result. */
-WITH_WIDE_VECTORS static void front_update(npy_intp m, npy_intp n, npy_intp k, const double *restrict L,
-                                           npy_intp ld, const double *restrict d,
-                                           double *restrict dl, double *restrict C, npy_intp ldc)
+WITH_WIDE_VECTORS void front_update(Size m, Size n, Size k, const double *__restrict L, Size ld,
+                                    const double *__restrict d, double *__restrict dl,
+                                    double *__restrict C, Size ldc)
 {
-    for (npy_intp j = 0; j < n; j += 4) {
-        npy_intp wide = n - j < 4 ? n - j : 4, i = j;
-        for (npy_intp p = 0; p < k; p++)
-            for (npy_intp c = 0; c < 4; c++)
+    for (Size j = 0; j < n; j += 4) {
+        Size wide = n - j < 4 ? n - j : 4, i = j;
+        for (Size p = 0; p < k; p++)
+            for (Size c = 0; c < 4; c++)
                 dl[4 * p + c] = c < wide ? d[p] * L[p * ld + j + c] : 0;
         for (; i + 8 <= m; i += 8) {
             double sum[4][8] = {{0}};
-            for (npy_intp p = 0; p < k; p++) {
-                const double *restrict l = L + p * ld + i, *restrict s = dl + 4 * p;
+            for (Size p = 0; p < k; p++) {
+                const double *__restrict l = L + p * ld + i, *__restrict s = dl + 4 * p;
                 for (int c = 0; c < 4; c++)
                     for (int r = 0; r < 8; r++)
                         sum[c][r] += s[c] * l[r];
             }
-            for (npy_intp c = 0; c < wide; c++)
+            for (Size c = 0; c < wide; c++)
                 for (int r = 0; r < 8; r++)
                     C[(j + c) * ldc + i + r] -= sum[c][r];
         }
         for (; i < m; i++)
-            for (npy_intp c = 0; c < wide; c++) {
+            for (Size c = 0; c < wide; c++) {
                 double sum = 0;
-                for (npy_intp p = 0; p < k; p++)
+                for (Size p = 0; p < k; p++)
                     sum += dl[4 * p + c] * L[p * ld + i];
                 C[(j + c) * ldc + i] -= sum;
             }
@@ -64,29 +64,30 @@ enum { PANEL = 16 };
 
 /* Factorise the first k columns of a front in place, 1/D on the diagonal, and update the rest of
  * it, U. Returns 0, or the number of the pivot that has not its sign. `room` has 5 f numbers. */
-static npy_intp front_factor(npy_intp f, npy_intp k, const double *signs, double *restrict L,
-                             double *restrict U, double *restrict room)
+Size front_factor(Size f, Size k, const double *signs, double *__restrict L, double *__restrict U,
+                  double *__restrict room)
 {
     double *d = room, *dl = room + f;
-    for (npy_intp j = 0; j < k; j += PANEL) {
-        npy_intp end = j + PANEL < k ? j + PANEL : k;
-        for (npy_intp p = j; p < end; p++) {
-            double *restrict own = L + p * f, pivot = own[p];
+    for (Size j = 0; j < k; j += PANEL) {
+        Size end = j + PANEL < k ? j + PANEL : k;
+        for (Size p = j; p < end; p++) {
+            double *__restrict own = L + p * f, pivot = own[p];
             /* The scaled diagonal had the size of one, or PERTURBED. */
             if (!(pivot * signs[p] > ROUND_OFF * (signs[p] > 0 ? 1 : PERTURBED)))
                 return p + 1;
             d[p] = pivot;
             double inverse = 1 / pivot;
-            for (npy_intp c = p + 1; c < end; c++) {
-                double l = own[c] * inverse, *restrict to = L + c * f;
-                for (npy_intp i = c; i < f; i++)
+            for (Size c = p + 1; c < end; c++) {
+                double l = own[c] * inverse, *__restrict to = L + c * f;
+                for (Size i = c; i < f; i++)
                     to[i] -= l * own[i];
             }
-            for (npy_intp i = p + 1; i < f; i++)
+            for (Size i = p + 1; i < f; i++)
                 own[i] *= inverse;
             own[p] = inverse;
         }
-        front_update(f - end, k - end, end - j, L + j * f + end, f, d + j, dl, L + end * f + end, f);
+        front_update(f - end, k - end, end - j, L + j * f + end, f, d + j, dl, L + end * f + end,
+                     f);
     }
     front_update(f - k, f - k, k, L + k, f, d, dl, U, f - k);
     return 0;
@@ -95,86 +96,86 @@ static npy_intp front_factor(npy_intp f, npy_intp k, const double *signs, double
 /* Factorise the scaled lower triangle `a`. Returns 0, or the number of the first pivot that has not
  * its sign. `stack` has the room of updates, `at` n numbers, `room` 5 times those of the largest
  * front. */
-static npy_intp fronts_factor(const fronts *x, const double *restrict a, double *restrict factors,
-                              double *restrict stack, npy_int32 *restrict at, double *room)
+Size fronts_factor(const Fronts *x, const double *__restrict a, double *__restrict factors,
+                   double *__restrict stack, int32_t *__restrict at, double *room)
 {
     double *top = stack;
-    npy_int32 *updates = at + x->n; /* Fronts on the stack. */
-    npy_intp waiting = 0;
+    int32_t *updates = at + x->n; /* Fronts on the stack. */
+    Size waiting = 0;
     memset(factors, 0, (size_t)x->factor_at[x->count] * sizeof *factors);
-    for (npy_intp s = 0; s < x->count; s++) {
-        npy_intp begin = x->begin[s], k = x->begin[s + 1] - begin;
-        npy_intp f = x->row_at[s + 1] - x->row_at[s], u = f - k;
-        const npy_int32 *rows = x->rows + x->row_at[s];
-        double *restrict L = factors + x->factor_at[s], *restrict U = top;
-        for (npy_intp i = 0; i < f; i++)
-            at[rows[i]] = (npy_int32)i;
+    for (Size s = 0; s < x->count; s++) {
+        Size begin = x->begin[s], k = x->begin[s + 1] - begin;
+        Size f = x->row_at[s + 1] - x->row_at[s], u = f - k;
+        const int32_t *rows = x->rows + x->row_at[s];
+        double *__restrict L = factors + x->factor_at[s], *__restrict U = top;
+        for (Size i = 0; i < f; i++)
+            at[rows[i]] = (int32_t)i;
         memset(U, 0, (size_t)(u * u) * sizeof *U);
-        for (npy_intp j = 0; j < k; j++)
-            for (npy_int64 e = x->column_at[begin + j]; e < x->column_at[begin + j + 1]; e++)
+        for (Size j = 0; j < k; j++)
+            for (int64_t e = x->column_at[begin + j]; e < x->column_at[begin + j + 1]; e++)
                 L[j * f + at[x->column_rows[e]]] += a[e];
         double *from = top;
-        for (npy_int32 c = 0; c < x->children[s]; c++) {
-            npy_intp child = updates[--waiting], own = x->begin[child + 1] - x->begin[child];
-            npy_intp size = x->row_at[child + 1] - x->row_at[child] - own;
-            const npy_int32 *below = x->rows + x->row_at[child] + own;
+        for (int32_t c = 0; c < x->children[s]; c++) {
+            Size child = updates[--waiting], own = x->begin[child + 1] - x->begin[child];
+            Size size = x->row_at[child + 1] - x->row_at[child] - own;
+            const int32_t *below = x->rows + x->row_at[child] + own;
             from -= size * size;
-            for (npy_intp j = 0; j < size; j++) {
-                npy_intp column = at[below[j]];
-                double *restrict to = column < k ? L + column * f : U + (column - k) * u - k;
-                for (npy_intp i = j; i < size; i++)
+            for (Size j = 0; j < size; j++) {
+                Size column = at[below[j]];
+                double *__restrict to = column < k ? L + column * f : U + (column - k) * u - k;
+                for (Size i = j; i < size; i++)
                     to[at[below[i]]] += from[j * size + i];
             }
         }
-        npy_intp failed = front_factor(f, k, x->signs + begin, L, U, room);
+        Size failed = front_factor(f, k, x->signs + begin, L, U, room);
         if (failed)
             return begin + failed;
         memmove(from, U, (size_t)(u * u) * sizeof *U);
         top = from + u * u;
-        updates[waiting++] = (npy_int32)s;
+        updates[waiting++] = (int32_t)s;
     }
     return 0;
 }
 
 /* Solve for `wide` right sides, one beside the other in x; the compiler knows how many. `below` has
  * room for the rows of the largest front. */
-INLINE void fronts_beside(int wide, const fronts *q, const double *restrict factors,
-                          double *restrict x, double *restrict below)
+INLINE void fronts_beside(int wide, const Fronts *q, const double *__restrict factors,
+                          double *__restrict x, double *__restrict below)
 {
-    for (npy_intp s = 0; s < q->count; s++) {
-        npy_intp k = q->begin[s + 1] - q->begin[s], f = q->row_at[s + 1] - q->row_at[s];
-        const npy_int32 *rows = q->rows + q->row_at[s];
-        const double *restrict L = factors + q->factor_at[s];
-        double *restrict own = x + q->begin[s] * wide;
+    for (Size s = 0; s < q->count; s++) {
+        Size k = q->begin[s + 1] - q->begin[s], f = q->row_at[s + 1] - q->row_at[s];
+        const int32_t *rows = q->rows + q->row_at[s];
+        const double *__restrict L = factors + q->factor_at[s];
+        double *__restrict own = x + q->begin[s] * wide;
         memset(below, 0, (size_t)((f - k) * wide) * sizeof *below);
-        for (npy_intp j = 0; j < k; j++, L += f) {
-            for (npy_intp i = j + 1; i < k; i++)
+        for (Size j = 0; j < k; j++, L += f) {
+            for (Size i = j + 1; i < k; i++)
                 for (int r = 0; r < wide; r++)
                     own[i * wide + r] -= L[i] * own[j * wide + r];
-            for (npy_intp i = k; i < f; i++)
+            for (Size i = k; i < f; i++)
                 for (int r = 0; r < wide; r++)
                     below[(i - k) * wide + r] += L[i] * own[j * wide + r];
         }
-        for (npy_intp i = k; i < f; i++)
+        for (Size i = k; i < f; i++)
             for (int r = 0; r < wide; r++)
                 x[rows[i] * wide + r] -= below[(i - k) * wide + r];
     }
-    for (npy_intp s = q->count - 1; s >= 0; s--) {
-        npy_intp k = q->begin[s + 1] - q->begin[s], f = q->row_at[s + 1] - q->row_at[s];
-        const npy_int32 *rows = q->rows + q->row_at[s];
-        const double *restrict L = factors + q->factor_at[s] + (k - 1) * f;
-        double *restrict own = x + q->begin[s] * wide;
-        for (npy_intp i = k; i < f; i++)
+    for (Size s = q->count - 1; s >= 0; s--) {
+        Size k = q->begin[s + 1] - q->begin[s], f = q->row_at[s + 1] - q->row_at[s];
+        const int32_t *rows = q->rows + q->row_at[s];
+        const double *__restrict L = factors + q->factor_at[s] + (k - 1) * f;
+        double *__restrict own = x + q->begin[s] * wide;
+        for (Size i = k; i < f; i++)
             for (int r = 0; r < wide; r++)
                 below[(i - k) * wide + r] = x[rows[i] * wide + r];
-        for (npy_intp j = k - 1; j >= 0; j--, L -= f) {
+        for (Size j = k - 1; j >= 0; j--, L -= f) {
             double sum[8];
             for (int r = 0; r < wide; r++)
                 sum[r] = L[j] * own[j * wide + r];
-            for (npy_intp i = j + 1; i < k; i++)
+            for (Size i = j + 1; i < k; i++)
                 for (int r = 0; r < wide; r++)
                     sum[r] -= L[i] * own[i * wide + r];
-            for (npy_intp i = k; i < f; i++)
+            for (Size i = k; i < f; i++)
                 for (int r = 0; r < wide; r++)
                     sum[r] -= L[i] * below[(i - k) * wide + r];
             for (int r = 0; r < wide; r++)
@@ -184,16 +185,17 @@ INLINE void fronts_beside(int wide, const fronts *q, const double *restrict fact
 }
 
 /* r = b - A x for `wide` columns beside each other. */
-INLINE void fronts_residual(int wide, const fronts *q, const double *restrict a,
-                            const double *restrict b, const double *restrict x, double *restrict out)
+INLINE void fronts_residual(int wide, const Fronts *q, const double *__restrict a,
+                            const double *__restrict b, const double *__restrict x,
+                            double *__restrict out)
 {
     memcpy(out, b, (size_t)(q->n * wide) * sizeof *out);
-    for (npy_intp j = 0; j < q->n; j++) {
-        npy_int64 e = q->column_at[j];
+    for (Size j = 0; j < q->n; j++) {
+        int64_t e = q->column_at[j];
         for (int r = 0; r < wide; r++)
             out[j * wide + r] -= a[e] * x[j * wide + r];
         for (e++; e < q->column_at[j + 1]; e++) {
-            npy_intp i = q->column_rows[e];
+            Size i = q->column_rows[e];
             for (int r = 0; r < wide; r++) {
                 out[i * wide + r] -= a[e] * x[j * wide + r];
                 out[j * wide + r] -= a[e] * x[i * wide + r];
@@ -212,9 +214,9 @@ enum { MOST_REFINEMENTS = 5 };
 #define UNREFINED 1e-12
 
 /* Solve and refine; returns the largest residual relative to the entries of b and x. */
-INLINE double fronts_refined(int wide, const fronts *q, const double *a, const double *factors,
-                             const double *restrict b, double *restrict x, double *restrict work,
-                             double *below)
+INLINE double fronts_refined(int wide, const Fronts *q, const double *a, const double *factors,
+                             const double *__restrict b, double *__restrict x,
+                             double *__restrict work, double *below)
 {
     size_t size = (size_t)(q->n * wide);
     double last = INFINITY;
@@ -225,7 +227,7 @@ INLINE double fronts_refined(int wide, const fronts *q, const double *a, const d
         fronts_residual(wide, q, a, b, x, work);
         for (int r = 0; r < wide; r++) {
             double left = 0, most = 0;
-            for (npy_intp i = r; i < (npy_intp)size; i += wide) {
+            for (Size i = r; i < (Size)size; i += wide) {
                 left = fmax(left, fabs(work[i]));
                 most = fmax(most, fmax(fabs(b[i]), fabs(x[i])));
             }
@@ -240,39 +242,38 @@ INLINE double fronts_refined(int wide, const fronts *q, const double *a, const d
     }
 }
 
-WITH_WIDE_VECTORS static double fronts_one(const fronts *q, const double *a, const double *factors,
-                                           const double *b, double *x, double *work, double *below)
+WITH_WIDE_VECTORS double fronts_one(const Fronts *q, const double *a, const double *factors,
+                                    const double *b, double *x, double *work, double *below)
 {
     return fronts_refined(1, q, a, factors, b, x, work, below);
 }
 
-WITH_WIDE_VECTORS static double fronts_four(const fronts *q, const double *a, const double *factors,
-                                            const double *b, double *x, double *work,
-                                            double *below)
+WITH_WIDE_VECTORS double fronts_four(const Fronts *q, const double *a, const double *factors,
+                                     const double *b, double *x, double *work, double *below)
 {
     return fronts_refined(4, q, a, factors, b, x, work, below);
 }
 
 /* Solve for columns as `ldl_solve` takes them, of a matrix scaled by `scale`; `work` has room for
  * 12 n and 4 times the rows of the largest front. Returns the largest relative residual. */
-static double fronts_solve(const fronts *q, const double *a, const double *factors,
-                           const npy_int64 *order, const double *scale, npy_intp columns, int parts,
-                           const double *restrict right, double *restrict work, double *restrict out)
+double fronts_solve(const Fronts *q, const double *a, const double *factors, const int64_t *order,
+                    const double *scale, Size columns, int parts, const double *__restrict right,
+                    double *__restrict work, double *__restrict out)
 {
-    npy_intp n = q->n;
+    Size n = q->n;
     double worst = 0, *b = work, *x = b + 4 * n, *left = x + 4 * n, *below = left + 4 * n;
-    for (npy_intp c = 0; c < columns;) {
+    for (Size c = 0; c < columns;) {
         int wide = columns - c > 1 ? 4 : 1, own = columns - c < wide ? (int)(columns - c) : wide;
-        npy_intp at[4];
+        Size at[4];
         for (int r = 0; r < own; r++)
             at[r] = (c + r) / parts * n * parts + (c + r) % parts;
-        for (npy_intp i = 0; i < n; i++)
+        for (Size i = 0; i < n; i++)
             for (int r = 0; r < wide; r++)
                 b[i * wide + r] = r < own ? scale[i] * right[at[r] + order[i] * parts] : 0;
         double one = wide == 1 ? fronts_one(q, a, factors, b, x, left, below)
                                : fronts_four(q, a, factors, b, x, left, below);
         worst = one <= worst ? worst : one;
-        for (npy_intp i = 0; i < n; i++)
+        for (Size i = 0; i < n; i++)
             for (int r = 0; r < own; r++)
                 out[at[r] + order[i] * parts] = scale[i] * x[i * wide + r];
         c += own;
@@ -291,16 +292,16 @@ INLINE double power_of_two(double x)
 /* Scale the lower triangle `a` in place so that the diagonal of coordinates and the largest entry
  * of each multiplier have the size of one, and write -PERTURBED to diagonals of multipliers in
  * `perturbed`, else a copy. Returns 0 unless the diagonal of coordinates is positive. */
-static int fronts_scaled(const fronts *q, double *restrict a, double *restrict scale,
-                         double *restrict perturbed)
+int fronts_scaled(const Fronts *q, double *__restrict a, double *__restrict scale,
+                  double *__restrict perturbed)
 {
-    npy_intp n = q->n;
+    Size n = q->n;
     double sum = 0;
-    for (npy_int64 e = 0; e < q->column_at[n]; e++)
+    for (int64_t e = 0; e < q->column_at[n]; e++)
         sum += 0 * a[e];
     if (sum != 0)
         return 0;
-    for (npy_intp j = 0; j < n; j++) {
+    for (Size j = 0; j < n; j++) {
         double own = a[q->column_at[j]];
         scale[j] = 0;
         if (q->signs[j] > 0) {
@@ -311,36 +312,36 @@ static int fronts_scaled(const fronts *q, double *restrict a, double *restrict s
     }
     /* Multipliers meet coordinates only; their largest scaled entries gather in `perturbed`. */
     memset(perturbed, 0, (size_t)n * sizeof *perturbed);
-    for (npy_intp j = 0; j < n; j++)
-        for (npy_int64 e = q->column_at[j] + 1; e < q->column_at[j + 1]; e++) {
-            npy_intp i = q->column_rows[e];
+    for (Size j = 0; j < n; j++)
+        for (int64_t e = q->column_at[j] + 1; e < q->column_at[j + 1]; e++) {
+            Size i = q->column_rows[e];
             if (q->signs[i] * q->signs[j] < 0) {
-                npy_intp row = q->signs[i] < 0 ? i : j, column = i + j - row;
+                Size row = q->signs[i] < 0 ? i : j, column = i + j - row;
                 perturbed[row] = fmax(perturbed[row], fabs(a[e]) * scale[column]);
             }
         }
-    for (npy_intp j = 0; j < n; j++)
+    for (Size j = 0; j < n; j++)
         if (q->signs[j] < 0)
             scale[j] = perturbed[j] > 0 ? power_of_two(perturbed[j] * perturbed[j]) : 1;
-    for (npy_intp j = 0; j < n; j++)
-        for (npy_int64 e = q->column_at[j]; e < q->column_at[j + 1]; e++)
+    for (Size j = 0; j < n; j++)
+        for (int64_t e = q->column_at[j]; e < q->column_at[j + 1]; e++)
             a[e] *= scale[j] * scale[q->column_rows[e]];
     memcpy(perturbed, a, (size_t)q->column_at[n] * sizeof *perturbed);
-    for (npy_intp j = 0; j < n; j++)
+    for (Size j = 0; j < n; j++)
         if (q->signs[j] < 0)
             perturbed[q->column_at[j]] -= PERTURBED;
     return 1;
 }
 
 /* The matrix with its scale, and room for a factorisation. */
-typedef struct {
+struct FrontRoom {
     double *a, *scale, *perturbed, *stack, *room;
-    npy_int32 *at;
-} front_room;
+    int32_t *at;
+};
 
 /* Scale and factorise what stands in `a`. Returns 0, or the number of the first pivot that has not
  * its sign, or 1 unless the diagonal of coordinates is positive. */
-static npy_intp fronts_factored(const fronts *q, const front_room *x, double *factors)
+Size fronts_factored(const Fronts *q, const FrontRoom *x, double *factors)
 {
     if (!fronts_scaled(q, x->a, x->scale, x->perturbed))
         return 1;

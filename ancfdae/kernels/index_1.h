@@ -13,17 +13,17 @@ enum { MATRIX, SIDES, PLACE, SPEED, PLACES, SPEEDS, INDEX_1_LISTS };
 /* Why there is no result. */
 enum { SOLVED, NOT_FINITE, SINGULAR };
 
-typedef struct {
-    const operation_list *lists[INDEX_1_LISTS];
+struct Index1System {
+    const Operations *lists[INDEX_1_LISTS];
     const double *constants[INDEX_1_LISTS], *b, *scale;
-    npy_intp n, m, n_b, rows;
+    Size n, m, n_b, rows;
     double *numbers, *K, *x;
     int *exchanged;
-} index_1;
+};
 
-static npy_intp index_1_room(const index_1 *s)
+Size index_1_room(const Index1System *s)
 {
-    npy_intp most = 0, size = s->n + s->m;
+    Size most = 0, size = s->n + s->m;
     for (int i = 0; i < INDEX_1_LISTS; i++)
         if (s->lists[i]->n_numbers > most)
             most = s->lists[i]->n_numbers;
@@ -32,16 +32,16 @@ static npy_intp index_1_room(const index_1 *s)
 
 /* Outputs of a list at t and a state, and what x = (a, lam) is, in columns `lanes` apart; changes
  * are derivatives from `first` on. */
-static const double *index_1_evaluated(const index_1 *s, int which, double t, const double *state,
-                                       npy_intp first, npy_intp lanes)
+const double *index_1_evaluated(const Index1System *s, int which, double t, const double *state,
+                                Size first, Size lanes)
 {
-    const operation_list *p = s->lists[which];
-    npy_intp n = s->n, n_b = s->n_b, at = 0;
+    const Operations *p = s->lists[which];
+    Size n = s->n, n_b = s->n_b, at = 0;
     double *to = s->numbers;
     const double *q = state, *v = state + s->rows * n;
 #define SHARED(count, value)                                                                       \
-    for (npy_intp j = 0; j < (count); j++)                                                         \
-        for (npy_intp i = 0; i < lanes; i++)                                                       \
+    for (Size j = 0; j < (count); j++)                                                             \
+        for (Size i = 0; i < lanes; i++)                                                           \
             to[at++] = value;
     SHARED(1, t)
     SHARED(n, q[j])
@@ -55,54 +55,54 @@ static const double *index_1_evaluated(const index_1 *s, int which, double t, co
         SHARED(n, v[(1 + first + i) * n + j])
         SHARED(n_b, j == first + i)
     }
-    for (npy_intp j = 0; j < p->n_constants; j++)
-        for (npy_intp i = 0; i < lanes; i++)
+    for (Size j = 0; j < p->n_constants; j++)
+        for (Size i = 0; i < lanes; i++)
             to[at++] = s->constants[which][j];
 #undef SHARED
-    list_evaluated_real(p, lanes, s->numbers);
+    list_evaluated<double>(p, lanes, s->numbers);
     return s->numbers;
 }
 
 /* Forms the scaled matrix at a state and exchanges its rows; Q and gamma go to x. */
-static int index_1_factored(const index_1 *s, double t, const double *state)
+int index_1_factored(const Index1System *s, double t, const double *state)
 {
-    npy_intp n = s->n, size = n + s->m;
-    const npy_int32 *out = s->lists[MATRIX]->outputs;
+    Size n = s->n, size = n + s->m;
+    const int32_t *out = s->lists[MATRIX]->outputs;
     const double *numbers = index_1_evaluated(s, MATRIX, t, state, 0, 1), *d = s->scale;
     double *K = s->K, largest = 0;
-    for (npy_intp i = 0; i < n; i++)
-        for (npy_intp j = 0; j < n; j++)
+    for (Size i = 0; i < n; i++)
+        for (Size j = 0; j < n; j++)
             K[i * size + j] = numbers[*out++] * d[i] * d[j];
-    for (npy_intp i = n; i < size; i++) {
-        for (npy_intp j = 0; j < n; j++)
+    for (Size i = n; i < size; i++) {
+        for (Size j = 0; j < n; j++)
             K[j * size + i] = K[i * size + j] = numbers[*out++] * d[i] * d[j];
         memset(K + i * size + n, 0, (size_t)s->m * sizeof *K);
     }
-    for (npy_intp i = 0; i < size; i++)
+    for (Size i = 0; i < size; i++)
         s->x[i] = numbers[*out++];
-    for (npy_intp i = 0; i < size * size; i++) {
+    for (Size i = 0; i < size * size; i++) {
         if (!isfinite(K[i]))
             return NOT_FINITE;
         largest = fmax(largest, fabs(K[i]));
     }
-    for (npy_intp k = 0; k < size; k++) {
-        npy_intp best = k;
-        for (npy_intp i = k + 1; i < size; i++)
+    for (Size k = 0; k < size; k++) {
+        Size best = k;
+        for (Size i = k + 1; i < size; i++)
             if (fabs(K[i * size + k]) > fabs(K[best * size + k]))
                 best = i;
         s->exchanged[k] = (int)best;
         if (!(fabs(K[best * size + k]) > ROUND_OFF * largest))
             return SINGULAR;
         if (best != k)
-            for (npy_intp j = 0; j < size; j++) {
+            for (Size j = 0; j < size; j++) {
                 double kept = K[k * size + j];
                 K[k * size + j] = K[best * size + j], K[best * size + j] = kept;
             }
         double inverse = 1 / K[k * size + k];
-        for (npy_intp i = k + 1; i < size; i++) {
+        for (Size i = k + 1; i < size; i++) {
             double factor = K[i * size + k] *= inverse;
             if (factor != 0)
-                for (npy_intp j = k + 1; j < size; j++)
+                for (Size j = k + 1; j < size; j++)
                     K[i * size + j] -= factor * K[k * size + j];
         }
     }
@@ -110,40 +110,40 @@ static int index_1_factored(const index_1 *s, double t, const double *state)
 }
 
 /* Solves in place for a right side of the unscaled equations. */
-static void index_1_solved(const index_1 *s, double *x)
+void index_1_solved(const Index1System *s, double *x)
 {
-    npy_intp size = s->n + s->m;
+    Size size = s->n + s->m;
     const double *K = s->K;
-    for (npy_intp i = 0; i < size; i++)
+    for (Size i = 0; i < size; i++)
         x[i] *= s->scale[i];
-    for (npy_intp k = 0; k < size; k++) {
+    for (Size k = 0; k < size; k++) {
         double kept = x[k];
         x[k] = x[s->exchanged[k]], x[s->exchanged[k]] = kept;
     }
-    for (npy_intp i = 1; i < size; i++)
-        for (npy_intp j = 0; j < i; j++)
+    for (Size i = 1; i < size; i++)
+        for (Size j = 0; j < i; j++)
             x[i] -= K[i * size + j] * x[j];
-    for (npy_intp i = size - 1; i >= 0; i--) {
-        for (npy_intp j = i + 1; j < size; j++)
+    for (Size i = size - 1; i >= 0; i--) {
+        for (Size j = i + 1; j < size; j++)
             x[i] -= K[i * size + j] * x[j];
         x[i] /= K[i * size + i];
     }
-    for (npy_intp i = 0; i < size; i++)
+    for (Size i = 0; i < size; i++)
         x[i] *= s->scale[i];
 }
 
-static int all_finite(const double *x, npy_intp count)
+int all_finite(const double *x, Size count)
 {
     double sum = 0;
-    for (npy_intp i = 0; i < count; i++)
+    for (Size i = 0; i < count; i++)
         sum += 0 * x[i];
     return sum == 0;
 }
 
 /* (a, lam) of a state, and its derivatives: (rows, n + m). */
-static int index_1_rows(const index_1 *s, double t, const double *state, double *out)
+int index_1_rows(const Index1System *s, double t, const double *state, double *out)
 {
-    npy_intp size = s->n + s->m;
+    Size size = s->n + s->m;
     if (!all_finite(state, 2 * s->rows * s->n))
         return NOT_FINITE;
     int trouble = index_1_factored(s, t, state);
@@ -151,12 +151,12 @@ static int index_1_rows(const index_1 *s, double t, const double *state, double 
         return trouble;
     index_1_solved(s, s->x);
     memcpy(out, s->x, (size_t)size * sizeof *out);
-    for (npy_intp done = 0; done < s->rows - 1; done += LIST_LANES) {
-        npy_intp lanes = s->rows - 1 - done < LIST_LANES ? s->rows - 1 - done : LIST_LANES;
+    for (Size done = 0; done < s->rows - 1; done += LIST_LANES) {
+        Size lanes = s->rows - 1 - done < LIST_LANES ? s->rows - 1 - done : LIST_LANES;
         const double *numbers = index_1_evaluated(s, SIDES, t, state, done, lanes);
-        for (npy_intp i = 0; i < lanes; i++) {
+        for (Size i = 0; i < lanes; i++) {
             double *to = out + (1 + done + i) * size;
-            for (npy_intp j = 0; j < size; j++)
+            for (Size j = 0; j < size; j++)
                 to[j] = numbers[s->lists[SIDES]->outputs[j] * lanes + i];
             index_1_solved(s, to);
         }
@@ -165,28 +165,28 @@ static int index_1_rows(const index_1 *s, double t, const double *state, double 
 }
 
 /* Takes from q or v, at `part` of the state, the smallest changes to which the constraints say. */
-static void index_1_moved(const index_1 *s, int which, const double *state, double t, npy_intp first,
-                          npy_intp lanes, double *part)
+void index_1_moved(const Index1System *s, int which, const double *state, double t, Size first,
+                   Size lanes, double *part)
 {
-    npy_intp n = s->n, m = s->m;
+    Size n = s->n, m = s->m;
     const double *numbers = index_1_evaluated(s, which, t, state, first, lanes);
     double *side = s->K + (n + m) * (n + m), *all = side + (n + m);
-    for (npy_intp i = 0; i < lanes; i++)
-        for (npy_intp j = 0; j < m; j++)
+    for (Size i = 0; i < lanes; i++)
+        for (Size j = 0; j < m; j++)
             all[i * m + j] = numbers[s->lists[which]->outputs[j] * lanes + i];
-    for (npy_intp i = 0; i < lanes; i++) {
+    for (Size i = 0; i < lanes; i++) {
         memset(side, 0, (size_t)n * sizeof *side);
         memcpy(side + n, all + i * m, (size_t)m * sizeof *side);
         index_1_solved(s, side);
-        for (npy_intp j = 0; j < n; j++)
+        for (Size j = 0; j < n; j++)
             part[i * n + j] -= side[j];
     }
 }
 
 /* Moves a state onto the constraints, in place. */
-static int index_1_projected(const index_1 *s, double t, double *state)
+int index_1_projected(const Index1System *s, double t, double *state)
 {
-    npy_intp n = s->n;
+    Size n = s->n;
     double *q = state, *v = state + s->rows * n;
     if (!all_finite(state, 2 * s->rows * n))
         return NOT_FINITE;
@@ -198,8 +198,8 @@ static int index_1_projected(const index_1 *s, double t, double *state)
     index_1_moved(s, PLACE, state, t, 0, 1, q);
     index_1_moved(s, SPEED, state, t, 0, 1, v);
     for (int speed = 0; speed < 2; speed++)
-        for (npy_intp done = 0; done < s->rows - 1; done += LIST_LANES) {
-            npy_intp lanes = s->rows - 1 - done < LIST_LANES ? s->rows - 1 - done : LIST_LANES;
+        for (Size done = 0; done < s->rows - 1; done += LIST_LANES) {
+            Size lanes = s->rows - 1 - done < LIST_LANES ? s->rows - 1 - done : LIST_LANES;
             index_1_moved(s, speed ? SPEEDS : PLACES, state, t, done, lanes,
                           (speed ? v : q) + (1 + done) * n);
         }
@@ -208,26 +208,25 @@ static int index_1_projected(const index_1 *s, double t, double *state)
 
 /* Stages of a Runge-Kutta step for (y, u)' = (u, a): each is a product of factors, (2, width), with
  * the rows before it, y, u and accelerations, (width, rows n). */
-static int index_1_stages(const index_1 *s, npy_intp first, npy_intp last, npy_intp width,
-                          const double *times, const double *factors, double *rows, double *states,
-                          double *out)
+int index_1_stages(const Index1System *s, Size first, Size last, Size width, const double *times,
+                   const double *factors, double *rows, double *states, double *out)
 {
-    npy_intp count = s->rows * s->n, size = s->n + s->m;
-    for (npy_intp k = first; k < last; k++) {
+    Size count = s->rows * s->n, size = s->n + s->m;
+    for (Size k = first; k < last; k++) {
         double *state = states + k * 2 * count;
         memset(state, 0, (size_t)(2 * count) * sizeof *state);
         for (int part = 0; part < 2; part++)
-            for (npy_intp j = 0; j < 2 + k; j++) {
+            for (Size j = 0; j < 2 + k; j++) {
                 double factor = factors[(k * 2 + part) * width + j];
                 if (factor != 0)
-                    for (npy_intp i = 0; i < count; i++)
+                    for (Size i = 0; i < count; i++)
                         state[part * count + i] += factor * rows[j * count + i];
             }
         double *x = out + k * s->rows * size;
         int trouble = index_1_rows(s, times[k], state, x);
         if (trouble)
             return trouble;
-        for (npy_intp r = 0; r < s->rows; r++)
+        for (Size r = 0; r < s->rows; r++)
             memcpy(rows + (2 + k) * count + r * s->n, x + r * size, (size_t)s->n * sizeof *x);
     }
     return SOLVED;

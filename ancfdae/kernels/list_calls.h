@@ -2,15 +2,14 @@
 
 enum { LIST_INDICES = 4 };
 
-/* Indices in the order of `operation_list`, and constants, real and complex. */
-typedef struct {
-    PyObject_HEAD
-    PyObject *arguments;
+/* Indices in the order of `Operations`, and constants, real and complex. */
+struct OperationList {
+    PyObject_HEAD PyObject *arguments;
     PyArrayObject *indices[LIST_INDICES], *constants[2];
-    operation_list list;
-} OperationList;
+    Operations list;
+};
 
-static void list_dropped(OperationList *self)
+void list_dropped(OperationList *self)
 {
     Py_XDECREF(self->arguments);
     for (int i = 0; i < LIST_INDICES; i++)
@@ -22,26 +21,26 @@ static void list_dropped(OperationList *self)
     Py_DECREF(type);
 }
 
-static int list_fits(const OperationList *self)
+int list_fits(const OperationList *self)
 {
-    const operation_list *p = &self->list;
+    const Operations *p = &self->list;
     PyArrayObject *const *x = self->indices;
-    npy_intp ahead = p->n_inputs + p->n_constants;
+    Size ahead = p->n_inputs + p->n_constants;
     int good = within_32(x[0], 0, OPERATIONS - 1) && PyArray_SIZE(x[1]) == p->n_operations &&
                PyArray_SIZE(x[2]) == p->n_operations &&
                (p->n_outputs == 0 || (p->n_numbers > 0 && within_32(x[3], 0, p->n_numbers - 1)));
-    for (npy_intp k = 0; good && k < p->n_operations; k++)
+    for (Size k = 0; good && k < p->n_operations; k++)
         good = p->a[k] >= 0 && p->a[k] < ahead + k && p->b[k] >= 0 && p->b[k] < ahead + k;
     return good || wrong("these are not the indices of a list of operations");
 }
 
 /* OperationList(n_inputs, constants, op, a, b, outputs) */
-static int list_filled(OperationList *self, PyObject *arguments)
+int list_filled(OperationList *self, PyObject *arguments)
 {
     PyObject *constants, *indices[LIST_INDICES];
     Py_ssize_t n_inputs;
-    operation_list *p = &self->list;
-    const npy_int32 **to[] = {&p->op, &p->a, &p->b, &p->outputs};
+    Operations *p = &self->list;
+    const int32_t **to[] = {&p->op, &p->a, &p->b, &p->outputs};
     if (!PyArg_ParseTuple(arguments, "nOOOOO", &n_inputs, &constants, indices, indices + 1,
                           indices + 2, indices + 3))
         return 0;
@@ -62,11 +61,11 @@ static int list_filled(OperationList *self, PyObject *arguments)
     return list_fits(self);
 }
 
-static PyObject *list_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
+PyObject *list_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
 {
     OperationList *self = (OperationList *)PyType_GenericAlloc(type, 0);
     if (!self)
-        return NULL;
+        return nullptr;
     self->arguments = Py_NewRef(arguments);
     if ((names && PyDict_Size(names) > 0 && !wrong("a list takes no names")) ||
         !list_filled(self, arguments))
@@ -74,45 +73,40 @@ static PyObject *list_new(PyTypeObject *type, PyObject *arguments, PyObject *nam
     return (PyObject *)self;
 }
 
-static PyObject *list_reduced(PyObject *self, PyObject *none)
+PyObject *list_reduced(PyObject *self, PyObject *none)
 {
     (void)none;
     return Py_BuildValue("(OO)", Py_TYPE(self), ((OperationList *)self)->arguments);
 }
 
-static PyMethodDef list_methods[] = {{"__reduce__", list_reduced, METH_NOARGS, NULL},
-                                     {NULL, NULL, 0, NULL}};
+static PyMethodDef list_methods[] = {{"__reduce__", list_reduced, METH_NOARGS, nullptr},
+                                     {nullptr, nullptr, 0, nullptr}};
 static PyType_Slot list_slots[] = {{Py_tp_dealloc, (void *)list_dropped},
                                    {Py_tp_methods, list_methods},
                                    {Py_tp_new, (void *)list_new},
-                                   {0, NULL}};
-static PyType_Spec list_type = {
-    .name = "ancfdae.kernels._kernels.OperationList",
-    .basicsize = sizeof(OperationList),
-    .flags = Py_TPFLAGS_DEFAULT,
-    .slots = list_slots,
-};
+                                   {0, nullptr}};
+static PyType_Spec list_type = {"ancfdae.kernels._kernels.OperationList", sizeof(OperationList), 0,
+                                Py_TPFLAGS_DEFAULT, list_slots};
 static PyTypeObject *OperationListType; /* Made when the module is imported. */
 
 /* list_values(list, inputs) */
-static PyObject *py_list_values(PyObject *const *args)
+PyObject *py_list_values(PyObject *const *args)
 {
-    PyArrayObject *x = NULL, *out = NULL;
+    PyArrayObject *x = nullptr, *out = nullptr;
     int type = is_complex(args[1]) ? NPY_CDOUBLE : NPY_DOUBLE;
     if (!PyObject_TypeCheck(args[0], OperationListType))
-        return wrong("the first argument must be a list of operations"), NULL;
+        return wrong("the first argument must be a list of operations"), nullptr;
     const OperationList *of = (const OperationList *)args[0];
-    const operation_list *p = &of->list;
+    const Operations *p = &of->list;
     if (taken(args[1], type, 1, &x) &&
         (ends_with(x, 1, &p->n_inputs) || wrong("there must be a number for each input"))) {
-        void *work = PyMem_Malloc((size_t)p->n_numbers * LIST_LANES * 16 + 1);
-        npy_intp k = leading_size(x, 1);
-        out = work ? zeros_like(x, 1, 1, &p->n_outputs, type) : (PyErr_NoMemory(), NULL);
+        Memory work = new_room((size_t)p->n_numbers * LIST_LANES * 16 + 1);
+        Size k = leading_size(x, 1);
+        out = work ? zeros_like(x, 1, 1, &p->n_outputs, type) : (PyErr_NoMemory(), nullptr);
         if (out && type == NPY_DOUBLE)
-            list_values_real(p, data_of(of->constants[0]), k, data_of(x), work, PyArray_DATA(out));
+            list_values<double>(p, data_of(of->constants[0]), k, data_of(x), work, data_of(out));
         else if (out)
-            list_values_complex(p, data_of(of->constants[1]), k, data_of(x), work,
-                                PyArray_DATA(out));
+            list_values<Complex>(p, data_of(of->constants[1]), k, data_of(x), work, data_of(out));
         PyMem_Free(work);
     }
     Py_XDECREF(x);
@@ -122,13 +116,13 @@ static PyObject *py_list_values(PyObject *const *args)
 /* ---- accelerations from lists (index_1.h) --------------------------------------------------- */
 
 /* A system with the arrays that it points to. */
-typedef struct {
-    index_1 system;
+struct Index1 {
+    Index1System system;
     PyArrayObject *b, *scale, *t;
-    void *memory;
-} Index1;
+    Memory memory;
+};
 
-static void index_1_dropped(Index1 *x)
+void index_1_dropped(Index1 *x)
 {
     Py_XDECREF(x->b);
     Py_XDECREF(x->scale);
@@ -137,10 +131,10 @@ static void index_1_dropped(Index1 *x)
 }
 
 /* (lists, b, scale, t), and `shape`, the last axes of states: 2, 1 or 1 + n_b, n. */
-static int index_1_taken(Index1 *x, PyObject *const *args, const npy_intp *shape)
+int index_1_taken(Index1 *x, PyObject *const *args, const Size *shape)
 {
     static const int values[] = {MATRIX, PLACE, SPEED}, changes[] = {SIDES, PLACES, SPEEDS};
-    index_1 *s = &x->system;
+    Index1System *s = &x->system;
     for (int i = 0; i < INDEX_1_LISTS; i++) {
         PyObject *list = item(args[0], INDEX_1_LISTS, i);
         if (!list)
@@ -156,19 +150,19 @@ static int index_1_taken(Index1 *x, PyObject *const *args, const npy_intp *shape
     s->b = data_of(x->b), s->scale = data_of(x->scale);
     s->n_b = PyArray_SIZE(x->b), s->rows = shape[1], s->n = shape[2];
     s->m = PyArray_SIZE(x->scale) - s->n;
-    npy_intp n = s->n, m = s->m, plain = 1 + 2 * n + s->n_b, size = n + m;
+    Size n = s->n, m = s->m, plain = 1 + 2 * n + s->n_b, size = n + m;
     int good = m >= 0 && shape[0] == 2 && (s->rows == 1 || s->rows == 1 + s->n_b);
     for (int i = 0; good && i < 3; i++) {
-        const operation_list *of = s->lists[values[i]], *by = s->lists[changes[i]];
-        npy_intp more = 2 * n + s->n_b + (i == 0 ? size : 0);
+        const Operations *of = s->lists[values[i]], *by = s->lists[changes[i]];
+        Size more = 2 * n + s->n_b + (i == 0 ? size : 0);
         good = of->n_inputs == plain && by->n_inputs == plain + more &&
                of->n_outputs == (i == 0 ? n * size + size : m) &&
                by->n_outputs == (i == 0 ? size : m);
     }
     if (!good)
         return wrong("lists, design, scale and states do not fit together");
-    npy_intp room = index_1_room(s) + size;
-    x->memory = PyMem_Malloc((size_t)room * sizeof(double) + (size_t)(size + 1) * sizeof(int));
+    Size room = index_1_room(s) + size;
+    x->memory = new_room((size_t)room * sizeof(double) + (size_t)(size + 1) * sizeof(int));
     if (!x->memory)
         return PyErr_NoMemory(), 0;
     s->x = x->memory, s->K = s->x + size, s->numbers = s->K + size * (size + 1 + 2 * LIST_LANES);
@@ -177,22 +171,22 @@ static int index_1_taken(Index1 *x, PyObject *const *args, const npy_intp *shape
 }
 
 /* Calls one of the two functions of states: rows or, in place, projected. */
-static PyObject *of_states(PyObject *const *args, int projected)
+PyObject *of_states(PyObject *const *args, int projected)
 {
-    Index1 x = {.memory = NULL};
-    PyArrayObject *states = NULL, *out = NULL;
+    Index1 x = {};
+    PyArrayObject *states = nullptr, *out = nullptr;
     int trouble = SOLVED;
     if (taken(args[4], NPY_DOUBLE, 4, &states) &&
         index_1_taken(&x, args, PyArray_DIMS(states) + PyArray_NDIM(states) - 3) &&
         (PyArray_NDIM(states) == 4 || wrong("states must have four axes")) &&
         (PyArray_SIZE(x.t) == PyArray_DIM(states, 0) || wrong("each state must have a time"))) {
-        const index_1 *s = &x.system;
-        npy_intp shape[] = {s->rows, s->n + s->m}, count = 2 * s->rows * s->n;
+        const Index1System *s = &x.system;
+        Size shape[] = {s->rows, s->n + s->m}, count = 2 * s->rows * s->n;
         const double *t = data_of(x.t);
         out = projected ? (PyArrayObject *)PyArray_NewCopy(states, NPY_CORDER)
                         : zeros_like(states, 3, 2, shape, NPY_DOUBLE);
-        for (npy_intp k = 0; out && !trouble && k < PyArray_DIM(states, 0); k++) {
-            double *to = (double *)PyArray_DATA(out);
+        for (Size k = 0; out && !trouble && k < PyArray_DIM(states, 0); k++) {
+            double *to = (double *)data_of(out);
             trouble = projected ? index_1_projected(s, t[k], to + k * count)
                                 : index_1_rows(s, t[k], (const double *)data_of(states) + k * count,
                                                to + k * shape[0] * shape[1]);
@@ -208,49 +202,43 @@ static PyObject *of_states(PyObject *const *args, int projected)
 }
 
 /* index_1_rows(lists, b, scale, t, states) */
-static PyObject *py_index_1_rows(PyObject *const *args)
-{
-    return of_states(args, 0);
-}
+PyObject *py_index_1_rows(PyObject *const *args) { return of_states(args, 0); }
 
 /* index_1_projected(lists, b, scale, t, states) */
-static PyObject *py_index_1_projected(PyObject *const *args)
-{
-    return of_states(args, 1);
-}
+PyObject *py_index_1_projected(PyObject *const *args) { return of_states(args, 1); }
 
 /* An array of doubles in one piece that may be written to, of a shape. */
-static double *written_to(PyObject *object, int axes, const npy_intp *shape)
+double *written_to(PyObject *object, int axes, const Size *shape)
 {
     PyArrayObject *x = (PyArrayObject *)object;
     if (!PyArray_Check(object) || PyArray_TYPE(x) != NPY_DOUBLE || !PyArray_ISCARRAY(x) ||
         PyArray_NDIM(x) != axes || !ends_with(x, axes, shape)) {
         wrong("an array to write to has another shape or type, or is not in one piece");
-        return NULL;
+        return nullptr;
     }
-    return PyArray_DATA(x);
+    return data_of(x);
 }
 
 /* index_1_stages(lists, b, scale, times, factors, rows, states, out, first, last) */
-static PyObject *py_index_1_stages(PyObject *const *args)
+PyObject *py_index_1_stages(PyObject *const *args)
 {
-    Index1 x = {.memory = NULL};
-    PyArrayObject *factors = NULL;
-    PyObject *result = NULL;
-    npy_intp first, last;
+    Index1 x = {};
+    PyArrayObject *factors = nullptr;
+    PyObject *result = nullptr;
+    Size first, last;
     PyArrayObject *model = (PyArrayObject *)args[6];
     if (!PyArray_Check(args[6]) || PyArray_NDIM(model) != 4)
-        return wrong("states must be an array of four axes"), NULL;
-    npy_intp stages = PyArray_DIM(model, 0), width = stages + 2;
+        return wrong("states must be an array of four axes"), nullptr;
+    Size stages = PyArray_DIM(model, 0), width = stages + 2;
     if (taken(args[4], NPY_DOUBLE, 3, &factors) &&
-        index_1_taken(&x, args, PyArray_DIMS(model) + 1) &&
-        taken_number(args[9], stages, &last) && taken_number(args[8], last, &first)) {
-        const index_1 *s = &x.system;
-        npy_intp n = s->n, of_factors[] = {stages, 2, width}, of_rows[] = {width, s->rows * n};
-        npy_intp of_out[] = {stages, s->rows, n + s->m};
+        index_1_taken(&x, args, PyArray_DIMS(model) + 1) && taken_number(args[9], stages, &last) &&
+        taken_number(args[8], last, &first)) {
+        const Index1System *s = &x.system;
+        Size n = s->n, of_factors[] = {stages, 2, width}, of_rows[] = {width, s->rows * n};
+        Size of_out[] = {stages, s->rows, n + s->m};
         double *rows = written_to(args[5], 2, of_rows);
-        double *states = rows ? written_to(args[6], 4, PyArray_DIMS(model)) : NULL;
-        double *out = states ? written_to(args[7], 3, of_out) : NULL;
+        double *states = rows ? written_to(args[6], 4, PyArray_DIMS(model)) : nullptr;
+        double *out = states ? written_to(args[7], 3, of_out) : nullptr;
         if (out && ((ends_with(factors, 3, of_factors) && PyArray_SIZE(x.t) >= last) ||
                     wrong("factors or times do not fit")))
             result = PyLong_FromLong(index_1_stages(s, first, last, width, data_of(x.t),

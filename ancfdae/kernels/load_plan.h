@@ -9,15 +9,15 @@ enum {
 /* Numbers are those of U, of V, constants, and results one by one: operation k is op[k] of numbers
  * a[k] and b[k]. Forces on U are the numbers `output`. Entries of L^T F_U L go to `places` among
  * n_values values: for components i and j those of the entries in rows i and j of L. */
-typedef struct {
-    npy_intp n_q, n_U, n_constants, n_operations, n_numbers, n_values;
-    const npy_int32 *first, *columns, *op, *a, *b, *output, *places;
-} load_plan;
+struct LoadTable {
+    Size n_q, n_U, n_constants, n_operations, n_numbers, n_values;
+    const int32_t *first, *columns, *op, *a, *b, *output, *places;
+};
 
 /* A list of operations by itself: numbers are inputs, constants and results, as above. It is
  * evaluated at LIST_LANES time points at once. */
-enum { LIST_LANES = 8 };
-typedef struct {
-    npy_intp n_inputs, n_constants, n_operations, n_outputs, n_numbers;
-    const npy_int32 *op, *a, *b, *outputs;
-} operation_list;
+const Size LIST_LANES = 8;
+struct Operations {
+    Size n_inputs, n_constants, n_operations, n_outputs, n_numbers;
+    const int32_t *op, *a, *b, *outputs;
+};
