@@ -1,31 +1,53 @@
 """Base classes for joints, loads, laws, sections, systems and integrators of one's own."""
 
 from ancfdae.equations import FormulaSystem, MechanicalSystem, StateDirection, SystemProperties
-from ancfdae.integrators.integrator import Integrator
+from ancfdae.integrators.index_1 import stacked
+from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
+from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.model.bodies import BodyShape, MaterialPoint
-from ancfdae.model.elements import StrainEnergyFunction
-from ancfdae.model.joints.joint import Joint
+from ancfdae.model.design import design_numbers
+from ancfdae.model.elements import BeamElement, StrainEnergyFunction
+from ancfdae.model.elements.element import ElementIntegrals, Quantity
+from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
 from ancfdae.model.laws.law import Law
-from ancfdae.model.loads.load import Load
+from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.model.sections.section import Section
+from ancfdae.numerics.jets import concatenate, cross, dot
 from ancfdae.numerics.patterns import SparsityPattern
+from ancfdae.numerics.quadrature import box_rule
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import Observable
 
 __all__ = [
+    "LAW_FIELD",
+    "AdjointIntegrator",
+    "BeamElement",
     "BodyShape",
+    "ElementIntegrals",
     "FormulaSystem",
+    "InitialValueProblem",
     "Integrator",
     "Joint",
+    "JointEquations",
     "Law",
     "Load",
     "MaterialPoint",
     "MechanicalSystem",
     "Objective",
     "Observable",
+    "Quantity",
     "Section",
+    "SolutionRecorder",
     "SparsityPattern",
     "StateDirection",
     "StrainEnergyFunction",
     "SystemProperties",
+    "box_rule",
+    "concatenate",
+    "cross",
+    "design_numbers",
+    "dot",
+    "empty_equations",
+    "stacked",
 ]

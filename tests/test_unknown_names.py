@@ -75,7 +75,7 @@ def test_private_names_and_modules_are_refused_in_plain_words():
     ("name", "serves"),
     [
         ("position", "It is: from ancfdae.observables import position."),
-        ("DOP853", "It is called DOP853 now: from ancfdae import DOP853."),
+        ("Explicit", "It is called DOP853 now: from ancfdae import DOP853."),
         ("Ramp", "It is called SmoothStep now: from ancfdae.laws import SmoothStep."),
     ],
 )

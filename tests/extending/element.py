@@ -1,8 +1,7 @@
 """An element: a strand of loose wires, which bends a quarter as stiffly as a solid cable."""
 
 from ancfdae import CABLE_2D, HHT, Beam, Clamp, Material, Scene
-from ancfdae.model.elements import BeamElement
-from ancfdae.model.elements.element import ElementIntegrals
+from ancfdae.extend import BeamElement, ElementIntegrals
 from ancfdae.observables import position
 from ancfdae.sections import Rectangle
 

@@ -5,10 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ancfdae import Beam, Material, Pin, RigidBody, RotationDriver, Scene, SpringDamper
-from ancfdae.integrators.index_1 import stacked
-from ancfdae.integrators.integrator import AdjointIntegrator
-from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.integrators.recorder import SolutionRecorder
+from ancfdae.extend import AdjointIntegrator, InitialValueProblem, SolutionRecorder, stacked
 from ancfdae.laws import Harmonic
 from ancfdae.observables import position
 from ancfdae.results import RunOutcome, Verdict

@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ancfdae import HHT, Beam, Material, Pin, RigidBody, Scene
-from ancfdae.extend import Joint, MaterialPoint
-from ancfdae.model.design import design_numbers
-from ancfdae.model.joints.joint import JointEquations, empty_equations
+from ancfdae.extend import Joint, JointEquations, MaterialPoint, design_numbers, empty_equations
 from ancfdae.observables import position
 from ancfdae.sections import Rectangle
 

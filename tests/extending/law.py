@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ancfdae import HHT, PointForce, RigidBody, Scene
-from ancfdae.extend import Law
-from ancfdae.model.design import design_numbers
+from ancfdae.extend import Law, design_numbers
 from ancfdae.observables import velocity
 
 #: Polynomials by which the derivatives of exp(-x^2) multiply it.

@@ -4,11 +4,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from ancfdae import HHT, Beam, Clamp, Material, RigidBody, Scene
-from ancfdae.extend import Load, MaterialPoint
-from ancfdae.model.bodies import Quantity
-from ancfdae.model.design import design_numbers
-from ancfdae.model.loads.load import LAW_FIELD
-from ancfdae.numerics.jets import concatenate, dot
+from ancfdae.extend import (
+    LAW_FIELD,
+    Load,
+    MaterialPoint,
+    Quantity,
+    concatenate,
+    design_numbers,
+    dot,
+)
 from ancfdae.observables import position
 from ancfdae.sections import Rectangle
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ancfdae import HHT, Beam, Clamp, Material, PointForce, Scene
-from ancfdae.extend import Section
-from ancfdae.numerics.quadrature import box_rule
+from ancfdae.extend import Section, box_rule
 from ancfdae.observables import position
 
 
