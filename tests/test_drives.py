@@ -160,7 +160,7 @@ def test_gradients_by_every_method_agree_with_the_complex_step():
     }
     for k in range(len(objectives)):
         exact = found["ComplexStep"][k].gradient
-        for name in ("Direct", "Adjoint"):
+        for name in ("DirectDifferentiation", "Adjoint"):
             assert np.allclose(found[name][k].gradient, exact, rtol=1e-9, atol=0), (name, k)
 
 

@@ -459,7 +459,7 @@ def test_gradients_by_every_method_agree_with_the_complex_step():
     }
     for k in range(len(objectives)):
         exact = found["ComplexStep"][k].gradient
-        for name in ("Direct", "Adjoint"):
+        for name in ("DirectDifferentiation", "Adjoint"):
             assert np.allclose(found[name][k].gradient, exact, rtol=1e-9, atol=0), (name, k)
 
 
@@ -504,7 +504,7 @@ def test_what_a_beam_does_not_have_is_refused():
         (lambda: axial_force(rod.at(0.5, y=0.01)), "axis of the beam"),
         (lambda: shear_force(rod.at_end, 0), "axis of the section"),
         (lambda: bending_moment(rod.at_end, 3), "from 0 to 2"),
-        (lambda: von_mises("rod"), "Point"),
+        (lambda: von_mises("rod"), "MaterialPoint"),
         (lambda: maximum_von_mises("rod", -1.0), "positive"),
     ):
         with pytest.raises(InvalidInputError, match=text):
