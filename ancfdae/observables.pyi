@@ -17,6 +17,7 @@ from ancfdae.sensitivity.observables.observable import observe
 from ancfdae.sensitivity.observables.quantities import (
     design_value,
     elapsed_time,
+    gravitational_energy,
     kinetic_energy,
     multiplier,
     reaction,
@@ -52,6 +53,7 @@ __all__ = [
     "driver_force",
     "driver_torque",
     "elapsed_time",
+    "gravitational_energy",
     "inertia",
     "joint_power",
     "kinetic_energy",

@@ -44,6 +44,7 @@ from ancfdae.sensitivity.observables.observable import Leaf, observe
 from ancfdae.sensitivity.observables.quantities import (
     design_value,
     elapsed_time,
+    gravitational_energy,
     kinetic_energy,
     multiplier,
     reaction,
@@ -737,6 +738,25 @@ def test_reaction_needs_a_joint_that_holds_a_point(system):
     with pytest.raises(InvalidInputError, match=r"multiplier\(joint, row\)"):
         observe(reaction("wall", 0), named)
     assert observe(multiplier("wall", 0), named).shape == (2,)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_energy_of_the_weight_is_that_of_its_centre_of_mass(dimension):
+    """-m g . r_c and its derivatives, also in gravity, which is a design variable."""
+    scene = mechanism(dimension)
+    design = ["arm.height", "rod.density", "rod.length", "scene.gravity_y"]
+    system, solution = assemble(scene, design), simulate(scene, 12 * STEP, HHT(STEP))
+    found = gravitational_energy().partials(system, states_of(solution))
+    g = scene.gravity
+    at = sum(g[i] * centre_of_mass(i) for i in range(dimension) if g[i])
+    exact = (-1.0 * mass() * at).partials(system, states_of(solution))
+    assert same(found.value, exact.value)
+    assert np.allclose(np.broadcast_to(found.q, exact.q.shape), exact.q, rtol=1e-12, atol=1e-12)
+    varied = design.index("scene.gravity_y")
+    fall = observe(mass() * centre_of_mass(1), solution, system)
+    assert np.allclose(found.b[:, varied], -fall, rtol=1e-12)
+    others = [0, 1, 2]
+    assert np.allclose(found.b[:, others], exact.b[:, others], rtol=1e-10, atol=1e-12)
 
 
 def test_a_solution_alone_has_no_energies(run):

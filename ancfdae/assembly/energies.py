@@ -63,6 +63,10 @@ class Energies:
         """Return the potential of gravity, zero at q = 0, shape (k,)."""
         return -np.asarray(q @ self._inertia.gravity)
 
+    def gravity_b(self, q: Array) -> Array:
+        """Return the design derivatives of the potential of gravity, shape (k, n_b)."""
+        return -np.asarray(q @ self._inertia.gravity_b)
+
     def total(self, q: Array, v: Array) -> Array:
         """Return kinetic and strain energy and the potentials together, shape (k,)."""
         total = self.kinetic(v) + self.strain(q) + self.gravity(q)

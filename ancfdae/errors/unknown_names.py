@@ -87,8 +87,7 @@ _ANSWERS = {
     ),
     **dict.fromkeys(
         ("energy", "potentialenergy"),
-        "Energies are kinetic_energy() and strain_energy(); that of the weight is -m g times the "
-        "height of centre_of_mass.",
+        "Energies are kinetic_energy(), strain_energy() and gravitational_energy().",
     ),
     "displacement": "A displacement is position(point, axis) less its value at the start.",
 }

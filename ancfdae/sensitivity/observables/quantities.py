@@ -49,6 +49,14 @@ def kinetic_energy(beam: str | None = None) -> Observable:
     return Energy(beam, kinetic=True)
 
 
+def gravitational_energy() -> Observable:
+    """Return the potential energy of the weight of the scene, -m g . r_c; J.
+
+    It is zero where the centre of mass r_c is at the origin.
+    """
+    return GravitationalEnergy()
+
+
 def elapsed_time() -> Observable:
     """Return the time since the start; s."""
     return Time()
@@ -134,6 +142,26 @@ class Energy(Leaf):
             return LeafGradient(v=rows, b=energies.kinetic_b(v, self.beam))
         rows = Columns(slice(None), energies.strain_q(q, self.beam))
         return LeafGradient(q=rows, b=energies.strain_b(q, self.beam))
+
+
+@final
+@dataclass(frozen=True)
+class GravitationalEnergy(Leaf):
+    """Potential energy of the weight of a scene."""
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a system that is no scene, or a solution without its system."""
+        known_scene(system)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return -Q_g . q of every instant, Q_g the force of gravity on the coordinates."""
+        return known_scene(system).energies.gravity(states.q)
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Return -Q_g, the same at every instant, and -Q_gb . q."""
+        scene = known_scene(system)
+        weight = Columns(slice(None), scene.energies.gravity(np.eye(system.n_q))[None])
+        return LeafGradient(q=weight, b=scene.energies.gravity_b(states.q))
 
 
 @final
