@@ -31,9 +31,10 @@ from ancfdae.laws import (
     SmoothStep,
     Spline,
     Transition,
+    UserLaw,
 )
 from ancfdae.numerics.time_grid import next_end
-from ancfdae.observables import position
+from ancfdae.observables import position, velocity
 
 BLOCK = RigidBody("block", (0, 0), mass=2.0, inertia=0.1)
 T_END, BEGIN, FORCE = 1.0, 0.6137, 3.0
@@ -98,6 +99,33 @@ def test_no_integrator_steps_over_a_kick(integrator, width):
     # Tolerances hold per step, HHT-I3 errs by ten times its own.
     assert found.value == pytest.approx(path, rel=2e-4)
     assert found.gradient == pytest.approx([path / (FORCE / width), -path / 2.0], rel=2e-4)
+
+
+@pytest.mark.parametrize("width", [0.1, 0.03, 0.003, 3e-4])
+@pytest.mark.parametrize("integrator", CONTROLLED)
+def test_no_integrator_steps_over_a_pulse_of_a_users_law(integrator, width):
+    """The impulse of A exp(-((t - c)/w)^2) is A w sqrt(pi); the law does not say where it acts."""
+
+    def bump(t, width):
+        return np.exp(-np.square((t - BEGIN) / width))
+
+    law = UserLaw(bump, (width,))
+    kick = PointForce(BLOCK.at(0, 0), (FORCE / width, 0.0), law=law, name="kick")
+    scene = Scene([], bodies=[BLOCK], loads=[kick])
+    design = ["kick.force_x", "kick.value[0]"]
+    objective = Terminal(velocity(BLOCK.at(0, 0), 0))
+    found = gradient(scene, objective, T_END, integrator, design=design)
+    speed = FORCE * np.sqrt(np.pi) / 2.0
+    assert found.value == pytest.approx(speed, rel=1e-3)
+    assert found.gradient == pytest.approx([speed / (FORCE / width), speed / width], rel=1e-3)
+
+
+def test_laws_that_mark_their_passages_are_not_sampled():
+    known = assemble(kicked(0.05))
+    assert known.breakpoints(T_END) == known.traits.breakpoints
+    inner = Transition(Constant(0.0), UserLaw(np.sin), 0.1, 0.2)
+    assert Transition(Constant(0.0), Harmonic(1.0, 2.0), 0.1, 0.2).marked
+    assert not inner.marked
 
 
 def test_steps_end_at_breakpoints():

@@ -1,5 +1,7 @@
 """Control of the step serves any one-step method: implicit Euler uses it without a copy."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -242,7 +244,8 @@ def test_the_error_of_a_step_is_that_from_the_state_it_began_with(monkeypatch):
 class NumbersOnly:
     """All that a controller reads of a method."""
 
-    bears_jumps, breakpoints = False, ()
+    bears_jumps = False
+    system = SimpleNamespace(breakpoints=lambda t_end: ())
     many, remedy = 1_000_000, "HHT."
 
     def __init__(self, order, e):

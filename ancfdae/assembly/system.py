@@ -31,6 +31,7 @@ from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only
+from ancfdae.numerics.pulses import SAMPLES, find_pulses
 from ancfdae.numerics.threads import in_one_thread
 
 if TYPE_CHECKING:
@@ -133,11 +134,16 @@ class AncfSystem(PlannedSystem):
         values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
         return tuple(t for part, p in values for t in part.breakpoints(p))
 
-    def over_time(self, t: Array) -> Array:
-        """Return the values of all laws of time at instants, shape (k, n_laws)."""
+    def breakpoints(self, t_end: float) -> tuple[float, ...]:
+        """Return the ends of the pieces of laws, and stops around pulses of unmarked laws; s."""
+        t = np.linspace(0.0, t_end, SAMPLES + 1)
+        return (*self.traits.breakpoints, *find_pulses(t, self.over_time(t, True)).stops)
+
+    def over_time(self, t: Array, unmarked: bool = False) -> Array:
+        """Return the values of all, or of the `unmarked`, laws of time at t, shape (k, n_laws)."""
         parts = (*self._scene.joints, *self._scene.loads)
         values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
-        rows = [row for part, p in values for row in part.over_time(p.real, t)]
+        rows = [row for part, p in values for row in part.over_time(p.real, t, unmarked)]
         return np.stack(rows, axis=1) if rows else np.zeros((len(t), 0))
 
     @property

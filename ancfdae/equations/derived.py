@@ -28,6 +28,7 @@ from ancfdae.numerics.patterns import SparsityPattern
 # functions of time there are.
 _UNDETERMINED = frozenset(
     {
+        "breakpoints",
         "centred",
         "coarse",
         "folded",

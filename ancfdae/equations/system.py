@@ -237,6 +237,13 @@ class MechanicalSystem(ComplexSteps):
         total = self._total(lambda system, q, v: system.force(t, q, v), *states)
         return np.concatenate([self.force(t, q_rows[0], v_rows[0])[None], total.T])
 
+    def breakpoints(self, t_end: float) -> tuple[float, ...]:
+        """Return the times, in s, at which steps under error control end in a run to `t_end`.
+
+        By default the breakpoints of `traits`.
+        """
+        return self.traits.breakpoints
+
     def over_time(self, t: Array) -> Array:
         """Return functions that tell how forces and constraints depend on time, shape (k, n).
 

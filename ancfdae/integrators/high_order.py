@@ -74,7 +74,7 @@ class March(abc.ABC):
         self.steps = self.iterations = self.factorisations = self.residuals = 0
         self.residual, self._t, self._t_end, self._max_steps = 0.0, 0.0, t_end, max_steps
         self._pace, self._context = pace(t_end), context
-        self.stops: tuple[float, ...] = problem.system.traits.breakpoints
+        self.stops: tuple[float, ...] = problem.system.breakpoints(t_end)
 
     @property
     def _stop(self) -> float:

@@ -97,17 +97,19 @@ class Designable:
         inner = ((x, its) for (_, x), its in values if isinstance(x, Designable))
         return tuple(t for x, its in inner for t in x.breakpoints(its))
 
-    def over_time(self, p: Array, t: Array) -> list[Array]:
-        """Return the values of all laws of time in it at instants (k,), one array (k,) per law.
+    def over_time(self, p: Array, t: Array, unmarked: bool = False) -> list[Array]:
+        """Return the values of its laws of time at t, shape (k,): one array (k,) for each law.
 
         Parameters
         ----------
         p : array, shape (n_p,)
             Values of all `parameters`, each in its own unit.
+        unmarked : bool, optional
+            Leave out laws whose `breakpoints` mark all that is fast in them (`Law.marked`).
         """
         values = zip(self._design_values(), self.split(p), strict=True)
         inner = ((x, its) for (_, x), its in values if isinstance(x, Designable))
-        return [row for x, its in inner for row in x.over_time(its, t)]
+        return [row for x, its in inner for row in x.over_time(its, t, unmarked)]
 
     def check_fields(self, where: str) -> None:
         """Refuse values of design fields that break their rules."""

@@ -66,7 +66,7 @@ class HHTStepper(OneStepMethod[State]):
         recorder: SolutionRecorder,
     ) -> None:
         self._problem, self._alpha = problem, alpha
-        self.system, self.breakpoints = problem.system, problem.system.traits.breakpoints
+        self.system = problem.system
         self._solver = StepSolver(problem.system, problem.matrices, *newton, recorder)
         self._tolerance, self._recorder = tolerance, recorder
         rules = self._solver.rules(alpha)

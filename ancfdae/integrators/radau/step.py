@@ -93,7 +93,7 @@ class RadauStepper(OneStepMethod[State]):
     ) -> None:
         self._problem, self._recorder, self._tolerances = problem, recorder, tolerances
         self._solver = StageSolver(problem, *newton, recorder)
-        self.system, self.breakpoints = problem.system, problem.system.traits.breakpoints
+        self.system = problem.system
         self._matrices = None if problem.derivative is None else stage_matrices(problem)
 
     def consistent(self) -> Record:

@@ -56,7 +56,6 @@ class OneStepMethod(abc.ABC, Generic[State]):
     bears_jumps: ClassVar[bool] = False
     many: ClassVar[int] = 20_000
     remedy: ClassVar[str] = ""
-    breakpoints: tuple[float, ...] = ()
     system: MechanicalSystem
 
     @abc.abstractmethod

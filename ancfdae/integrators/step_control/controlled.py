@@ -169,7 +169,8 @@ class _Filter(Controller):
     ) -> None:
         self._order, self._bears_jumps = method.order, method.bears_jumps
         self._last_steps = _LAST_EQUAL if method.bears_jumps else _LAST_STEPS
-        self._t_end, self._max_steps, self._breakpoints = t_end, max_steps, method.breakpoints
+        self._t_end, self._max_steps = t_end, max_steps
+        self._breakpoints = method.system.breakpoints(t_end)
         self._h = self._start = first
         self._taken = 0
         # Sizes and errors of the last steps; instant, size and error of an attempt to be repeated.

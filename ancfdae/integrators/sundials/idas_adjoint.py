@@ -87,7 +87,7 @@ class BackwardRun:
         self._seeds = AdjointSeeds(problem, solution, seeds)
         s, size = problem.scales, self._seeds.size or 1.0
         self._scale, self._b_scale = np.concatenate([s.q, s.v]) / size, s.b / size
-        self._n, self._breakpoints = len(self._scale), problem.system.traits.breakpoints
+        self._n, self._breakpoints = len(self._scale), problem.system.breakpoints(self._t_end)
         self._which: int | None = None
         self._y: Any = None
         self._yp: Any = None

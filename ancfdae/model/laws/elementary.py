@@ -17,6 +17,7 @@ class Constant(Law):
 
     value: float
 
+    marked = True
     design_fields = design_numbers("value")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
@@ -33,6 +34,7 @@ class ConstantAcceleration(Law):
     offset: float = 0.0
     acceleration: float = 0.0
 
+    marked = True
     design_fields = design_numbers("speed", "offset", "acceleration")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
@@ -52,6 +54,7 @@ class Harmonic(Law):
     phase: float = 0.0
     offset: float = 0.0
 
+    marked = True
     design_fields = design_numbers("amplitude", "frequency", "phase", "offset")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:

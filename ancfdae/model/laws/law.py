@@ -31,6 +31,15 @@ class Law(Designable, abc.ABC):
         InvalidInputError
         """
 
+    @property
+    def marked(self) -> bool:
+        """Whether its `breakpoints` mark all that is fast in it.
+
+        Steps under error control find pulses of other laws themselves, unless they are shorter than
+        1/16,000 of the run.
+        """
+        return False
+
     @abc.abstractmethod
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Return the time derivative of this order, 0 to 3; 0 is the value itself.
@@ -40,9 +49,9 @@ class Law(Designable, abc.ABC):
         """
 
     @final
-    def over_time(self, p: Array, t: Array) -> list[Array]:
-        """Return the law at times t, shape of t, as a list of one array."""
-        return [self.derivative(p, t, 0)]
+    def over_time(self, p: Array, t: Array, unmarked: bool = False) -> list[Array]:
+        """Return the law at times t, shape of t, as a list of one array; none if it is marked."""
+        return [] if unmarked and self.marked else [self.derivative(p, t, 0)]
 
     @final
     def derivatives(self, p: Array, t: Any) -> tuple[Array, Array, Array, Array]:

@@ -63,6 +63,7 @@ class SmoothStep(Law):
     duration: float
     begin: float = 0.0
 
+    marked = True
     design_fields = (
         *design_numbers("initial", "final"),
         ("duration", require_positive),
@@ -106,6 +107,7 @@ class RunUp(Law):
     initial: float = 0.0
     begin: float = 0.0
 
+    marked = True
     design_fields = (
         *design_numbers("rate"),
         ("duration", require_positive),
@@ -160,6 +162,11 @@ class Transition(Law):
         if not isinstance(getattr(self, name), Law):
             return values
         return {f"{name}_{key}": value for key, value in values.items()}
+
+    @property
+    def marked(self) -> bool:
+        """Whether the breakpoints of both laws mark all that is fast in them."""
+        return self.before.marked and self.after.marked
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
         """Breakpoints of the laws before and after, and the ends of the passage between them; s."""

@@ -45,6 +45,7 @@ class Spline(Law):
     values: Numbers
     period: float | None = None
 
+    marked = True
     design_fields = (("values", require_numbers),)
     indexed_fields: ClassVar[Mapping[str, str]] = {"values": "value"}
 

@@ -12,8 +12,8 @@ import numpy as np
 from ancfdae.equations import ErrorEstimates, MechanicalSystem, PlannedSystem, Solution
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.pulses import Pulses
 from ancfdae.studies.tolerance.bars import Estimate
-from ancfdae.studies.tolerance.features import Features
 from ancfdae.studies.tolerance.waves import Numbers
 
 # Work of a run without its steps.
@@ -60,7 +60,7 @@ class Wanted(NamedTuple):
     integrated: Sequence[bool]
     slopes: bool
     along: bool
-    features: Features
+    features: Pulses
 
 
 class Runs(abc.ABC):
