@@ -154,7 +154,7 @@ class GravitationalEnergy(Leaf):
         known_scene(system)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return -Q_g . q of every instant, Q_g the force of gravity on the coordinates."""
+        """Return -Q_g . q of every instant, shape (k,), Q_g the force of gravity on q."""
         return known_scene(system).energies.gravity(states.q)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
