@@ -5,8 +5,9 @@ The equation of a prescribed angle holds half a turn off as well: its root is ch
 (`refuse_opposite` of the assembly), and here after every step. Joints may also close in another way
 (the crossed four-bar), or lock on the way: steps of prescribed motions that change Phi_q much are
 followed (`branch`).
-Where constraints determine the whole motion, n_lam = n_q, so are steps in which velocities change
-much: what locks and opens again within a step leaves Phi_q as it was.
+What constraints determine, a driven linkage with a pendulum at its slider, is followed on its own:
+nothing free may lead it through a singular place. It is followed also in steps in which its
+velocities change much: what locks and opens again within a step leaves Phi_q as it was.
 """
 
 from __future__ import annotations
@@ -17,7 +18,17 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import Verdict
-from ancfdae.integrators.branch import APART, CHANGED, SMALL, Form, Guide, Place, closed, followed
+from ancfdae.integrators.branch import (
+    APART,
+    CHANGED,
+    SMALL,
+    Form,
+    Guide,
+    Place,
+    closed,
+    determined,
+    followed,
+)
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
@@ -68,6 +79,8 @@ class Branch:
         self._linear = system.traits.linear_constraints or not system.n_lam
         # Whether the motion is seen to be prescribed: other motions are not followed.
         self._driven = system.n_lam == system.n_q
+        # Constraints and coordinates of the part of the motion that constraints determine.
+        self._part: tuple[Array, Array] | None = None
         self._form: Form | None = None
         self._place: Place | None = None
         # The first place of a small system is compared with as many rows as any.
@@ -100,11 +113,11 @@ class Branch:
         self._driven = self._driven or is_driven(self._system, some, rows.q[0])
         if not self._driven:
             return None
-        suspects = self._changed(rows)
-        if self._system.n_lam == self._system.n_q:
-            suspects |= _turned(self._system, rows)
+        self._part = self._part or determined(self._system.constraint_pattern)
+        suspects = self._changed(rows) | _turned(self._system, rows, self._part[1])
         for k in np.flatnonzero(suspects):
-            why = _reached_otherwise(self._system, Rows(*(x[k : k + 2] for x in rows)))
+            step = Rows(*(x[k : k + 2] for x in rows))
+            why = _reached_otherwise(self._system, step, *self._part)
             if why:
                 return Lost(int(k), Verdict.OFF_ROOT, why)
         return None
@@ -150,25 +163,37 @@ def is_driven(system: MechanicalSystem, t: Array, q: Array) -> bool:
     return any(np.any(system.constraint(later, q) != at_rest) for later in others)
 
 
-def _reached_otherwise(system: MechanicalSystem, step: Rows) -> str:
-    """Follow a step; return in words how it ended otherwise, nothing if it did not."""
-    (t, end), _, v = step
-    # IDA leaves constraints open by its tolerance.
-    q, found = (closed(system, float(s), x) for s, x in zip(step.t, step.q, strict=True))
-    determined, size = system.n_lam == system.n_q, end - t
-    guide = None if determined else _cubic(Rows(step.t, np.stack([q, found]), v))
-    reached, place = followed(system, float(t), q, float(end), guide)
-    if reached < end:
-        # What is free passes singular places, too: there branches meet.
-        return f"{locks(reached)} The step to t = {end:.6g} passed over it." if determined else ""
-    way = norm(found - q, system.weights)
-    apart = max(APART * way, 10 * SMALL * norm(q, system.weights))
-    if norm(place - found, system.weights) <= apart:
-        return ""
-    return (
-        f"At t = {end:.6g} the joints close in more than one way, and the step of {size:.2g} s is "
-        "too long to tell which way the motion leads to. Take shorter steps, or a smaller rtol."
+def _reached_otherwise(system: MechanicalSystem, step: Rows, taken: Array, known: Array) -> str:
+    """Follow a step; return in words how it ended otherwise, nothing if it did not.
+
+    Constraints `taken` determine the coordinates `known`, both as masks.
+    """
+    begin, end = step.t.tolist()
+    several = (
+        f"At t = {end:.6g} the joints close in more than one way, and the step of "
+        f"{end - begin:.2g} s is too long to tell which way the motion leads to, or its tolerance "
+        "leaves the joints open too far. Take shorter steps, or a smaller rtol."
     )
+    for rows, columns in ((taken, known), (np.ones_like(taken), np.ones_like(known))):
+        prescribed = rows is taken
+        if prescribed and not np.any(known):
+            continue
+        # IDA leaves constraints open by its tolerance.
+        q, found = (closed(system, t, x, rows) for t, x in zip((begin, end), step.q, strict=True))
+        if q is None or found is None:
+            return several if prescribed else ""
+        guide = None if prescribed else _cubic(Rows(step.t, np.stack([q, found]), step.v))
+        reached, place = followed(system, begin, q, end, guide, rows)
+        if reached < end:
+            # What is free passes singular places, too: there branches meet.
+            passed = f"{locks(reached)} The step to t = {end:.6g} passed over it."
+            return passed if prescribed else ""
+        w, least = system.weights[columns], 10 * SMALL * norm(q, system.weights)
+        if norm((place - found)[columns], w) > max(APART * norm((found - q)[columns], w), least):
+            return several
+        if np.all(known):
+            break
+    return ""
 
 
 def _cubic(step: Rows) -> Guide:
@@ -184,9 +209,9 @@ def _cubic(step: Rows) -> Guide:
     return at
 
 
-def _turned(system: MechanicalSystem, rows: Rows) -> Array:
-    """Return in which steps velocities change much, shape (k,)."""
-    weighted = np.sqrt(system.weights) * rows.v
+def _turned(system: MechanicalSystem, rows: Rows, known: Array) -> Array:
+    """Return in which steps the velocities of coordinates `known` change much, shape (k,)."""
+    weighted = np.sqrt(system.weights[known]) * rows.v[:, known]
     sizes = np.linalg.norm(weighted, axis=1)
     changes = np.linalg.norm(np.diff(weighted, axis=0), axis=1)
     return np.asarray(changes > _VELOCITIES * (sizes[1:] + sizes[:-1]))
@@ -202,9 +227,12 @@ def locks(t: float) -> str:
 
 def lock(system: MechanicalSystem, t: float, q: Array, end: float) -> str:
     """Return in words that the joints lock right behind t; nothing if they do not."""
-    if system.n_lam != system.n_q or np.iscomplexobj(q) or not end > t:
+    if np.iscomplexobj(q) or not end > t:
         return ""
-    reached, _ = followed(system, t, q, end)
+    taken, known = determined(system.constraint_pattern)
+    if not np.any(known):
+        return ""
+    reached, _ = followed(system, t, q, end, taken=taken)
     return locks(reached) if reached < end else ""
 
 
