@@ -236,9 +236,9 @@ def followed(
         h = min(h, end - t)
         later = end if h == end - t else t + h
         aim = np.zeros(system.n_q) if guide is None else guide(later) - q
-        taken = _part(form, place, (t, q), later, aim)
-        if taken is not None:
-            q, place = taken
+        solved = _part(form, place, (t, q), later, aim)
+        if solved is not None:
+            q, place = solved
             t, h = later, 2 * h
         elif h <= least:
             return t, q

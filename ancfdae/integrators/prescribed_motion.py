@@ -29,6 +29,7 @@ from ancfdae.integrators.branch import (
     determined,
     followed,
 )
+from ancfdae.integrators.recorder import Recorder, Rows
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
@@ -42,11 +43,13 @@ _PLACES = np.linspace(0.0, 1.0, 5)
 _VELOCITIES = 0.1
 # What happened to a body, and what helps.
 _MIRRORED = (
-    "The next step turns sections of {!r} inside out (det [r_x r_y r_z] changes its sign), where "
-    "the strain energy is the same: the step is too long for the waves of the section. Take "
-    "shorter steps, give materials a damping_time, or start with sections that have the "
-    "contraction of their axis."
+    "The next step turns {}, where the strain energy is finite though elements describe no body. "
+    "The step is too long for the waves of the section, or the mesh too coarse for the motion. "
+    "Take shorter steps or more elements, give materials a damping_time, or start with sections "
+    "that have the contraction of their axis."
 )
+# Instants that are checked together: one by one they would cost a quarter of a small step.
+_TOGETHER = 64
 # Rows of Phi_q that are compared with one place at once: twice as many as were near before, but at
 # least, and at most.
 _ROWS, _MOST_ROWS = 4, 128
@@ -62,20 +65,13 @@ class Lost(NamedTuple):
     remedy: str
 
 
-class Rows(NamedTuple):
-    """Instants, (k,), with coordinates and velocities, (k, n_q)."""
-
-    t: Array
-    q: Array
-    v: Array
-
-
 @final
-class Branch:
-    """Checks the steps of one run, one after another."""
+class Watch:
+    """Checks the recorded states of one run, each once; cuts the run back to the last right one."""
 
-    def __init__(self, system: MechanicalSystem) -> None:
-        self._system = system
+    def __init__(self, system: MechanicalSystem, recorder: Recorder) -> None:
+        self._system, self._recorder = system, recorder
+        self._right = max(recorder.instants, 1)
         self._linear = system.traits.linear_constraints or not system.n_lam
         # Whether the motion is seen to be prescribed: other motions are not followed.
         self._driven = system.n_lam == system.n_q
@@ -86,11 +82,29 @@ class Branch:
         # The first place of a small system is compared with as many rows as any.
         self._count = min(max(_ROWS, _NUMBERS // max(system.n_lam, 1) ** 2), _MOST_ROWS)
 
-    def lost(self, rows: Rows) -> Lost | None:
+    def missed(self, all_of_them: bool = False) -> Lost | None:
+        """Check recorded states, in packets or all; return the first step that went wrong, or None.
+
+        The recorder then forgets the step in which that happened and all after it.
+        """
+        recorder = self._recorder
+        self._right = min(self._right, recorder.instants)
+        late = recorder.instants - self._right
+        if not late or (late < _TOGETHER and not all_of_them):
+            return None
+        # What has diverged overflows: it is on no branch.
+        with np.errstate(all="ignore"):
+            lost = self._lost(recorder.last(late + 1))
+        if lost is not None:
+            recorder.cut(self._right + lost.first)
+        self._right = recorder.instants
+        return lost
+
+    def _lost(self, rows: Rows) -> Lost | None:
         """Check the steps between rows; `first` counts from the second. None if all are right."""
         mirrored = self._system.mirrored(rows.q)
         if mirrored is not None:
-            first, name = mirrored
+            first, what = mirrored
             rows = Rows(*(x[:first] for x in rows))
         t, q, _ = rows
         found = self._system.off_root(t[1:], q[1:])
@@ -104,7 +118,7 @@ class Branch:
             words = _half_a_turn(self._system, found[1], *t[end : end + 2].tolist())
             return Lost(end, Verdict.OFF_ROOT, words)
         if mirrored is not None:
-            return Lost(first - 1, Verdict.FOLDED, _MIRRORED.format(name))
+            return Lost(first - 1, Verdict.FOLDED, _MIRRORED.format(what))
         return None
 
     def _elsewhere(self, rows: Rows) -> Lost | None:

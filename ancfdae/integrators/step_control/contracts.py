@@ -14,10 +14,9 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import Outcome, SingularMatrix, Verdict
-from ancfdae.integrators.prescribed_motion import half_a_turn_off, lock
+from ancfdae.integrators.prescribed_motion import Watch, half_a_turn_off, lock
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.tolerance import Tolerance
-from ancfdae.integrators.watch import Watch
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 
