@@ -61,6 +61,16 @@ _STRAIN = 0.1
 _WEIGHTS = np.array([7, 32, 12, 32, 14, 32, 12, 32, 7]) / 180.0
 _LINE = np.stack([np.ones(9), np.sqrt(3.0) * (2.0 * _PLACES - 1.0)])
 _BEYOND = np.eye(9) - _LINE.T @ (_LINE * _WEIGHTS)
+# Bernstein's polynomials of degree two and one at the places, (9, 3) and (9, 2); and what products
+# of coefficients of a tangent and of 1, 2 or 4 normals count at them.
+_QUADRATIC = np.stack([(1 - _PLACES) ** 2, 2 * _PLACES * (1 - _PLACES), _PLACES**2], axis=1)
+_LINEAR = np.stack([1 - _PLACES, _PLACES], axis=1)
+_NORMALS = np.ones((9, 1)), _LINEAR, np.einsum("pj,pk->pjk", _LINEAR, _LINEAR).reshape(9, 4)
+_BERNSTEIN = {
+    (n.shape[1], m.shape[1]): np.einsum("pi,pj->pij", n, m)
+    for n in (np.ones((9, 1)), _QUADRATIC)
+    for m in _NORMALS
+}
 
 
 @final
@@ -222,6 +232,67 @@ class _Beam:
         r_x = self._tangents(X)[:, None] + np.einsum("nfk,nkd->nfd", offsets, change)[:, :, None]
         across = np.broadcast_to(across[:, None], (*r_x.shape[:-1], d - 1, d))
         return np.asarray(np.linalg.det(np.concatenate([r_x[..., None, :], across], axis=-2)))
+
+
+def first_mirrored(
+    numbering: Numbering, ends: Array, lengths: Array | None, q: Array
+) -> tuple[int, str] | None:
+    """Return the first of k states that is mirrored or folded, and what turns in it, in words.
+
+    `ends` are vectors of elements, rows of `Numbering.vectors` with their lengths, or of rigid
+    bodies, rows of `Numbering.frames` without; q has the shape (k, n_q). On the axis of an element
+    r_x is quadratic in xi and slopes of the section are linear: det [r_x, r_y(, r_z)] has no root
+    where all products of their Bernstein coefficients have one sign, nor has r_x . (r_2 - r_1) of a
+    cable. Only where signs differ are places along elements looked at. What the first state has is
+    not counted.
+    """
+    d, n_s = numbering.d, numbering.widest.n_s
+    if lengths is not None and n_s not in (2, d + 1):
+        return None
+    # Components first, states last.
+    X = np.ascontiguousarray(q.reshape(len(q), -1, d)[:, ends].transpose(3, 2, 1, 0))
+    # Elements that have fewer vectors than the widest are filled up with their first one.
+    cables, looked_at = np.zeros(len(ends), dtype=bool), ends[:, 1] != ends[:, 0]
+    if lengths is None:
+        tangents, sections = X[:, 1:2], X[:, None, 2:]
+    else:
+        chord = (X[:, n_s] - X[:, 0]) / lengths[:, None]
+        along, after = X[:, 1], X[:, n_s + 1]
+        tangents = np.stack([along, 3.0 * chord - along - after, after], axis=1)
+        sections = X.reshape(d, 2, n_s, *X.shape[2:])[:, :, 2:]
+        cables |= (n_s == 2) | (ends[:, min(2, n_s)] == ends[:, 0])
+    if np.all(cables):
+        normals = chord[:, None]
+    elif d == 2:
+        normals = np.stack([sections[1, :, 0], -sections[0, :, 0]])
+    else:
+        (a, b, c), (u, v, w) = sections[:, :, None, 0], sections[:, None, :, 1]
+        normals = np.stack([b * w - c * v, c * u - a * w, a * v - b * u])
+        normals = normals.reshape(3, -1, *normals.shape[3:])
+    if np.any(cables) and not np.all(cables):
+        normals[:, :, cables] = chord[:, None, cables]
+    sides = sum(t[:, None] * n for t, n in zip(tangents, normals, strict=True))
+    sides *= np.where(cables[:, None], 1.0, np.sign(sides[0, 0, :, :1]))
+    suspects = np.flatnonzero(~(np.min(sides, axis=(0, 1, 3)) > 0) & looked_at)
+    if not len(suspects):
+        return None
+    # What is not a number is not mirrored: other checks see it.
+    weights = _BERNSTEIN[tangents.shape[1], normals.shape[1]]
+    folded = np.any(np.tensordot(weights, sides[:, :, suspects], 2) <= 0, axis=0)
+    folded &= ~folded[:, :1]
+    if not np.any(folded):
+        return None
+    first = int(np.argmax(np.any(folded, axis=0)))
+    which = suspects[int(np.argmax(folded[:, first]))]
+    return first, _turning(numbering, ends[which, 0], bool(cables[which]))
+
+
+def _turning(numbering: Numbering, vector: int, is_cable: bool) -> str:
+    """Say what turns in a body or an element that begins with a vector."""
+    name = [body.name for body in numbering.bodies if body.first_vector <= vector][-1]
+    if is_cable:
+        return f"an element of {name!r} back on itself (its tangent turns against its chord)"
+    return f"sections of {name!r} inside out (det [r_x r_y r_z] changes its sign)"
 
 
 def _unit(x: Array) -> Array:

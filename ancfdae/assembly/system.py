@@ -11,7 +11,7 @@ import numpy as np
 
 from ancfdae.assembly.beam_sections import BeamSections
 from ancfdae.assembly.energies import Energies
-from ancfdae.assembly.folds import Folds
+from ancfdae.assembly.folds import Folds, first_mirrored
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbers import Numbers
 from ancfdae.assembly.parameters import parameter_map
@@ -36,6 +36,10 @@ from ancfdae.numerics.threads import in_one_thread
 
 if TYPE_CHECKING:
     from ancfdae.statics.equilibrium import RestingStart
+
+
+# States of elements that are looked at together: more do not fit into the cache.
+_STATES = 2000
 
 
 @in_one_thread
@@ -329,21 +333,17 @@ class AncfSystem(PlannedSystem):
         return first, self.constraint_names[int(np.argmax(off[first]))]
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
-        """Compare the signs of det [r_x r_y (r_z)] at nodes with those of the first state."""
-        numbers, d = self._numbering.sections[:, 1:], self._numbering.d
-        # Axes last: x[i, j] is component j of slope i at all nodes and states.
-        x = q.real.reshape(len(q), -1, d)[:, numbers].transpose(2, 3, 0, 1)
-        if d == 2:
-            volumes = x[0, 0] * x[1, 1] - x[0, 1] * x[1, 0]
-        else:
-            volumes = np.einsum("iab,iab->ab", np.cross(x[0], x[1], axis=0), x[2])
-        # What is not a number is not mirrored: other checks see it.
-        rows, nodes = np.nonzero(volumes * np.sign(volumes[0]) < 0)
-        if not len(rows):
-            return None
-        vector = numbers[nodes[0], 0]
-        before = [body.name for body in self._numbering.bodies if body.first_vector < vector]
-        return int(rows[0]), before[-1]
+        """Compare the sides of sections and tangents with those of the first state."""
+        numbering, found = self._numbering, None
+        lengths, count = self.naming.lengths.real[numbering.elements], max(1, _STATES // len(q))
+        for table, l in ((numbering.frames, None), (numbering.vectors, lengths)):
+            for k in range(0, len(table), count):
+                some = slice(k, k + count)
+                each = first_mirrored(numbering, table[some], l if l is None else l[some], q.real)
+                # The first state of all, cut back for the ones to come.
+                if each is not None:
+                    found, q = each, q[: each[0]]
+        return found
 
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate of the prescribed angles at times t; rad/s."""

@@ -319,11 +319,11 @@ class MechanicalSystem(ComplexSteps):
         return None
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
-        """Return the first of k states in which a body is mirrored, and the name of that body.
+        """Return the first of k states that is mirrored or folded, and what turns in it, in words.
 
-        q has the shape (k, n_q). A body is mirrored if its orientation differs from that in the
-        first state: steps may end there, for the strain energy is the same, but no motion leads
-        there. None if no body is mirrored; by default, of systems without bodies.
+        q has the shape (k, n_q). A body is mirrored where its orientation differs from that in the
+        first state, and folded where it is bent back on itself: steps may end there, for the strain
+        energy is finite, but no motion leads there. None if no state is, and by default.
         """
         return None
 

@@ -32,6 +32,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import velocity_side
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.patterns import SparsityPattern
 
 # Places that the free motion is to pass, by time.
 TranslationDriver: TypeAlias = Callable[[float], Array]
@@ -64,16 +65,22 @@ class Form:
     """Scales by which coordinates and rows of Phi_q are compared, whatever their units.
 
     Coordinates are sqrt(w_i) q_i; rows have the length one in them at a first place of the motion.
-    `used` are the coordinates that stand in constraints.
+    `taken` are the constraints that are looked at, all or a mask (n_lam,); `used` are the
+    coordinates that stand in them.
     """
 
-    def __init__(self, system: MechanicalSystem, values: Array) -> None:
+    def __init__(self, system: MechanicalSystem, values: Array, taken: Array | None = None) -> None:
         self.system, pattern = system, system.constraint_pattern
-        self.used, self.columns = np.unique(pattern.columns, return_inverse=True)
-        self.shape = system.n_lam, len(self.used)
-        self.rows, self.root = pattern.rows, np.sqrt(system.weights[self.used])
-        scaled = values / self.root[self.columns]
-        squares = np.bincount(self.rows, scaled * scaled, minlength=system.n_lam)
+        self.taken = np.ones(system.n_lam, dtype=bool) if taken is None else taken
+        self._entries = np.flatnonzero(self.taken[pattern.rows])
+        self.used, self.columns = np.unique(pattern.columns[self._entries], return_inverse=True)
+        self.rows = (np.cumsum(self.taken) - 1)[pattern.rows[self._entries]]
+        self.shape, self.root = (
+            (np.sum(self.taken), len(self.used)),
+            np.sqrt(system.weights[self.used]),
+        )
+        scaled = values[self._entries] / self.root[self.columns]
+        squares = np.bincount(self.rows, scaled * scaled, minlength=self.shape[0])
         self.lengths = np.sqrt(np.where(squares > 0, squares, 1.0))
         self._scale = 1 / (self.root[self.columns] * self.lengths[self.rows])
         self._flat = self.rows * len(self.used) + self.columns
@@ -81,13 +88,15 @@ class Form:
     def matrices(self, rows: Array) -> Array:
         """Return rows of values of Phi_q as matrices, (k, n_lam, n_used)."""
         matrices = np.zeros((len(rows), self.shape[0] * self.shape[1]))
-        matrices[:, self._flat] = rows * self._scale
+        matrices[:, self._flat] = rows[:, self._entries] * self._scale
         return matrices.reshape(-1, *self.shape)
 
     def sparse(self, values: Array) -> scipy.sparse.csr_array:
         """Return values of Phi_q as a sparse matrix."""
         places = self.rows, self.columns
-        return scipy.sparse.csr_array((values * self._scale, places), shape=self.shape)
+        return scipy.sparse.csr_array(
+            (values[self._entries] * self._scale, places), shape=self.shape
+        )
 
 
 @final
@@ -140,7 +149,7 @@ class Place:
         """Return the solution of Phi_q y = side nearest to x, (n_q,); None without full rank."""
         form = self._form
         missing = side - form.system.constraint_pattern.dot(self._values, x)
-        missing = missing / form.lengths
+        missing = missing[form.taken] / form.lengths
         if self._P is not None:
             change = self._P @ missing
         elif self._factors is not None:
@@ -185,24 +194,51 @@ class Place:
         return size
 
 
+def determined(pattern: SparsityPattern) -> tuple[Array, Array]:
+    """Return the constraints and the coordinates of the part that constraints determine, as masks.
+
+    They are the square part of the pattern of Phi_q (Dulmage & Mendelsohn 1958): what no path leads
+    to from a coordinate that a matching of constraints with coordinates leaves out, and that goes
+    from coordinates to constraints in which they stand, and from these to the coordinates matched
+    with them. These constraints hold no other coordinates.
+    """
+    n_q, source = pattern.shape[1], sum(pattern.shape)
+    Phi_q = pattern.csr(np.ones(pattern.size))
+    match = scipy.sparse.csgraph.maximum_bipartite_matching(Phi_q, "row")
+    free, bound = np.flatnonzero(match < 0), np.flatnonzero(match >= 0)
+    begins = np.concatenate([pattern.columns, n_q + match[bound], np.full(len(free), source)])
+    ends = np.concatenate([n_q + pattern.rows, bound, free])
+    graph = scipy.sparse.csr_array((np.ones(len(ends)), (begins, ends)), (source + 1, source + 1))
+    reached = scipy.sparse.csgraph.breadth_first_order(graph, source, return_predecessors=False)
+    rest = np.ones(source + 1, dtype=bool)
+    rest[reached] = False
+    return rest[n_q:source], rest[:n_q]
+
+
 def followed(
-    system: MechanicalSystem, t: float, q: Array, end: float, guide: TranslationDriver | None = None
+    system: MechanicalSystem,
+    t: float,
+    q: Array,
+    end: float,
+    guide: TranslationDriver | None = None,
+    taken: Array | None = None,
 ) -> tuple[float, Array]:
     """Follow a motion on its branch from (t, q); return the time reached, and the place.
 
-    A guide is needed where constraints leave motions free.
+    A guide is needed where constraints leave motions free; `taken` are the constraints that are
+    followed, all or a mask (n_lam,).
     """
     h, least = end - t, _SHORTEST * (end - t)
     values = system.constraint_q(t, q)
-    form = Form(system, values)
+    form = Form(system, values, taken)
     place = Place(form, values)
     while t < end:
         h = min(h, end - t)
         later = end if h == end - t else t + h
         aim = np.zeros(system.n_q) if guide is None else guide(later) - q
-        taken = _part(form, place, (t, q), later, aim)
-        if taken is not None:
-            q, place = taken
+        solved = _part(form, place, (t, q), later, aim)
+        if solved is not None:
+            q, place = solved
             t, h = later, 2 * h
         elif h <= least:
             return t, q
@@ -251,11 +287,10 @@ def _part(
     return (solved, Place(form, values)) if on else None
 
 
-def closed(system: MechanicalSystem, t: float, q: Array) -> Array:
-    """Return q with its constraints closed to round-off; as it is if Newton's method fails."""
-    form = Form(system, system.constraint_q(t, q))
-    solved = _solved(form, t, q, APART * norm(q, system.weights))
-    return q if solved is None else solved
+def closed(system: MechanicalSystem, t: float, q: Array, taken: Array | None) -> Array | None:
+    """Return q with the constraints `taken` closed to round-off; None if Newton's method fails."""
+    form = Form(system, system.constraint_q(t, q), taken)
+    return _solved(form, t, q, APART * norm(q, system.weights))
 
 
 def _solved(form: Form, t: float, q: Array, allowed: float) -> Array | None:

@@ -21,11 +21,10 @@ from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.integrators.integrand import Integrand
 from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
 from ancfdae.integrators.pace import Pace
-from ancfdae.integrators.prescribed_motion import is_driven, lock
+from ancfdae.integrators.prescribed_motion import Watch, is_driven, lock
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.recorder import SolutionRecorder
-from ancfdae.integrators.watch import Watch
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar

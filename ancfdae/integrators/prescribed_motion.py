@@ -5,8 +5,9 @@ The equation of a prescribed angle holds half a turn off as well: its root is ch
 (`refuse_opposite` of the assembly), and here after every step. Joints may also close in another way
 (the crossed four-bar), or lock on the way: steps of prescribed motions that change Phi_q much are
 followed (`branch`).
-Where constraints determine the whole motion, n_lam = n_q, so are steps in which velocities change
-much: what locks and opens again within a step leaves Phi_q as it was.
+What constraints determine, a driven linkage with a pendulum at its slider, is followed on its own:
+nothing free may lead it through a singular place. It is followed also in steps in which its
+velocities change much: what locks and opens again within a step leaves Phi_q as it was.
 """
 
 from __future__ import annotations
@@ -25,8 +26,10 @@ from ancfdae.integrators.branch import (
     Place,
     TranslationDriver,
     closed,
+    determined,
     followed,
 )
+from ancfdae.integrators.recorder import Rows, SolutionRecorder
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
@@ -40,11 +43,13 @@ _PLACES = np.linspace(0.0, 1.0, 5)
 _VELOCITIES = 0.1
 # What happened to a body, and what helps.
 _MIRRORED = (
-    "The next step turns sections of {!r} inside out (det [r_x r_y r_z] changes its sign), where "
-    "the strain energy is the same: the step is too long for the waves of the section. Take "
-    "shorter steps, give materials a damping_time, or start with sections that have the "
-    "contraction of their axis."
+    "The next step turns {}, where the strain energy is finite though elements describe no body. "
+    "The step is too long for the waves of the section, or the mesh too coarse for the motion. "
+    "Take shorter steps or more elements, give materials a damping_time, or start with sections "
+    "that have the contraction of their axis."
 )
+# Instants that are checked together: one by one they would cost a quarter of a small step.
+_TOGETHER = 64
 # Rows of Phi_q that are compared with one place at once: twice as many as were near before, but at
 # least, and at most.
 _ROWS, _MOST_ROWS = 4, 128
@@ -60,33 +65,46 @@ class Lost(NamedTuple):
     remedy: str
 
 
-class Rows(NamedTuple):
-    """Instants, (k,), with coordinates and velocities, (k, n_q)."""
-
-    t: Array
-    q: Array
-    v: Array
-
-
 @final
-class Branch:
-    """Checks the steps of one run, one after another."""
+class Watch:
+    """Checks the recorded states of one run, each once; cuts the run back to the last right one."""
 
-    def __init__(self, system: MechanicalSystem) -> None:
-        self._system = system
+    def __init__(self, system: MechanicalSystem, recorder: SolutionRecorder) -> None:
+        self._system, self._recorder = system, recorder
+        self._right = max(recorder.instants, 1)
         self._linear = system.traits.linear_constraints or not system.n_lam
         # Whether the motion is seen to be prescribed: other motions are not followed.
         self._driven = system.n_lam == system.n_q
+        # Constraints and coordinates of the part of the motion that constraints determine.
+        self._part: tuple[Array, Array] | None = None
         self._form: Form | None = None
         self._place: Place | None = None
         # The first place of a small system is compared with as many rows as any.
         self._count = min(max(_ROWS, _NUMBERS // max(system.n_lam, 1) ** 2), _MOST_ROWS)
 
-    def lost(self, rows: Rows) -> Lost | None:
+    def missed(self, all_of_them: bool = False) -> Lost | None:
+        """Check recorded states, in packets or all; return the first step that went wrong, or None.
+
+        The recorder then forgets the step in which that happened and all after it.
+        """
+        recorder = self._recorder
+        self._right = min(self._right, recorder.instants)
+        late = recorder.instants - self._right
+        if not late or (late < _TOGETHER and not all_of_them):
+            return None
+        # What has diverged overflows: it is on no branch.
+        with np.errstate(all="ignore"):
+            lost = self._lost(recorder.last(late + 1))
+        if lost is not None:
+            recorder.cut(self._right + lost.first)
+        self._right = recorder.instants
+        return lost
+
+    def _lost(self, rows: Rows) -> Lost | None:
         """Check the steps between rows; `first` counts from the second. None if all are right."""
         mirrored = self._system.mirrored(rows.q)
         if mirrored is not None:
-            first, name = mirrored
+            first, what = mirrored
             rows = Rows(*(x[:first] for x in rows))
         t, q, _ = rows
         found = self._system.off_root(t[1:], q[1:])
@@ -100,7 +118,7 @@ class Branch:
             words = _half_a_turn(self._system, found[1], *t[end : end + 2].tolist())
             return Lost(end, Verdict.OFF_ROOT, words)
         if mirrored is not None:
-            return Lost(first - 1, Verdict.FOLDED, _MIRRORED.format(name))
+            return Lost(first - 1, Verdict.FOLDED, _MIRRORED.format(what))
         return None
 
     def _elsewhere(self, rows: Rows) -> Lost | None:
@@ -109,11 +127,11 @@ class Branch:
         self._driven = self._driven or is_driven(self._system, some, rows.q[0])
         if not self._driven:
             return None
-        suspects = self._changed(rows)
-        if self._system.n_lam == self._system.n_q:
-            suspects |= _turned(self._system, rows)
+        self._part = self._part or determined(self._system.constraint_pattern)
+        suspects = self._changed(rows) | _turned(self._system, rows, self._part[1])
         for k in np.flatnonzero(suspects):
-            why = _reached_otherwise(self._system, Rows(*(x[k : k + 2] for x in rows)))
+            step = Rows(*(x[k : k + 2] for x in rows))
+            why = _reached_otherwise(self._system, step, *self._part)
             if why:
                 return Lost(int(k), Verdict.OFF_ROOT, why)
         return None
@@ -159,25 +177,37 @@ def is_driven(system: MechanicalSystem, t: Array, q: Array) -> bool:
     return any(np.any(system.constraint(later, q) != at_rest) for later in others)
 
 
-def _reached_otherwise(system: MechanicalSystem, step: Rows) -> str:
-    """Follow a step; return in words how it ended otherwise, nothing if it did not."""
-    (t, end), _, v = step
-    # IDA leaves constraints open by its tolerance.
-    q, found = (closed(system, float(s), x) for s, x in zip(step.t, step.q, strict=True))
-    determined, size = system.n_lam == system.n_q, end - t
-    guide = None if determined else _cubic(Rows(step.t, np.stack([q, found]), v))
-    reached, place = followed(system, float(t), q, float(end), guide)
-    if reached < end:
-        # What is free passes singular places, too: there branches meet.
-        return f"{locks(reached)} The step to t = {end:.6g} passed over it." if determined else ""
-    way = norm(found - q, system.weights)
-    apart = max(APART * way, 10 * SMALL * norm(q, system.weights))
-    if norm(place - found, system.weights) <= apart:
-        return ""
-    return (
-        f"At t = {end:.6g} the joints close in more than one way, and the step of {size:.2g} s is "
-        "too long to tell which way the motion leads to. Take shorter steps, or a smaller rtol."
+def _reached_otherwise(system: MechanicalSystem, step: Rows, taken: Array, known: Array) -> str:
+    """Follow a step; return in words how it ended otherwise, nothing if it did not.
+
+    Constraints `taken` determine the coordinates `known`, both as masks.
+    """
+    begin, end = step.t.tolist()
+    several = (
+        f"At t = {end:.6g} the joints close in more than one way, and the step of "
+        f"{end - begin:.2g} s is too long to tell which way the motion leads to, or its tolerance "
+        "leaves the joints open too far. Take shorter steps, or a smaller rtol."
     )
+    for rows, columns in ((taken, known), (np.ones_like(taken), np.ones_like(known))):
+        prescribed = rows is taken
+        if prescribed and not np.any(known):
+            continue
+        # IDA leaves constraints open by its tolerance.
+        q, found = (closed(system, t, x, rows) for t, x in zip((begin, end), step.q, strict=True))
+        if q is None or found is None:
+            return several if prescribed else ""
+        guide = None if prescribed else _cubic(Rows(step.t, np.stack([q, found]), step.v))
+        reached, place = followed(system, begin, q, end, guide, rows)
+        if reached < end:
+            # What is free passes singular places, too: there branches meet.
+            passed = f"{locks(reached)} The step to t = {end:.6g} passed over it."
+            return passed if prescribed else ""
+        w, least = system.weights[columns], 10 * SMALL * norm(q, system.weights)
+        if norm((place - found)[columns], w) > max(APART * norm((found - q)[columns], w), least):
+            return several
+        if np.all(known):
+            break
+    return ""
 
 
 def _cubic(step: Rows) -> TranslationDriver:
@@ -193,9 +223,9 @@ def _cubic(step: Rows) -> TranslationDriver:
     return at
 
 
-def _turned(system: MechanicalSystem, rows: Rows) -> Array:
-    """Return in which steps velocities change much, shape (k,)."""
-    weighted = np.sqrt(system.weights) * rows.v
+def _turned(system: MechanicalSystem, rows: Rows, known: Array) -> Array:
+    """Return in which steps the velocities of coordinates `known` change much, shape (k,)."""
+    weighted = np.sqrt(system.weights[known]) * rows.v[:, known]
     sizes = np.linalg.norm(weighted, axis=1)
     changes = np.linalg.norm(np.diff(weighted, axis=0), axis=1)
     return np.asarray(changes > _VELOCITIES * (sizes[1:] + sizes[:-1]))
@@ -211,9 +241,12 @@ def locks(t: float) -> str:
 
 def lock(system: MechanicalSystem, t: float, q: Array, end: float) -> str:
     """Return in words that the joints lock right behind t; nothing if they do not."""
-    if system.n_lam != system.n_q or np.iscomplexobj(q) or not end > t:
+    if np.iscomplexobj(q) or not end > t:
         return ""
-    reached, _ = followed(system, t, q, end)
+    taken, known = determined(system.constraint_pattern)
+    if not np.any(known):
+        return ""
+    reached, _ = followed(system, t, q, end, taken=taken)
     return locks(reached) if reached < end else ""
 
 

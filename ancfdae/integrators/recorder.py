@@ -1,7 +1,7 @@
 """Collects states and counters of a run, and makes a `Solution` of them."""
 
 import time
-from typing import TypeAlias, final
+from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -10,11 +10,18 @@ from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities, Statistics
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.outcomes import RunOutcome
-from ancfdae.integrators.prescribed_motion import Rows
 from ancfdae.numerics.arrays import Array
 
 # Rows of q, v, a and lam.
 StateRows: TypeAlias = tuple[Array, Array, Array, Array]
+
+
+class Rows(NamedTuple):
+    """Instants, (k,), with coordinates and velocities, (k, n_q)."""
+
+    t: Array
+    q: Array
+    v: Array
 
 
 @final

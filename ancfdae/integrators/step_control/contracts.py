@@ -15,10 +15,9 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
-from ancfdae.integrators.prescribed_motion import half_a_turn_off, lock
+from ancfdae.integrators.prescribed_motion import Watch, half_a_turn_off, lock
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.tolerance import Tolerance
-from ancfdae.integrators.watch import Watch
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 
