@@ -5,6 +5,7 @@ is there: whatever was left out of what a variable reaches shows as a difference
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -38,6 +39,7 @@ from ancfdae import (
 )
 from ancfdae.assembly import closing
 from ancfdae.assembly.assembly import Assembly
+from ancfdae.assembly.block import ElementBlock
 from ancfdae.assembly.numbers import Numbers
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.errors import InvalidInput
@@ -294,3 +296,31 @@ def test_equal_joints_are_prepared_once_and_have_the_equations_of_each_alone(mon
             assert np.array_equal(x.linear, y.linear)
             assert np.array_equal(x.bilinear, y.bilinear)
             assert np.array_equal(x.offset, y.offset)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("density", -1.0), ("youngs_modulus", 0.0), ("poisson_ratio", 0.5), ("height", -0.1)],
+)
+def test_a_value_that_a_beam_cannot_take_is_refused_in_the_words_of_the_scene(name, value):
+    """Materials are checked without making the beam; the error names the variable either way."""
+    system = assemble(crank(), [f"rod.{name}"])
+    with pytest.raises(InvalidInput) as ours:
+        system.with_values(np.array([value]))
+    with pytest.raises(InvalidInput) as theirs:
+        system._scene.with_values({system._structure.design[0]: value})
+    assert str(ours.value) == str(theirs.value)
+
+
+def test_other_values_make_derivatives_only_when_they_are_asked_for(monkeypatch):
+    """A run at other moduli needs no derivative; the first use makes them, as an assembly does."""
+    system, made = assemble(crank(), ["rod.youngs_modulus"]), []
+    whole = ElementBlock.partials.func
+    counted = cached_property(lambda block: (made.append(1), whole(block))[1])
+    counted.__set_name__(ElementBlock, "partials")
+    monkeypatch.setattr(ElementBlock, "partials", counted)
+    moved = system.with_values(2 * system.b)
+    simulate(moved, 0.0625, HHT(2.0**-8))
+    assert not made
+    require_equal(moved)
+    assert made

@@ -17,7 +17,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.block import ElementBlock, ElementForms
+from ancfdae.assembly.block import ElementForms
 from ancfdae.assembly.layout import BeamLayout
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import Numbering
@@ -47,19 +47,6 @@ class MassBlocks:
     def chosen(self, owner: int | None) -> Array:
         """One for the blocks of an owner, or for all, shape (n,)."""
         return np.ones(len(self.m)) if owner is None else (self.owners == owner).astype(float)
-
-
-def element_masses(numbering: Numbering, mapping: ParameterMap, block: ElementBlock) -> MassBlocks:
-    """Return the masses of the elements that deform; `mapping` is that of these elements."""
-    pairs = block.mass_pairs
-    return MassBlocks(
-        vectors=numbering.vectors,
-        m=block.m,
-        owners=numbering.owners,
-        pair_block=mapping.elements[pairs],
-        pair_variable=mapping.variables[pairs],
-        m_b=block.m_b,
-    )
 
 
 def other_masses(
@@ -134,7 +121,7 @@ def _of_rigid_beam(
     m = np.einsum("nai,nab,nbj->ij", W_e, block.m, W_e, optimize=True)
     m_b = np.zeros((len(b), *m.shape), dtype=m.dtype)
     at, variables = driven.elements[block.mass_pairs], driven.variables[block.mass_pairs]
-    products = np.einsum("pai,pab,pbj->pij", W_e[at], block.m_b, W_e[at], optimize=True)
+    products = np.einsum("pai,pab,pbj->pij", W_e[at], block.partials.m_b, W_e[at], optimize=True)
     np.add.at(m_b, variables, products)
     moved = nodes.positions_b(driven.lengths_b(len(b)))
     momenta = block.m @ W_e
@@ -296,10 +283,8 @@ class Inertia:
         lists: tuple[list[Array], ...] = ([], [], [])
         for vectors, m in blocks:
             coordinates = vectors[..., None] * self._d + np.arange(self._d)
-            parts = np.broadcast_arrays(
-                coordinates[:, :, None, :], coordinates[:, None, :, :], m[..., None]
-            )
+            parts = coordinates[:, :, None], coordinates[:, None], m[..., None]
             for store, part in zip(lists, parts, strict=True):
-                store.append(part.ravel())
+                store.append(np.broadcast_to(part, (*m.shape, self._d)).ravel())
         rows, columns, values = map(np.concatenate, lists)
         return rows, columns, values

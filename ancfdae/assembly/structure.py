@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -85,10 +86,17 @@ class Structure:
             reached[[slot[1] for slot in self.mapping.slots.get(owner, ())]] = True
         return reached
 
+    @cached_property
+    def reaches_parts(self) -> Array:
+        """Tell which design variables write to joints and loads, (n_b,)."""
+        return self.reaches(part.name for part in (*self.scene.joints, *self.scene.loads))
+
+    @cached_property
     def reaches_elements(self) -> Array:
         """Tell which design variables write to elements that deform, (n_b,)."""
         return np.bincount(self.soft.variables, minlength=len(self.design)) > 0
 
+    @cached_property
     def reaches_masses(self) -> Array:
         """Tell which design variables masses, gravity or the frame may depend on, (n_b,)."""
         pairs = ~np.isin(self.mapping.parameters, WEIGHTLESS)

@@ -106,6 +106,8 @@ class AncfSystem(PlannedSystem):
 
     def _described(self) -> Traits:
         joints, moving = self._constraints, self._loads.moving
+        parts = (*self._scene.joints, *self._scene.loads)
+        values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
         damped, turning = self._elastic.damped, self._turning is not None
         return Traits(
             constant_mass=True,
@@ -117,14 +119,8 @@ class AncfSystem(PlannedSystem):
             symmetric=not (damped or moving or turning),
             project_start=self._scene.project_start,
             force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
-            breakpoints=self._breakpoints(),
+            breakpoints=tuple(t for part, p in values for t in part.breakpoints(p)),
         )
-
-    def _breakpoints(self) -> tuple[float, ...]:
-        """Instants between which all laws of time are smooth."""
-        parts = (*self._scene.joints, *self._scene.loads)
-        values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
-        return tuple(t for part, p in values for t in part.breakpoints(p))
 
     def over_time(self, t: Array) -> Array:
         """Return the values of all laws of time at instants, shape (k, n_laws)."""

@@ -74,7 +74,8 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
     # Forces that are not finite at the start are refused here, not warned about.
     with np.errstate(all="ignore"):
         q, _ = _project_position(system, matrices, q, t)
-        if not system.traits.linear_constraints:
+        # A consistent start moves by round-off only, and was checked.
+        if system.traits.project_start and not system.traits.linear_constraints:
             refuse_redundant(system, matrices, system.constraint_q(t, q))
         factors = _factor_mass(system, matrices, q, t)
         v = solve(factors, system.mass_times(q, v), velocity_side(system, t, q))[0]

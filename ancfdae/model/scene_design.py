@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from typing import Self, TypeAlias, TypeVar
@@ -243,7 +244,7 @@ class SceneDesign(Designable):
             start = self.start_of.get(owner)
             known = start.parameters() if isinstance(start, RigidMotion) else ()
             started = any(target.parameter in known for _, target, _ in changes)
-            if part is None or started or not _fits_alike(part, _with_values(part, changes)):
+            if part is None or started or not _takes(part, changes):
                 self.with_values(values)
                 return
 
@@ -401,29 +402,41 @@ _Part: TypeAlias = BeamBody | RigidBody | Part
 
 def _with_values(part: _Part, changes: list[_Change]) -> _Part:
     """Return the part with numbers changed together; errors name what the user wrote."""
-    try:
+    with _in_words_of(changes):
         if isinstance(part, BeamBody):
-            return part.with_values([(t.parameter, t.element, value) for _, t, value in changes])
+            return part.with_values(_of_beam(changes))
         if isinstance(part, RigidBody):
             placement = part.placement()
             moved = {t.parameter: value for _, t, value in changes if t.parameter in placement}
             part = part.with_placement(moved) if moved else part
             changes = [change for change in changes if change[1].parameter not in placement]
         return _with_numbers(part, changes)
+
+
+def _takes(part: _Part, changes: list[_Change]) -> bool:
+    """Raise what `_with_values` raises; tell whether points lie in sections as before."""
+    if isinstance(part, BeamBody):
+        with _in_words_of(changes):
+            return part.takes(_of_beam(changes))
+    changed = _with_values(part, changes)
+    return isinstance(part, RigidBody) or (
+        isinstance(changed, Part) and part.points == changed.points
+    )
+
+
+def _of_beam(changes: list[_Change]) -> list[tuple[str, int | None, float]]:
+    return [(target.parameter, target.element, value) for _, target, value in changes]
+
+
+@contextmanager
+def _in_words_of(changes: list[_Change]) -> Iterator[None]:
+    """Let errors name what the user wrote: the change they speak of, or all that do not fit."""
+    try:
+        yield
     except InvalidInput as error:
-        # The one that the error speaks of, or all that do not fit together.
         named = [c for c in changes if error.where.endswith(f".{c[1].parameter}")] or changes
         where = ", ".join(dict.fromkeys(change[0] for change in named))
         raise InvalidInput(where, error.rule, error.got, error.repair) from error
-
-
-def _fits_alike(part: _Part, changed: _Part) -> bool:
-    """Tell whether points of a changed part, or in it, lie in sections as before."""
-    if isinstance(part, BeamBody) and isinstance(changed, BeamBody):
-        return part.extents() == changed.extents()
-    return isinstance(part, RigidBody) or (
-        isinstance(part, Part) and isinstance(changed, Part) and part.points == changed.points
-    )
 
 
 def _differ(values: list[float]) -> bool:

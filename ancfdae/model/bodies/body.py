@@ -211,6 +211,19 @@ class BeamBody(Placed):
             material=_changed(materials, numbers),
         )
 
+    def takes(self, changes: Sequence[tuple[str, int | None, float]]) -> bool:
+        """Raise what `with_values` raises; return whether sections extend as far as before.
+
+        Where only material constants of the whole beam change, only materials are made anew.
+        """
+        constants = _PARAMETERS.keys() - {"length"}
+        if not all(k is None and name in constants for name, k, _ in changes):
+            return self.with_values(changes).extents() == self.extents()
+        numbers = {name: value for name, _, value in changes}
+        for material in dict.fromkeys(self._per_element()[1]):
+            replace(material, **numbers)
+        return True
+
     def check_target(self, parameter: str, element: int | None) -> None:
         """Refuse a design target that this beam does not have."""
         names, placement = self.parameter_names(), self.placement()
