@@ -324,3 +324,16 @@ def test_other_values_make_derivatives_only_when_they_are_asked_for(monkeypatch)
     assert not made
     require_equal(moved)
     assert made
+
+
+def test_a_point_off_the_axis_must_stay_in_a_section_that_shrinks():
+    """Sections alone are checked where all points lie on the axis, the scene where one does not."""
+    load = PointForce(Point("rod", 0.5, y=0.004), (0.0, -1.0))
+    material = Material(1000.0, 1e7, 0.3)
+    rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.01, 0.01), material)
+    system = assemble(Scene([rod], [Clamp(rod.at_start)], loads=[load]), ["rod.height"])
+    require_equal(system.with_values(np.array([0.0081])))
+    with pytest.raises(InvalidInput, match="section"):
+        system.with_values(np.array([0.0079]))
+    free = assemble(Scene([rod], [Clamp(rod.at_start)]), ["rod.height"])
+    require_equal(free.with_values(np.array([0.0079])))

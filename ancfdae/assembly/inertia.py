@@ -10,7 +10,7 @@ of m (x) I_d over all blocks (docs/theory/03-joints-and-loads.md):
     point mass    m = mass w w^T, with position sum_a w_a X_a
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final
@@ -22,7 +22,6 @@ from ancfdae.assembly.layout import BeamLayout
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
-from ancfdae.kernels import Csr
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.scene import Scene
@@ -42,7 +41,12 @@ class MassBlocks:
     owners: Array
     pair_block: Array  # of int, (n_pairs,)
     pair_variable: Array  # of int, (n_pairs,)
-    m_b: Array  # (n_pairs, k, k): derivative of the block of each pair in its design variable
+    partials: Callable[[], Array]  # returns m_b
+
+    @cached_property
+    def m_b(self) -> Array:
+        """Derivative of the block of each pair in its design variable, (n_pairs, k, k)."""
+        return self.partials()
 
     def chosen(self, owner: int | None) -> Array:
         """One for the blocks of an owner, or for all, shape (n,)."""
@@ -93,7 +97,7 @@ def _together(blocks: Sequence[_Single]) -> MassBlocks:
         owners=np.array([each.owner for each in blocks]),
         pair_block=pairs[0],
         pair_variable=pairs[1],
-        m_b=m_b[pairs],
+        partials=lambda: m_b[pairs],
     )
 
 
@@ -181,7 +185,8 @@ class Inertia:
         self._field_b[:, positions] = field_b[:, self._field_active].T[:, None]
 
     @cached_property
-    def _M(self) -> LinearMap:
+    def M(self) -> LinearMap:
+        """The product with the mass matrix."""
         # Two of three entries of a spatial element are zero: masses do not couple directions.
         kept, pattern = np.flatnonzero(self.values), self._pattern
         return LinearMap.of(
@@ -202,7 +207,7 @@ class Inertia:
     @cached_property
     def gravity(self) -> Array:
         """Q_e = M (field of unit translations times g): eq. (12) without an integral of its own."""
-        return self._M(self._field.ravel())
+        return self.M(self._field.ravel())
 
     @cached_property
     def gravity_b(self) -> Array:
@@ -219,14 +224,9 @@ class Inertia:
         """Gravity and its design partials as rows, shape (1 + n_b, n_q)."""
         return np.concatenate([self.gravity[None], self.gravity_b.T])
 
-    @property
-    def csr(self) -> Csr:
-        """Arrays of M in compressed sparse rows."""
-        return self._M.csr
-
     def times(self, x: Array) -> Array:
         """M x for a vector or for columns."""
-        return self._M(x.T).T
+        return self.M(x.T).T
 
     def times_b(self, a: Array) -> Array:
         """(M a)_b for one a or for rows, shape (..., n_q, n_b)."""

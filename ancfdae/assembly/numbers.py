@@ -172,7 +172,7 @@ def _masses(
         gravity, frame = (p[:d], p_b[:d]), (p[d:], p_b[d:])
     others = other_masses(scene, geometry.naming, structure.mapping, b)
     soft, pairs = structure.soft, block.mass_pairs
-    of_pairs = soft.elements[pairs], soft.variables[pairs], block.partials.m_b
+    of_pairs = soft.elements[pairs], soft.variables[pairs], lambda: block.partials.m_b
     blocks = (MassBlocks(numbering.vectors, block.m, numbering.owners, *of_pairs), *others)
     inertia = Inertia(blocks, numbering, n_b, structure.pattern, gravity)
     turns = scene.frame

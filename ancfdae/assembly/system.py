@@ -138,7 +138,7 @@ class AncfSystem(PlannedSystem):
         inertia, weights, factors = self._inertia, self.weights, self._constraints.factors
         return Plan(
             *self._elastic.tangent_places,
-            inertia.csr,
+            inertia.M.csr,
             self.pattern.rows_of(inertia.values),
             inertia.gravity + steady,
             rows,

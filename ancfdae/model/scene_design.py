@@ -233,7 +233,7 @@ class SceneDesign(Designable):
         """Raise what `with_values` raises, but make the parts alone that change.
 
         The scene is made anew only where its own checks could find what parts do not: where
-        points, sections or the scene itself change.
+        points, sections with points off the axis, or the scene itself change.
         """
         changes_of: dict[str, list[_Change]] = {}
         for key, value in values.items():
@@ -244,9 +244,18 @@ class SceneDesign(Designable):
             start = self.start_of.get(owner)
             known = start.parameters() if isinstance(start, RigidMotion) else ()
             started = any(target.parameter in known for _, target, _ in changes)
-            if part is None or started or not _takes(part, changes):
+            whole = started or owner in self._off_axis
+            if part is None or whole or not _takes(part, changes):
                 self.with_values(values)
                 return
+
+    @cached_property
+    def _off_axis(self) -> set[str]:
+        """Names of the beams with points that must lie in their sections, off the axis."""
+        parts = (part for part in self.parts().values() if not isinstance(part, RigidBody))
+        points = [point for part in parts for point in part.points]
+        points += [body.attached for body in self.members if body.attached is not None]
+        return {point.beam for point in points if point.y != 0 or point.z != 0}
 
     def _changes(self, key: str | DesignVariable, value: float) -> list[_Change]:
         """Return (what errors name, target, value) of everything that a value changes."""
@@ -414,10 +423,11 @@ def _with_values(part: _Part, changes: list[_Change]) -> _Part:
 
 
 def _takes(part: _Part, changes: list[_Change]) -> bool:
-    """Raise what `_with_values` raises; tell whether points lie in sections as before."""
+    """Raise what `_with_values` raises; tell whether its points stay where they are."""
     if isinstance(part, BeamBody):
         with _in_words_of(changes):
-            return part.takes(_of_beam(changes))
+            part.refuse_values(_of_beam(changes))
+        return True
     changed = _with_values(part, changes)
     return isinstance(part, RigidBody) or (
         isinstance(changed, Part) and part.points == changed.points
