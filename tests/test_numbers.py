@@ -4,6 +4,7 @@ Numbers that no changed variable reaches are taken over, the others are made on 
 is there: whatever was left out of what a variable reaches shows as a difference here.
 """
 
+import pickle
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -337,3 +338,14 @@ def test_a_point_off_the_axis_must_stay_in_a_section_that_shrinks():
         system.with_values(np.array([0.0079]))
     free = assemble(Scene([rod], [Clamp(rod.at_start)]), ["rod.height"])
     require_equal(free.with_values(np.array([0.0079])))
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_system_travels_with_the_derivatives_that_nobody_asked_for_yet(asked):
+    """Pickled before or after the first use of derivatives, and moved there, it is the same."""
+    system = assemble(crank(), ["rod.youngs_modulus", "rod.height", "arm.mass"])
+    if asked:
+        require_equal(system)
+    there = pickle.loads(pickle.dumps(system))
+    require_equal(there)
+    require_equal(there.with_values(1.01 * system.b))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -47,6 +47,10 @@ class ElementBlock:
     # Invariants of elements that differ, and which of them each element has, (n,).
     distinct: Invariants
     index: Array
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes that are pickled: derivatives, not what they are made from."""
+        return {**vars(self), "partials": self.partials, "distinct": None}
 
     @cached_property
     def partials(self) -> _PairPartials:

@@ -13,7 +13,7 @@ of m (x) I_d over all blocks (docs/theory/03-joints-and-loads.md):
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -42,6 +42,10 @@ class MassBlocks:
     pair_block: Array  # of int, (n_pairs,)
     pair_variable: Array  # of int, (n_pairs,)
     partials: Callable[[], Array]  # returns m_b
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes that are pickled: derivatives, not what they are made from."""
+        return {**vars(self), "m_b": self.m_b, "partials": None}
 
     @cached_property
     def m_b(self) -> Array:
