@@ -29,6 +29,7 @@ from ancfdae import (
     Rectangle,
     Revolute,
     RigidBody,
+    RigidMotion,
     Scene,
     Terminal,
     Universal,
@@ -38,7 +39,7 @@ from ancfdae import (
     position,
     simulate,
 )
-from ancfdae.assembly import closing
+from ancfdae.assembly import closing, inertia
 from ancfdae.assembly.assembly import Assembly
 from ancfdae.assembly.block import ElementBlock
 from ancfdae.assembly.numbers import Numbers
@@ -349,3 +350,51 @@ def test_a_system_travels_with_the_derivatives_that_nobody_asked_for_yet(asked):
     there = pickle.loads(pickle.dumps(system))
     require_equal(there)
     require_equal(there.with_values(1.01 * system.b))
+
+
+def rigid_chain():
+    """Three rigid beams of different heights, the second of several elements, and a rigid body."""
+    beams, joints = [], []
+    for k, height in enumerate((0.01, 0.02, 0.03)):
+        beam = Beam(
+            f"b{k}", (k, 0), (k + 1, 0), 1 + k % 2, Rectangle(height, 0.02), STEEL, rigid=True
+        )
+        other = {"other": beams[-1].at_end} if beams else {}
+        joints.append(Pin(beam.at_start, **other))
+        beams.append(beam)
+    load = RigidBody("load", (3, 0), 1.0, 0.01)
+    return Scene(beams, [*joints, Pin(load.at(0, 0), beams[-1].at_end)], (0, -9.81), bodies=[load])
+
+
+def test_masses_of_rigid_beams_are_made_again_where_their_numbers_change(monkeypatch):
+    """One beam's density leaves the masses of the others as they are, and its own changes."""
+    made, whole = [], inertia._of_rigid_beam
+
+    def counted(beam, *rest):
+        made.append(beam.name)
+        return whole(beam, *rest)
+
+    system = assemble(rigid_chain(), ["b1.density", "b2.height", "load.mass", "b0.length"])
+    monkeypatch.setattr(inertia, "_of_rigid_beam", counted)
+    for factors in ([1.1, 1, 1, 1], [1.1, 1.2, 1, 1], [1.1, 1.2, 1.3, 1], [1.1, 1.2, 1.3, 1.4]):
+        made.clear()
+        moved = system.with_values(system.b * factors)
+        assert len(made) < 3
+        require_equal(moved)
+    # Back and forth: what was kept belongs to other values.
+    require_equal(moved.with_values(system.b))
+    require_equal(system.with_values(system.b * 1.1))
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.5])
+def test_rigid_beams_have_the_mass_of_beams_that_deform(turned):
+    """No stiffness is integrated for them; m = sum of W^T m_e W with W of a rigid motion."""
+    settings = {"turn": turned, "material": STEEL, "section": Rectangle(0.02, 0.03)}
+    motion = RigidMotion("rod", 0.7, (0, 0), (0.3, -0.2))
+    energies = []
+    for is_rigid in (True, False):
+        beam = Beam("rod", (0, 0), (1, 0.2), 3, rigid=is_rigid, **settings)
+        system = assemble(Scene([beam], start=[motion]), ["rod.height"])
+        q, v = system.start()
+        energies.append(0.5 * v @ system.mass_times(q, v))
+    assert energies[0] == pytest.approx(energies[1], rel=1e-13)

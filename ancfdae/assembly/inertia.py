@@ -12,8 +12,8 @@ of m (x) I_d over all blocks (docs/theory/03-joints-and-loads.md):
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, final
+from functools import cached_property, partial
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
@@ -57,18 +57,32 @@ class MassBlocks:
         return np.ones(len(self.m)) if owner is None else (self.owners == owner).astype(float)
 
 
+#: By the place among the bodies of a scene the numbers of a rigid one, m and m_b.
+KnownMasses: TypeAlias = dict[int, tuple[Any, Any]]
+
+
 def other_masses(
-    scene: Scene, naming: SceneNaming, mapping: ParameterMap, b: Array
+    scene: Scene, naming: SceneNaming, mapping: ParameterMap, b: Array, known: KnownMasses
 ) -> tuple[MassBlocks, ...]:
-    """Return the masses of all that is rigid, and of points."""
-    layout, single = naming.layout, list[_Single]()
+    """Return the masses of all that is rigid, and of points.
+
+    What is known of a rigid beam or body with the same numbers is taken over, the rest is added.
+    """
+    layout, single, elements = naming.layout, list[_Single](), mapping.values(b)
     for owner, member in enumerate(scene.members):
-        vectors = layout.bodies[owner].vectors
         if isinstance(member, RigidBody):
-            single.append(_Single(vectors, owner, *_of_body(member, mapping, b)))
+            numbers, masses = mapping.numbers(member.name, b)[0], partial(_of_body, member)
         elif member.rigid:
-            masses = _of_rigid_beam(member, layout.beam(member.name), mapping, b)
-            single.append(_Single(vectors, owner, *masses))
+            place = layout.beam(member.name)
+            numbers, masses = elements[place.elements], partial(_of_rigid_beam, member, place)
+        else:
+            continue
+        key = numbers.dtype, numbers.tobytes()
+        before, its = known.get(owner, ((), ()))
+        if before != key:
+            its = masses(mapping, b)
+            known[owner] = key, its
+        single.append(_Single(layout.bodies[owner].vectors, owner, *its))
     for owner, mass in enumerate(scene.point_masses, start=len(scene.members)):
         p, p_b = mapping.numbers(mass.name, b)
         at = naming.vector(mass.point, Quantity.POSITION, (p[1:], p_b[1:]))
@@ -126,11 +140,10 @@ def _of_rigid_beam(
     lengths = driven.values(b)[:, ElementParameter.LENGTH]
     W = nodes.weights(lengths, element.n_s)
     W_e = np.concatenate([W[:-1], W[1:]], axis=1)  # of the nodes of each element
-    m = np.einsum("nai,nab,nbj->ij", W_e, block.m, W_e, optimize=True)
+    m = np.sum(W_e.mT @ block.m @ W_e, axis=0)
     m_b = np.zeros((len(b), *m.shape), dtype=m.dtype)
     at, variables = driven.elements[block.mass_pairs], driven.variables[block.mass_pairs]
-    products = np.einsum("pai,pab,pbj->pij", W_e[at], block.partials.m_b, W_e[at], optimize=True)
-    np.add.at(m_b, variables, products)
+    np.add.at(m_b, variables, W_e[at].mT @ block.partials.m_b @ W_e[at])
     moved = nodes.positions_b(driven.lengths_b(len(b)))
     momenta = block.m @ W_e
     for first, node in ((0, slice(None, -1)), (element.n_s, slice(1, None))):

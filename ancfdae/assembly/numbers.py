@@ -170,7 +170,7 @@ def _masses(
     gravity, frame = (np.zeros(d), np.zeros((d, n_b))), (p, p_b)
     if scene.gravity is not None:
         gravity, frame = (p[:d], p_b[:d]), (p[d:], p_b[d:])
-    others = other_masses(scene, geometry.naming, structure.mapping, b)
+    others = other_masses(scene, geometry.naming, structure.mapping, b, structure.masses)
     soft, pairs = structure.soft, block.mass_pairs
     of_pairs = soft.elements[pairs], soft.variables[pairs], lambda: block.partials.m_b
     blocks = (MassBlocks(numbering.vectors, block.m, numbering.owners, *of_pairs), *others)

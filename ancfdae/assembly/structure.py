@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import final
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ancfdae.assembly.block import WEIGHTLESS, ElementForms
 from ancfdae.assembly.elastic_forces import ElementPlaces
+from ancfdae.assembly.inertia import KnownMasses
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_input import LoadInput
@@ -31,7 +32,8 @@ class Structure:
     `soft` maps the design to the elements that deform, which have `forms` and stand at `places` of
     the pattern.
     `constraint_names` are the joints of the equations, `reach` is the largest coordinate in m of a
-    place on the ground that a load refers to.
+    place on the ground that a load refers to. `masses` holds the masses of rigid bodies and beams
+    at the values of the design that were asked for last.
     """
 
     scene: Scene
@@ -45,6 +47,7 @@ class Structure:
     places: ElementPlaces
     constraint_names: tuple[str, ...]
     reach: float
+    masses: KnownMasses = field(default_factory=dict)
 
     @staticmethod
     def of(

@@ -167,8 +167,9 @@ class BeamBody(Placed):
         return parameters
 
     def element_type(self) -> ElementType:
-        """Return the type of element, which all elements of the beam share."""
-        return ElementType(self._section(), self.energy, self.reference().straight)
+        """Return the type of element of all elements; it has no energy if the beam is rigid."""
+        energy = None if self.rigid else self.energy
+        return ElementType(self._section(), energy, self.reference().straight)
 
     def half_extents(self, elements: Array) -> tuple[float, float]:
         """Half of the height and of the width that enclose the sections of some elements; m."""
