@@ -97,6 +97,8 @@ class ElasticForces:
         by their magnitude, in the norm sqrt(sum Q^2 / weights).
         """
         places, (n, size) = self._places.coordinates, self._places.coordinates.shape
+        if not n:
+            return 0.0
         apart = np.arange(n * size**2, dtype=np.int32).reshape(n, size**2)
         block = self._elements
         bending = None if block.bending is None else block.bending.real

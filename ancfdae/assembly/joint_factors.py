@@ -11,7 +11,7 @@ from ancfdae.assembly.joint_structure import JointStructure, Slot
 from ancfdae.numerics.arrays import STEP, Array
 
 _ORDERS = 4
-# Instants whose factors are kept: those of a start and of the checks of a run.
+# Number of times whose factors are kept; a start and the checks of a run ask for four.
 _KEPT = 8
 
 
@@ -19,8 +19,8 @@ _KEPT = 8
 class JointFactors:
     """Factors at instants, (orders, k, n_parts); of the first part, which stays, one and zeros.
 
-    Of a scene without driven joints there is one row for all instants. Factors of single instants
-    are kept: an iteration asks for the same again and again, and so does each design of a sweep.
+    Of a scene without driven joints there is one row for all times. Factors at single times are
+    kept: an iteration asks for the same again and again, and so does each design of a sweep.
     """
 
     def __init__(self, slots: Sequence[Slot]) -> None:

@@ -91,7 +91,7 @@ class Structure:
 
     @cached_property
     def reaches_parts(self) -> Array:
-        """Tell which design variables write to joints and loads, (n_b,)."""
+        """Whether each design variable writes to a joint or load, (n_b,)."""
         return self.reaches(part.name for part in (*self.scene.joints, *self.scene.loads))
 
     @cached_property

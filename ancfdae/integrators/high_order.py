@@ -164,10 +164,10 @@ class HighOrder(QuadratureIntegrator):
 
     @final
     def at_end(self, system: MechanicalSystem, t_end: float) -> Self:
-        """Return the integrator that reports few instants, for a run that is read at its end alone.
+        """Return the integrator that reports few times, for a run that is read at its end alone.
 
-        Intervals that were asked for are kept, and those of prescribed motions: they are checked
-        from instant to instant.
+        `intervals` that were given are kept. A prescribed motion keeps the default: it is checked
+        from one reported time to the next.
         """
         times = np.linspace(0.0, t_end, _INTERVALS + 1)
         prescribed = system.n_lam == system.n_q

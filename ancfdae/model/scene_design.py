@@ -257,15 +257,22 @@ class SceneDesign(Designable):
         points += [body.attached for body in self.members if body.attached is not None]
         return {point.beam for point in points if point.y != 0 or point.z != 0}
 
+    @cached_property
+    def _moved(self) -> dict[DesignVariable, list[tuple[Target, float, float]]]:
+        """Targets of the variables that were asked for, each with its factor and offset."""
+        return {}
+
     def _changes(self, key: str | DesignVariable, value: float) -> list[_Change]:
         """Return (what errors name, target, value) of everything that a value changes."""
         if isinstance(key, DesignVariable):
             where = f"design variable {key.name!r}"
             require_finite(where, value)
-            return [
-                (where, self.resolve(text), key.factor(text) * value + self.offset(key, text))
-                for text in key.targets
-            ]
+            if key not in self._moved:
+                self._moved[key] = [
+                    (self.resolve(text), key.factor(text), self.offset(key, text))
+                    for text in key.targets
+                ]
+            return [(where, x, factor * value + rest) for x, factor, rest in self._moved[key]]
         target = self.resolve(key)
         require_finite(key, value)
         return [(key, target, value)]
@@ -423,7 +430,7 @@ def _with_values(part: _Part, changes: list[_Change]) -> _Part:
 
 
 def _takes(part: _Part, changes: list[_Change]) -> bool:
-    """Raise what `_with_values` raises; tell whether its points stay where they are."""
+    """Raise what `_with_values` raises; return whether the points of the part stay."""
     if isinstance(part, BeamBody):
         with _in_words_of(changes):
             part.refuse_values(_of_beam(changes))

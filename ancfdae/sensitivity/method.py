@@ -221,7 +221,7 @@ class Run:
     ) -> tuple[Solution, Totals]:
         """Return a finished run and the integrals that the integrator took beside the motion.
 
-        Instants between the ends are few where no objective reads them.
+        The run reports few times between its ends if no objective reads these.
         """
         integrator = self.integrator
         if self.after is not None or not isinstance(integrator, QuadratureIntegrator):

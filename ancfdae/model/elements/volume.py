@@ -116,7 +116,7 @@ class Region:
 
     @cached_property
     def R(self) -> Array:
-        """Strains at the fibres in those of the section, (n, n_xi or 1, n_f, n_v, n_s)."""
+        """Strains at the fibres per strain of the section, shape (n, n_xi or 1, n_f, n_v, n_s)."""
         return self._strains(self._fibres)
 
     def stiffness(self, C: Array) -> Array:
