@@ -126,13 +126,14 @@ class ElementForms:
         mapping, parameters = self.mapping, self.mapping.values(b)
         damped = ElementParameter.DAMPING_TIME
         distinct, index = self._distinct(parameters)
-        chosen = np.zeros(1, dtype=np.int64) if len(distinct.A) == 1 else index
+        # All elements alike have one row of arrays; elements that all differ have theirs.
+        whole = slice(None) if len(distinct.A) in (1, len(index)) else index
         tau = parameters[:, damped]
         is_damped = bool(np.any(tau != 0)) or damped in mapping.driven()
         return ElementBlock(
-            A=distinct.A[chosen],
-            g_o=distinct.g_o[chosen],
-            bending=None if distinct.bending is None else distinct.bending[chosen],
+            A=distinct.A[whole],
+            g_o=distinct.g_o[whole],
+            bending=None if distinct.bending is None else distinct.bending[whole],
             m=distinct.m[index],
             tau=tau if is_damped else None,
             stiffness_pairs=self.stiffness,
@@ -156,13 +157,17 @@ class ElementForms:
         kept, index = np.zeros(1, dtype=np.int64), np.zeros(len(key), dtype=np.int64)
         if np.any(key != key[0]):
             _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
+            if len(kept) == len(key):  # In their order, so that no array is copied for it.
+                kept = index = np.arange(len(key))
         order, parts = [], []
         for number, (its, each) in enumerate(self.kinds):
             members = kept[kind[kept] == number]
             order.append(np.flatnonzero(kind[kept] == number))
             places = relative_places(its, element)
             batch = Batch(each, parameters[members], Y_unit[members][:, places])
-            parts.append(widened(prepare(its, batch, self.owners[members]), its, element))
+            its_own = prepare(its, batch, self.owners[members])
+            same = its.quantities == element.quantities
+            parts.append(its_own if same else widened(its_own, its, element))
         back = np.argsort(np.concatenate(order)) if len(parts) > 1 else None
         return joined(parts, back), index.ravel()
 

@@ -65,33 +65,40 @@ def _invariants(element: BeamElement, batch: Batch, owners: Array, *, keep: bool
         "Return an object of the class `Integrals`.",
     )
     require_kind(where, integrals, (Integrals,), repair)
-    lengths = [batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
-    sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
-    whole = [x * size for x, size in zip(integrals.values, sizes, strict=True)]
-    A, m, *flexural = whole
-    Y_o, kept = _free(batch), integrals if keep else None
+    (A, m, *flexural), kept = _scaled(integrals, batch)[0], integrals if keep else None
 
     def partials(wanted: Iterable[ElementParameter]) -> Partials:
         its, found = kept or element.integrals(batch, owners), Partials()
+        whole, sizes, Y_o = *_scaled(its, batch), _free(batch)
         for which in wanted:
             changes = [x * size for x, size in zip(its.partial(which), sizes, strict=True)]
             Y_b = change(_free(batch.moved(which)), Y_o, batch.step(which))
             if which is ElementParameter.LENGTH:
-                by_l = zip(whole, its.powers, lengths, strict=True)
-                changes = [x_b + x * k / l for x_b, (x, k, l) in zip(changes, by_l, strict=True)]
+                by_l = zip(whole, its.powers, strict=True)
+                changes = [
+                    x_b + x * k / batch.lengths.reshape(-1, *[1] * k.ndim)
+                    for x_b, (x, k) in zip(changes, by_l, strict=True)
+                ]
             A_b, m_b, *flexural_b = changes
             g_ob = gram(Y_o, Y_b)
-            bending_b = np.zeros((len(A), 2), dtype=A.dtype)
+            bending_b = np.zeros((len(A_b), 2), dtype=A_b.dtype)
             if flexural_b:
                 bending_b = np.insert(flexural_b[0], 1, which is ElementParameter.LENGTH, axis=1)
-            c = np.einsum("nij,nj->ni", A, g_ob)
+            c = np.einsum("nij,nj->ni", whole[0], g_ob)
             found[which] = InvariantPartial(A_b, g_ob, bending_b, c, m_b)
         return found
 
     bending = None
     if flexural:
         bending = np.concatenate([flexural[0], batch.lengths[:, None]], axis=1)
-    return Invariants(A, packed_gram(Y_o), m, bending, partials)
+    return Invariants(A, packed_gram(_free(batch)), m, bending, partials)
+
+
+def _scaled(integrals: Integrals, batch: Batch) -> tuple[list[Array], list[Array]]:
+    """Return the integrals times the powers of the length, and these powers."""
+    lengths = (batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers)
+    sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
+    return [x * size for x, size in zip(integrals.values, sizes, strict=True)], sizes
 
 
 def _free(batch: Batch) -> Array:
@@ -112,9 +119,11 @@ def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invarian
     def fields(parts: Sequence[Invariants | InvariantPartial], *names: str) -> dict[str, Array]:
         return {name: together([getattr(part, name) for part in parts]) for name in names}
 
+    of_pieces = [piece.partials for piece in pieces]
+
     def partials(wanted: Iterable[ElementParameter]) -> Partials:
         wanted, names = tuple(wanted), ("A", "g_o", "bending", "c", "m")
-        parts = [piece.partials(wanted) for piece in pieces]
+        parts = [derivatives(wanted) for derivatives in of_pieces]
         return {
             which: InvariantPartial(**fields([part[which] for part in parts], *names))
             for which in wanted
@@ -140,8 +149,6 @@ def relative_places(element: BeamElement, wider: BeamElement) -> Array:
 
 def widened(narrow: Invariants, element: BeamElement, wider: BeamElement) -> Invariants:
     """Return invariants of the size of another element, zero for vectors that are not there."""
-    if element.quantities == wider.quantities:
-        return narrow
     n_y, at = wider.n_y, element.places_in(wider)
     packed = np.zeros((n_y, n_y), dtype=np.int64)
     packed[upper_triangle(n_y)] = np.arange(n_y * (n_y + 1) // 2)
@@ -157,10 +164,12 @@ def widened(narrow: Invariants, element: BeamElement, wider: BeamElement) -> Inv
         wide = {name: placed(getattr(part, name), of_g, n_g) for name in names}
         return {**wide, "m": placed(part.m, at, wider.n_a)}
 
+    of_narrow = narrow.partials
+
     def partials(wanted: Iterable[ElementParameter]) -> Partials:
         return {
             which: InvariantPartial(**fields(part, "A", "g_o", "c"), bending=part.bending)
-            for which, part in narrow.partials(wanted).items()
+            for which, part in of_narrow(wanted).items()
         }
 
     return Invariants(**fields(narrow, "A", "g_o"), bending=narrow.bending, partials=partials)
