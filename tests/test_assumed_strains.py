@@ -64,7 +64,7 @@ def test_partials_of_a_section_off_its_axis_are_complex_steps(element, form):
     values = np.zeros((1, len(ElementParameter)))
     values[0, :8] = E, NU, 1000.0, L, 0.0, 0.0, 1.1, 0.9
     wanted = (ElementParameter.LENGTH, ElementParameter.SIZE_1, ElementParameter.SIZE_2)
-    partials = prepare(element, Batch(kind, values, Y), wanted).partials
+    partials = prepare(element, Batch(kind, values, Y)).partials(wanted)
     for which in wanted:
         moved = values.astype(complex)
         moved[0, which] += 1e-40j

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from ancfdae import Revolute, RigidBody, RigidBox, Scene, Spherical, assemble
+from ancfdae import HHT, Revolute, RigidBody, RigidBox, Scene, Spherical, assemble, simulate
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import RedundantConstraintsError
+from ancfdae.extend import FormulaSystem
 
 LENGTH = 0.2
 
@@ -44,3 +45,37 @@ def test_a_joint_that_a_long_chain_has_already_is_named(joint):
     with pytest.raises(RedundantConstraintsError, match=rf"'twice'.*{rows} redundant") as told:
         saddle_point(chain(24, twice), 0.0)
     assert "'bar 3" not in str(told.value)
+
+
+class Touching(FormulaSystem):
+    """A mass on y = 1 and on y = 1 + x^2/2: the curves touch at x = 0, where rows are dependent."""
+
+    n_q, n_lam = 3, 2
+    design_names = ("m",)
+    constraint_names = ("line", "parabola")
+
+    def __init__(self, x, b=(1.0,)):
+        self.x = x
+        super().__init__(np.asarray(b))
+
+    def mass_matrix(self, q):
+        return self.b[0] * np.eye(3)
+
+    def force(self, t, q, v):
+        return np.array([0.0, -9.81, 0.0]) * self.b[0]
+
+    def position_constraint(self, t, q):
+        return np.array([q[1] - 1.0, q[1] - 1.0 - 0.5 * q[0] ** 2])
+
+    def start(self):
+        return np.array([self.x, 1.0, 0.0]), np.zeros(3)
+
+    def with_values(self, b):
+        return Touching(self.x, b)
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-5])
+def test_a_start_that_is_projected_onto_dependent_constraints_is_refused(x):
+    """At x = 1e-5 m the rows are independent and open by 5e-11 m only; closing them leads to 0."""
+    with pytest.raises(RedundantConstraintsError, match="'line', 'parabola'"):
+        simulate(Touching(x), 0.1, HHT(0.01))

@@ -107,14 +107,14 @@ def test_forces_have_exact_partials_whatever_the_energy(element, form):
         if d not in energy.dimensions:
             continue
         kind = kind_of(d, energy, straight=form == "straight")
-        law = prepare(element, Batch(kind, own, Y_unit), wanted)
+        law = prepare(element, Batch(kind, own, Y_unit))
         for which in wanted:
             moved = own.astype(complex)
             moved[0, which] += 1j * STEP
             by = prepare(element, Batch(kind, moved, Y_unit))
             expected = element_forces.force(by.A, by.g_o, Y, V, tau).imag / STEP
             found = element_forces.force_partial(
-                (law.A, law.g_o, None), law.partials[which], Y, V, tau
+                (law.A, law.g_o, None), law.partials([which])[which], Y, V, tau
             )
             scale = np.max(np.abs(expected))
             # Two evaluations of one derivative, each a sum of some hundred terms.

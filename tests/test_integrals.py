@@ -204,7 +204,7 @@ SQUARED_MULTIPLIER = Integral(custom(lambda t, q, v, lam, b: lam[:, 0] ** 2, "mu
     ids=["energy", "multiplier"],
 )
 def test_integrals_of_a_system_of_ones_own_cost_little_beside_its_motion(kind, objective, most):
-    system, integrator = Counted(), kind(1e-8)
+    system, integrator = Counted(), kind(1e-8, intervals=64)
     motion = forces_of(differentiate, system, 2.0, integrator)
     both = forces_of(gradient, system, objective, 2.0, integrator, method=DirectDifferentiation())
     # DOP853 keeps the dense output of steps whose stages are too few: three stages beside twelve,

@@ -4,7 +4,9 @@ Numbers that no changed variable reaches are taken over, the others are made on 
 is there: whatever was left out of what a variable reaches shows as a difference here.
 """
 
+import pickle
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +20,7 @@ from ancfdae import (
     DirectDifferentiation,
     Distance,
     EquilibriumStart,
+    InitialVelocity,
     Material,
     Pin,
     PointForce,
@@ -32,8 +35,9 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.assembly import closing
+from ancfdae.assembly import closing, inertia
 from ancfdae.assembly.assembly import Assembly
+from ancfdae.assembly.block import ElementBlock
 from ancfdae.assembly.numbers import Numbers
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.errors import InvalidInputError
@@ -295,3 +299,103 @@ def test_equal_joints_are_prepared_once_and_have_the_equations_of_each_alone(mon
             assert np.array_equal(x.linear, y.linear)
             assert np.array_equal(x.bilinear, y.bilinear)
             assert np.array_equal(x.offset, y.offset)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("density", -1.0), ("youngs_modulus", 0.0), ("poisson_ratio", 0.5), ("height", -0.1)],
+)
+def test_a_value_that_a_beam_cannot_take_is_refused_in_the_words_of_the_scene(name, value):
+    """Materials are checked without making the beam; the error names the variable either way."""
+    system = assemble(crank(), [f"rod.{name}"])
+    with pytest.raises(InvalidInputError) as ours:
+        system.with_values(np.array([value]))
+    with pytest.raises(InvalidInputError) as theirs:
+        system._scene.with_values({system._structure.design[0]: value})
+    assert str(ours.value) == str(theirs.value)
+
+
+def test_other_values_make_derivatives_only_when_they_are_asked_for(monkeypatch):
+    """A run at other moduli needs no derivative; the first use makes them, as an assembly does."""
+    system, made = assemble(crank(), ["rod.youngs_modulus"]), []
+    whole = ElementBlock.partials.func
+    counted = cached_property(lambda block: (made.append(1), whole(block))[1])
+    counted.__set_name__(ElementBlock, "partials")
+    monkeypatch.setattr(ElementBlock, "partials", counted)
+    moved = system.with_values(2 * system.b)
+    simulate(moved, 0.0625, HHT(2.0**-8))
+    assert not made
+    require_equal(moved)
+    assert made
+
+
+def test_a_point_off_the_axis_must_stay_in_a_section_that_shrinks():
+    """Sections alone are checked where all points lie on the axis, the scene where one does not."""
+    load = PointForce(MaterialPoint("rod", 0.5, y=0.004), (0.0, -1.0))
+    material = Material(1000.0, 1e7, 0.3)
+    rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.01, 0.01), material)
+    system = assemble(Scene([rod], [Clamp(rod.at_start)], loads=[load]), ["rod.height"])
+    require_equal(system.with_values(np.array([0.0081])))
+    with pytest.raises(InvalidInputError, match="section"):
+        system.with_values(np.array([0.0079]))
+    free = assemble(Scene([rod], [Clamp(rod.at_start)]), ["rod.height"])
+    require_equal(free.with_values(np.array([0.0079])))
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_system_travels_with_the_derivatives_that_nobody_asked_for_yet(asked):
+    """Pickled before or after the first use of derivatives, and moved there, it is the same."""
+    system = assemble(crank(), ["rod.youngs_modulus", "rod.height", "arm.mass"])
+    if asked:
+        require_equal(system)
+    there = pickle.loads(pickle.dumps(system))
+    require_equal(there)
+    require_equal(there.with_values(1.01 * system.b))
+
+
+def rigid_chain():
+    """Three rigid beams of different heights, the second of several elements, and a rigid body."""
+    beams, joints = [], []
+    for k, height in enumerate((0.01, 0.02, 0.03)):
+        beam = Beam(
+            f"b{k}", (k, 0), (k + 1, 0), 1 + k % 2, Rectangle(height, 0.02), STEEL, rigid=True
+        )
+        other = {"other": beams[-1].at_end} if beams else {}
+        joints.append(Pin(beam.at_start, **other))
+        beams.append(beam)
+    load = RigidBody("load", (3, 0), 1.0, 0.01)
+    return Scene(beams, [*joints, Pin(load.at(0, 0), beams[-1].at_end)], (0, -9.81), bodies=[load])
+
+
+def test_masses_of_rigid_beams_are_made_again_where_their_numbers_change(monkeypatch):
+    """One beam's density leaves the masses of the others as they are, and its own changes."""
+    made, whole = [], inertia._of_rigid_beam
+
+    def counted(beam, *rest):
+        made.append(beam.name)
+        return whole(beam, *rest)
+
+    system = assemble(rigid_chain(), ["b1.density", "b2.height", "load.mass", "b0.length"])
+    monkeypatch.setattr(inertia, "_of_rigid_beam", counted)
+    for factors in ([1.1, 1, 1, 1], [1.1, 1.2, 1, 1], [1.1, 1.2, 1.3, 1], [1.1, 1.2, 1.3, 1.4]):
+        made.clear()
+        moved = system.with_values(system.b * factors)
+        assert len(made) < 3
+        require_equal(moved)
+    # Back and forth: what was kept belongs to other values.
+    require_equal(moved.with_values(system.b))
+    require_equal(system.with_values(system.b * 1.1))
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.5])
+def test_rigid_beams_have_the_mass_of_beams_that_deform(turned):
+    """No stiffness is integrated for them; m = sum of W^T m_e W with W of a rigid motion."""
+    settings = {"turn": turned, "material": STEEL, "section": Rectangle(0.02, 0.03)}
+    motion = InitialVelocity("rod", 0.7, (0, 0), (0.3, -0.2))
+    energies = []
+    for is_rigid in (True, False):
+        beam = Beam("rod", (0, 0), (1, 0.2), 3, rigid=is_rigid, **settings)
+        system = assemble(Scene([beam], start=[motion]), ["rod.height"])
+        q, v = system.start()
+        energies.append(0.5 * v @ system.mass_times(q, v))
+    assert energies[0] == pytest.approx(energies[1], rel=1e-13)

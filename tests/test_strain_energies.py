@@ -433,7 +433,7 @@ def test_partials_are_complex_steps_and_differences(form, section, name, d):
     values[:6] = E, NU, 1000.0, 0.3, 0.0, 0.02
     values[6 : 6 + len(own.sizes())] = own.sizes()
     wanted = [w for w in ElementParameter if values[w] != 0]
-    inv = prepare(element, Batch(kind, values[None], Y), wanted)
+    inv = prepare(element, Batch(kind, values[None], Y))
     for which in wanted:
         moved = values.astype(complex)
         moved[which] *= 1 + 1e-30j
@@ -444,7 +444,7 @@ def test_partials_are_complex_steps_and_differences(form, section, name, d):
         ends = [prepare(element, Batch(kind, x[None], Y)) for x in near]
         for part in ("A", "m"):
             scale = np.max(np.abs(getattr(inv, part)))
-            found = getattr(inv.partials[which], part) * values[which]
+            found = getattr(inv.partials([which])[which], part) * values[which]
             exact = getattr(by_step, part).imag / 1e-30
             # Two evaluations of one derivative: round-off of sums of some hundred terms.
             assert np.max(np.abs(found - exact)) < 1e-11 * scale
@@ -462,9 +462,9 @@ def test_partials_of_tiny_sections_keep_their_digits():
         sizes = own.sizes() * unit ** np.array([2, 4, 4, 4])
         values[0] = (E, NU, 1000.0, 0.3 * unit, 0.0, 0.0, *sizes)
         batch = Batch(kind_of(2, EnhancedContinuum(), own), values, straight(2))
-        inv = prepare(BEAM_2D, batch, [which])
+        inv = prepare(BEAM_2D, batch)
         # The entry of r_y.r_y, which is integrated over the volume.
-        found.append(inv.partials[which].A[0, -1, -1] * sizes[1] / unit**3)
+        found.append(inv.partials([which])[which].A[0, -1, -1] * sizes[1] / unit**3)
     assert found[1] == pytest.approx(found[0], rel=1e-12)
 
 

@@ -20,11 +20,14 @@ from ancfdae import (
     IDA,
     AdaptiveSteps,
     AtTimes,
+    Beam,
     DesignVariable,
     Evaluator,
     FiniteDifference,
     Integral,
+    Material,
     Pin,
+    PointOnLine,
     RotationDriver,
     Scene,
     SmoothUpperBound,
@@ -37,10 +40,11 @@ from ancfdae import (
 )
 from ancfdae.assembly.numbers import Numbers
 from ancfdae.errors import AncfdaeError, Interrupted, InvalidInputError
-from ancfdae.laws import UserLaw
+from ancfdae.laws import ConstantAcceleration, UserLaw
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.observables import kinetic_energy, observe, position
 from ancfdae.results import MeasuredSetting, Solution, Verdict
+from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.objectives.totals import read_at_end
 from ancfdae.statics.equilibrium import Equilibrium
 from validation.scenes import pendulum
@@ -48,6 +52,7 @@ from validation.scenes import pendulum
 from mechanisms import CartesianPendulum
 
 SCENE = pendulum(elements=1, youngs_modulus=1e6)
+STEEL = Material(7850.0, 2.1e11, 0.3)
 TIP = MaterialPoint("pendulum", 1.0)
 T_END = 2.0**-4
 HEIGHT = "pendulum.height"
@@ -208,6 +213,32 @@ def test_worker_processes_give_the_same_rows(pool):
     assert sweep(SCENE, DESIGNS, VALUE, executor=pool) == sweep(SCENE, DESIGNS, VALUE)
     with pytest.raises(InvalidInputError, match="what, executor: must pickle"):
         sweep(SCENE, DESIGNS, lambda scene: 1, executor=pool)
+
+
+@pytest.mark.parametrize("threads", [2, 4])
+def test_threads_give_the_same_bits_on_one_structure(threads):
+    """Designs share what is kept of rigid bodies and prescribed angles; no result may show it."""
+    arm = Beam("arm", (0, 0), (0.2, 0), 1, Rectangle(0.02, 0.02), STEEL, rigid=True)
+    rod = Beam("rod", (0.2, 0), (0.7, 0), 2, Rectangle(0.01, 0.01), STEEL)
+    joints = [
+        Pin(arm.at_start),
+        RotationDriver(arm.at_start, ConstantAcceleration(3.0)),
+        Pin(arm.at_end, rod.at_start),
+        PointOnLine(rod.at_end, direction=(1, 0)),
+    ]
+    scene = Scene([arm, rod], joints, (0, -9.81))
+    of = Terminal(position(rod.at(0.5), 1)) + Integral(kinetic_energy())
+    names = ["arm.density", "rod.youngs_modulus", "rod.height"]
+    what = Evaluator(of, 0.0625, HHT(2.0**-9), gradient=True, design=names)
+    moduli = [scene.value(DesignVariable("x", [name])) for name in names]
+    rows = np.random.default_rng(0).uniform(0.9, 1.1, (24, 3)) * moduli
+    here = sweep(scene, rows, what, design=names).rows
+    with ThreadPoolExecutor(threads) as executor:
+        there = sweep(scene, rows, what, design=names, executor=executor).rows
+    assert not any(row.error for row in here)
+    for one, other in zip(here, there, strict=True):
+        assert one.result["value"] == other.result["value"]
+        assert np.array_equal(one.result["gradient"], other.result["gradient"])
 
 
 class Counting(ThreadPoolExecutor):
@@ -569,3 +600,19 @@ def test_runs_of_high_order_report_what_is_asked_for(monkeypatch, integrator):
     monkeypatch.setattr(type(integrator), "at_end", lambda self, *_: self)
     (again,) = sweep(SCENE, [{HEIGHT: 0.05}], what).rows
     assert row.result["value"] == again.result["value"]
+
+
+@pytest.mark.parametrize("integrator", [DOP853(1e-6), IDA(1e-5)])
+def test_a_gradient_records_the_instants_that_its_objective_reads(integrator):
+    """Value and derivatives are those of a run with all instants; given intervals are kept."""
+    of = DROP + Integral(position(TIP, 0))
+    found = gradient(SCENE, of, T_END, integrator, design=[HEIGHT])
+    full = dataclasses.replace(integrator, intervals=64)
+    whole = gradient(SCENE, of, T_END, full, design=[HEIGHT])
+    assert (len(found.solution.t), len(whole.solution.t)) == (33, 513)
+    assert found.value == whole.value
+    assert np.array_equal(found.gradient, whole.gradient)
+    between = gradient(
+        SCENE, SmoothUpperBound(position(TIP, 1), 5.0), T_END, integrator, design=[HEIGHT]
+    )
+    assert len(between.solution.t) == 513

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from functools import cached_property
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -14,6 +15,16 @@ from ancfdae.model.elements import Batch, BeamElement, ElementParameter, Element
 from ancfdae.model.elements.element import Invariants
 from ancfdae.model.elements.invariants import joined, prepare, relative_places, widened
 from ancfdae.numerics.arrays import Array
+
+
+@final
+class _PairPartials(NamedTuple):
+    """Derivatives of invariants in the design variable of each pair, the weight included."""
+
+    A_b: Array  # (n_stiffness_pairs, ...)
+    rest_b: Array  # (n_stiffness_pairs, n_g + 2): of g_o and of `bending`
+    c_b: Array  # (n_stiffness_pairs, ...)
+    m_b: Array  # (n_mass_pairs, n_a, n_a)
 
 
 @final
@@ -32,11 +43,37 @@ class ElementBlock:
     stiffness_pairs: Array
     damping_pairs: Array  # of int
     mass_pairs: Array  # of int
-    A_b: Array  # (n_stiffness_pairs, ...)
-    rest_b: Array  # (n_stiffness_pairs, n_g + 2): of g_o and of `bending`
-    c_b: Array  # (n_stiffness_pairs, ...)
-    # (n_mass_pairs, n_a, n_a): derivatives in the design variable of the pair (weight included).
-    m_b: Array
+    mapping: ParameterMap
+    # Invariants of elements that differ, and which of them each element has, (n,).
+    distinct: Invariants
+    index: Array
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes that are pickled: derivatives, not what they are made from."""
+        return {**vars(self), "partials": self.partials, "distinct": None}
+
+    @cached_property
+    def partials(self) -> _PairPartials:
+        """Derivatives of the invariants in the variables of the pairs; made at the first use."""
+        mapping, distinct, index = self.mapping, self.distinct, self.index
+        stiffness, mass, dtype = self.stiffness_pairs, self.mass_pairs, distinct.A.dtype
+        A_b = np.zeros((len(stiffness), *distinct.A.shape[1:]), dtype=dtype)
+        c_b = np.zeros((len(stiffness), distinct.A.shape[1]), dtype=dtype)
+        rest_b = np.zeros((len(c_b), c_b.shape[1] + 2), dtype=dtype)
+        m_b = np.zeros((len(mass), *distinct.m.shape[1:]), dtype=dtype)
+        driven = (x for x in mapping.driven() if x is not ElementParameter.DAMPING_TIME)
+        for which, its in distinct.partials(driven).items():
+            at = mapping.parameters[stiffness] == which
+            source = index[mapping.elements[stiffness][at]]
+            weight = mapping.weights[stiffness][at]
+            A_b[at] = its.A[source] * weight[:, None, None]
+            c_b[at] = its.c[source] * weight[:, None]
+            rest_b[at, :-2] = its.g_o[source] * weight[:, None]
+            rest_b[at, -2:] = its.bending[source] * weight[:, None]
+            at = mapping.parameters[mass] == which
+            source = index[mapping.elements[mass][at]]
+            m_b[at] = its.m[source] * mapping.weights[mass][at][:, None, None]
+        return _PairPartials(A_b, rest_b, c_b, m_b)
 
 
 #: Parameters that no mass depends on.
@@ -87,73 +124,52 @@ class ElementForms:
     def at(self, b: Array) -> ElementBlock:
         """Prepare the invariants of the elements at design values b."""
         mapping, parameters = self.mapping, self.mapping.values(b)
-        if not self.kinds:
-            return _no_elements(self.element, parameters)
         damped = ElementParameter.DAMPING_TIME
-        wanted = tuple(which for which in mapping.driven() if which is not damped)
-        distinct, index = self._distinct(wanted, parameters)
-        chosen = np.zeros(1, dtype=np.int64) if len(distinct.A) == 1 else index
-        stiffness, mass = self.stiffness, self.masses
-        A_b = np.zeros((len(stiffness), *distinct.A.shape[1:]), dtype=distinct.A.dtype)
-        c_b = np.zeros((len(stiffness), distinct.A.shape[1]), dtype=distinct.A.dtype)
-        rest_b = np.zeros((len(c_b), c_b.shape[1] + 2), dtype=c_b.dtype)
-        m_b = np.zeros((len(mass), *distinct.m.shape[1:]), dtype=distinct.m.dtype)
-        for which, partial in distinct.partials.items():
-            at = mapping.parameters[stiffness] == which
-            source = index[mapping.elements[stiffness][at]]
-            weight = mapping.weights[stiffness][at]
-            A_b[at] = partial.A[source] * weight[:, None, None]
-            c_b[at] = partial.c[source] * weight[:, None]
-            rest_b[at, :-2] = partial.g_o[source] * weight[:, None]
-            rest_b[at, -2:] = partial.bending[source] * weight[:, None]
-            at = mapping.parameters[mass] == which
-            source = index[mapping.elements[mass][at]]
-            m_b[at] = partial.m[source] * mapping.weights[mass][at][:, None, None]
+        distinct, index = self._distinct(parameters)
+        # All elements alike have one row of arrays; elements that all differ have theirs.
+        whole = slice(None) if len(distinct.A) in (1, len(index)) else index
         tau = parameters[:, damped]
         is_damped = bool(np.any(tau != 0)) or damped in mapping.driven()
         return ElementBlock(
-            A=distinct.A[chosen],
-            g_o=distinct.g_o[chosen],
-            bending=None if distinct.bending is None else distinct.bending[chosen],
+            A=distinct.A[whole],
+            g_o=distinct.g_o[whole],
+            bending=None if distinct.bending is None else distinct.bending[whole],
             m=distinct.m[index],
             tau=tau if is_damped else None,
-            stiffness_pairs=stiffness,
+            stiffness_pairs=self.stiffness,
             damping_pairs=mapping.pairs(damped),
-            mass_pairs=mass,
-            A_b=A_b,
-            rest_b=rest_b,
-            c_b=c_b,
-            m_b=m_b,
+            mass_pairs=self.masses,
+            mapping=mapping,
+            distinct=distinct,
+            index=index,
         )
 
-    def _distinct(
-        self, wanted: tuple[ElementParameter, ...], parameters: Array
-    ) -> tuple[Invariants, Array]:
+    def _distinct(self, parameters: Array) -> tuple[Invariants, Array]:
         """Return the invariants of elements that differ, and which of them each element has."""
         element, kind, Y_unit = self.element, self.kind, self.Y_unit
+        if not self.kinds:
+            n_g, dtype = element.n_y * (element.n_y + 1) // 2, parameters.dtype
+            A, m = np.zeros((0, n_g, n_g), dtype), np.zeros((0, element.n_a, element.n_a), dtype)
+            none = Invariants(A, A[:, 0], m, None, lambda _: {})
+            return none, np.zeros(0, dtype=np.int64)
         numbers = [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), kind[:, None]]
         key = np.concatenate(numbers, axis=1)
         kept, index = np.zeros(1, dtype=np.int64), np.zeros(len(key), dtype=np.int64)
         if np.any(key != key[0]):
             _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
+            if len(kept) == len(key):  # In their order, so that no array is copied for it.
+                kept = index = np.arange(len(key))
         order, parts = [], []
         for number, (its, each) in enumerate(self.kinds):
             members = kept[kind[kept] == number]
             order.append(np.flatnonzero(kind[kept] == number))
             places = relative_places(its, element)
             batch = Batch(each, parameters[members], Y_unit[members][:, places])
-            parts.append(widened(prepare(its, batch, wanted, self.owners[members]), its, element))
+            its_own = prepare(its, batch, self.owners[members])
+            same = its.quantities == element.quantities
+            parts.append(its_own if same else widened(its_own, its, element))
         back = np.argsort(np.concatenate(order)) if len(parts) > 1 else None
         return joined(parts, back), index.ravel()
-
-
-def _no_elements(element: BeamElement, parameters: Array) -> ElementBlock:
-    n_g, none = element.n_y * (element.n_y + 1) // 2, np.zeros(0, dtype=np.int64)
-    A, g = np.zeros((0, n_g, n_g), parameters.dtype), np.zeros((0, n_g), parameters.dtype)
-    m = np.zeros((0, element.n_a, element.n_a), parameters.dtype)
-    return ElementBlock(
-        A, g, None, m, None, none, none, none, A, np.zeros((0, n_g + 2), A.dtype), g, m
-    )
 
 
 def _kinds(beams: Sequence[BeamBody]) -> tuple[list[tuple[BeamElement, ElementType]], Array]:

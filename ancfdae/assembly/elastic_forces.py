@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -74,11 +75,15 @@ class ElasticForces:
         self._pair_element = mapping.elements[pairs]
         self._pair_variable = mapping.variables[pairs]
         self._pair_weight = mapping.weights[pairs]
-        # What variables change in the law, pairs in the order that `force_totals` asks for.
+
+    @cached_property
+    def _law_b(self) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Derivatives of the law in the variables, pairs in the order `force_totals` asks for."""
         order = np.lexsort((self._pair_variable, self._pair_element))
-        first = np.searchsorted(self._pair_element[order], np.arange(len(places.vectors) + 1))
-        tau_b = self._pair_weight[self._stiff :]
-        self._law_b = block.A_b, block.rest_b, tau_b, first, order, self._pair_variable[order]
+        places = np.arange(len(self._places.vectors) + 1)
+        first = np.searchsorted(self._pair_element[order], places)
+        tau_b, its = self._pair_weight[self._stiff :], self._block.partials
+        return its.A_b, its.rest_b, tau_b, first, order, self._pair_variable[order]
 
     @property
     def damped(self) -> bool:
@@ -92,6 +97,8 @@ class ElasticForces:
         by their magnitude, in the norm sqrt(sum Q^2 / weights).
         """
         places, (n, size) = self._places.coordinates, self._places.coordinates.shape
+        if not n:
+            return 0.0
         apart = np.arange(n * size**2, dtype=np.int32).reshape(n, size**2)
         block = self._elements
         bending = None if block.bending is None else block.bending.real
@@ -202,13 +209,13 @@ class ElasticForces:
     def energy_b(self, q: Array, chosen: Array) -> Array:
         """Design partial of the energy of the chosen elements, shape (k, n_b)."""
         block, pairs = self._block, self._pair_element[: self._stiff]
-        Y = self.relative(q)
+        Y, its = self.relative(q), block.partials
         dg = strain(block.g_o, Y, None, None)[:, pairs]
         # d(1/2 dg^T A dg) = 1/2 dg^T A_b dg - dg^T c_b.
-        per_pair = np.sum(dg * (0.5 * elastic.apply_invariant(block.A_b, dg) - block.c_b), axis=2)
+        per_pair = np.sum(dg * (0.5 * elastic.apply_invariant(its.A_b, dg) - its.c_b), axis=2)
         if block.bending is not None:
             bending = np.broadcast_to(block.bending, (len(self._places.vectors), 2))[pairs]
-            change = block.rest_b[:, -2:]
+            change = its.rest_b[:, -2:]
             per_pair = per_pair + curvature.energy_along(bending, change, Y[:, pairs])
         result = np.zeros((len(q), self._n_b), dtype=per_pair.dtype)
         np.add.at(result.T, self._pair_variable[: self._stiff], (per_pair * chosen[pairs]).T)

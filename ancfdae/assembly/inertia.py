@@ -10,19 +10,18 @@ of m (x) I_d over all blocks (docs/theory/03-joints-and-loads.md):
     point mass    m = mass w w^T, with position sum_a w_a X_a
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import final
+from functools import cached_property, partial
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.assembly.block import ElementBlock, ElementForms
+from ancfdae.assembly.block import ElementForms
 from ancfdae.assembly.layout import BeamLayout
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
-from ancfdae.kernels import Csr
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.scene import Scene
@@ -42,38 +41,48 @@ class MassBlocks:
     owners: Array
     pair_block: Array  # of int, (n_pairs,)
     pair_variable: Array  # of int, (n_pairs,)
-    m_b: Array  # (n_pairs, k, k): derivative of the block of each pair in its design variable
+    partials: Callable[[], Array]  # returns m_b
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes that are pickled: derivatives, not what they are made from."""
+        return {**vars(self), "m_b": self.m_b, "partials": None}
+
+    @cached_property
+    def m_b(self) -> Array:
+        """Derivative of the block of each pair in its design variable, (n_pairs, k, k)."""
+        return self.partials()
 
     def chosen(self, owner: int | None) -> Array:
         """One for the blocks of an owner, or for all, shape (n,)."""
         return np.ones(len(self.m)) if owner is None else (self.owners == owner).astype(float)
 
 
-def element_masses(numbering: Numbering, mapping: ParameterMap, block: ElementBlock) -> MassBlocks:
-    """Return the masses of the elements that deform; `mapping` is that of these elements."""
-    pairs = block.mass_pairs
-    return MassBlocks(
-        vectors=numbering.vectors,
-        m=block.m,
-        owners=numbering.owners,
-        pair_block=mapping.elements[pairs],
-        pair_variable=mapping.variables[pairs],
-        m_b=block.m_b,
-    )
+#: By the place among the bodies of a scene the numbers of a rigid one, m and m_b.
+KnownMasses: TypeAlias = dict[int, tuple[Any, Any]]
 
 
 def other_masses(
-    scene: Scene, naming: SceneNaming, mapping: ParameterMap, b: Array
+    scene: Scene, naming: SceneNaming, mapping: ParameterMap, b: Array, known: KnownMasses
 ) -> tuple[MassBlocks, ...]:
-    """Return the masses of all that is rigid, and of points."""
-    layout, single = naming.layout, list[_Single]()
+    """Return the masses of all that is rigid, and of points.
+
+    What is known of a rigid beam or body with the same numbers is taken over, the rest is added.
+    """
+    layout, single, elements = naming.layout, list[_Single](), mapping.values(b)
     for owner, member in enumerate(scene.members):
-        vectors = layout.bodies[owner].vectors
         if isinstance(member, RigidBody):
-            single.append(_Single(vectors, owner, *_of_body(member, mapping, b)))
+            numbers, masses = mapping.numbers(member.name, b)[0], partial(_of_body, member)
         elif member.rigid:
-            masses = _of_rigid_beam(member, layout.beam(member.name), mapping, b)
-            single.append(_Single(vectors, owner, *masses))
+            place = layout.beam(member.name)
+            numbers, masses = elements[place.elements], partial(_of_rigid_beam, member, place)
+        else:
+            continue
+        key = numbers.dtype, numbers.tobytes()
+        before, its = known.get(owner, ((), ()))
+        if before != key:
+            its = masses(mapping, b)
+            known[owner] = key, its
+        single.append(_Single(layout.bodies[owner].vectors, owner, *its))
     for owner, mass in enumerate(scene.point_masses, start=len(scene.members)):
         p, p_b = mapping.numbers(mass.name, b)
         at = naming.vector(mass.point, Quantity.POSITION, (p[1:], p_b[1:]))
@@ -106,7 +115,7 @@ def _together(blocks: Sequence[_Single]) -> MassBlocks:
         owners=np.array([each.owner for each in blocks]),
         pair_block=pairs[0],
         pair_variable=pairs[1],
-        m_b=m_b[pairs],
+        partials=lambda: m_b[pairs],
     )
 
 
@@ -131,11 +140,10 @@ def _of_rigid_beam(
     lengths = driven.values(b)[:, ElementParameter.LENGTH]
     W = nodes.weights(lengths, element.n_s)
     W_e = np.concatenate([W[:-1], W[1:]], axis=1)  # of the nodes of each element
-    m = np.einsum("nai,nab,nbj->ij", W_e, block.m, W_e, optimize=True)
+    m = np.sum(W_e.mT @ block.m @ W_e, axis=0)
     m_b = np.zeros((len(b), *m.shape), dtype=m.dtype)
     at, variables = driven.elements[block.mass_pairs], driven.variables[block.mass_pairs]
-    products = np.einsum("pai,pab,pbj->pij", W_e[at], block.m_b, W_e[at], optimize=True)
-    np.add.at(m_b, variables, products)
+    np.add.at(m_b, variables, W_e[at].mT @ block.partials.m_b @ W_e[at])
     moved = nodes.positions_b(driven.lengths_b(len(b)))
     momenta = block.m @ W_e
     for first, node in ((0, slice(None, -1)), (element.n_s, slice(1, None))):
@@ -194,7 +202,8 @@ class Inertia:
         self._field_b[:, positions] = field_b[:, self._field_active].T[:, None]
 
     @cached_property
-    def _M(self) -> LinearMap:
+    def M(self) -> LinearMap:
+        """The product with the mass matrix."""
         # Two of three entries of a spatial element are zero: masses do not couple directions.
         kept, pattern = np.flatnonzero(self.values), self._pattern
         return LinearMap.of(
@@ -215,7 +224,7 @@ class Inertia:
     @cached_property
     def gravity(self) -> Array:
         """Q_e = M (field of unit translations times g): eq. (12) without an integral of its own."""
-        return self._M(self._field.ravel())
+        return self.M(self._field.ravel())
 
     @cached_property
     def gravity_b(self) -> Array:
@@ -232,14 +241,9 @@ class Inertia:
         """Gravity and its design partials as rows, shape (1 + n_b, n_q)."""
         return np.concatenate([self.gravity[None], self.gravity_b.T])
 
-    @property
-    def csr(self) -> Csr:
-        """Arrays of M in compressed sparse rows."""
-        return self._M.csr
-
     def times(self, x: Array) -> Array:
         """M x for a vector or for columns."""
-        return self._M(x.T).T
+        return self.M(x.T).T
 
     def times_b(self, a: Array) -> Array:
         """(M a)_b for one a or for rows, shape (..., n_q, n_b)."""
@@ -296,10 +300,8 @@ class Inertia:
         lists: tuple[list[Array], ...] = ([], [], [])
         for vectors, m in blocks:
             coordinates = vectors[..., None] * self._d + np.arange(self._d)
-            parts = np.broadcast_arrays(
-                coordinates[:, :, None, :], coordinates[:, None, :, :], m[..., None]
-            )
+            parts = coordinates[:, :, None], coordinates[:, None], m[..., None]
             for store, part in zip(lists, parts, strict=True):
-                store.append(part.ravel())
+                store.append(np.broadcast_to(part, (*m.shape, self._d)).ravel())
         rows, columns, values = map(np.concatenate, lists)
         return rows, columns, values

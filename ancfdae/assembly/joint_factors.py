@@ -11,14 +11,16 @@ from ancfdae.assembly.joint_structure import JointStructure, Slot
 from ancfdae.numerics.arrays import STEP, Array
 
 _ORDERS = 4
+# Number of times whose factors are kept; a start and the checks of a run ask for four.
+_KEPT = 8
 
 
 @final
 class JointFactors:
     """Factors at instants, (orders, k, n_parts); of the first part, which stays, one and zeros.
 
-    Of a scene without driven joints there is one row for all instants. The last instant is kept:
-    an iteration asks for it again and again.
+    Of a scene without driven joints there is one row for all times. Factors at single times are
+    kept: an iteration asks for the same again and again, and so does each design of a sweep.
     """
 
     def __init__(self, slots: Sequence[Slot]) -> None:
@@ -26,7 +28,7 @@ class JointFactors:
         self._count = 1 + sum(slot.parts.stop - slot.parts.start for slot in self._slots)
         self.driven = len(self._slots) > 0
         self._still = np.eye(_ORDERS, 1)[:, :, None]
-        self._last: tuple[float, Array] = np.nan, self._still
+        self._known: dict[float, Array] = {}
 
     @property
     def active(self) -> set[int]:
@@ -40,11 +42,13 @@ class JointFactors:
         """
         if not self.driven:
             return self._still
-        last, factors = self._last
-        if t != last or len(factors) < orders:
+        factors = self._known.get(t)
+        if factors is None or len(factors) < orders:
             # A start asks for one order after the other.
-            factors = self.over(np.array([t]), orders if t != last else _ORDERS)
-            self._last = t, factors
+            factors = self.over(np.array([t]), orders if factors is None else _ORDERS)
+            if len(self._known) >= _KEPT:
+                self._known = {}
+            self._known[t] = factors
         return factors
 
     def over(self, t: Array, orders: int = 1) -> Array:

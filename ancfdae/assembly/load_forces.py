@@ -72,16 +72,13 @@ class LoadForces:
                 self._steady = self._steady + row
             else:
                 self._timed.append((item, row))
+        # One for each law of `factors` whose load turns with the motion, else zero.
+        turning = [float(not load.item.load.elastic) for load in self._moving]
+        self.turning = np.append(np.zeros(len(self._timed)), turning)
 
     def plans(self) -> tuple[tuple[LoadPlan, bool], ...]:
         """Return plans of the moving loads for the kernels, and whether they use velocities."""
         return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
-
-    @property
-    def turning(self) -> Array:
-        """Return one for each law of `factors` whose load turns with the motion, else zero."""
-        still = np.zeros(len(self._timed))
-        return np.append(still, [float(not load.item.load.elastic) for load in self._moving])
 
     def timed(self) -> tuple[Array, Array]:
         """Return the sum of constant loads, (n_q,), and what laws multiply, (n_loads, n_q)."""

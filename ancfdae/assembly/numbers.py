@@ -17,7 +17,7 @@ from ancfdae.assembly.assembled_start import AssembledStart
 from ancfdae.assembly.block import ElementBlock
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces
-from ancfdae.assembly.inertia import Inertia, element_masses, other_masses
+from ancfdae.assembly.inertia import Inertia, MassBlocks, other_masses
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadForces
@@ -76,8 +76,7 @@ class Geometry:
 
     def reached_by(self, structure: Structure) -> Array:
         """Tell which design variables change it, (n_b,)."""
-        scene = structure.scene
-        reached = structure.reaches(part.name for part in (*scene.joints, *scene.loads))
+        reached = structure.reaches_parts.copy()
         reached[self.reference.active] = True
         return reached
 
@@ -133,11 +132,11 @@ class Numbers:
                 return None
             geometry, fixed = changed, _placed(structure, changed, b)
         block, elastic = self.block, self.elastic
-        if changes(structure.reaches_elements()):
+        if changes(structure.reaches_elements):
             block = structure.forms.at(b)
             elastic = ElasticForces(block, structure.places, structure.soft, len(b))
         masses = self.inertia, self.turning
-        if displaced or changes(structure.reaches_masses()):
+        if displaced or changes(structure.reaches_masses):
             masses = _masses(structure, geometry, block, b)
         return Numbers(structure, b, geometry, *fixed, block, elastic, *masses)
 
@@ -171,8 +170,10 @@ def _masses(
     gravity, frame = (np.zeros(d), np.zeros((d, n_b))), (p, p_b)
     if scene.gravity is not None:
         gravity, frame = (p[:d], p_b[:d]), (p[d:], p_b[d:])
-    others = other_masses(scene, geometry.naming, structure.mapping, b)
-    blocks = (element_masses(numbering, structure.soft, block), *others)
+    others = other_masses(scene, geometry.naming, structure.mapping, b, structure.masses)
+    soft, pairs = structure.soft, block.mass_pairs
+    of_pairs = soft.elements[pairs], soft.variables[pairs], lambda: block.partials.m_b
+    blocks = (MassBlocks(numbering.vectors, block.m, numbering.owners, *of_pairs), *others)
     inertia = Inertia(blocks, numbering, n_b, structure.pattern, gravity)
     turns = scene.frame
     return inertia, turns and TurningForces(turns, frame, inertia, structure.pattern)

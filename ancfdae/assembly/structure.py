@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
 
 from ancfdae.assembly.block import WEIGHTLESS, ElementForms
 from ancfdae.assembly.elastic_forces import ElementPlaces
+from ancfdae.assembly.inertia import KnownMasses
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_input import LoadInput
@@ -30,7 +32,8 @@ class Structure:
     `soft` maps the design to the elements that deform, which have `forms` and stand at `places` of
     the pattern.
     `constraint_names` are the joints of the equations, `reach` is the largest coordinate in m of a
-    place on the ground that a load refers to.
+    place on the ground that a load refers to. `masses` holds the masses of rigid bodies and beams
+    at the values of the design that were asked for last.
     """
 
     scene: Scene
@@ -44,6 +47,7 @@ class Structure:
     places: ElementPlaces
     constraint_names: tuple[str, ...]
     reach: float
+    masses: KnownMasses = field(default_factory=dict)
 
     @staticmethod
     def of(
@@ -85,10 +89,17 @@ class Structure:
             reached[[slot[1] for slot in self.mapping.slots.get(owner, ())]] = True
         return reached
 
+    @cached_property
+    def reaches_parts(self) -> Array:
+        """Whether each design variable writes to a joint or load, (n_b,)."""
+        return self.reaches(part.name for part in (*self.scene.joints, *self.scene.loads))
+
+    @cached_property
     def reaches_elements(self) -> Array:
         """Tell which design variables write to elements that deform, (n_b,)."""
         return np.bincount(self.soft.variables, minlength=len(self.design)) > 0
 
+    @cached_property
     def reaches_masses(self) -> Array:
         """Tell which design variables masses, gravity or the frame may depend on, (n_b,)."""
         pairs = ~np.isin(self.mapping.parameters, WEIGHTLESS)

@@ -118,6 +118,8 @@ class AncfSystem(PlannedSystem):
 
     def _described(self) -> SystemProperties:
         joints, moving = self._constraints, self._loads.moving
+        parts = (*self._scene.joints, *self._scene.loads)
+        values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
         damped, turning = self._elastic.damped, self._turning is not None
         return SystemProperties(
             constant_mass=True,
@@ -129,14 +131,8 @@ class AncfSystem(PlannedSystem):
             symmetric=not (damped or moving or turning),
             project_start=self._scene.project_start,
             force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
-            breakpoints=self._breakpoints(),
+            breakpoints=tuple(t for part, p in values for t in part.breakpoints(p)),
         )
-
-    def _breakpoints(self) -> tuple[float, ...]:
-        """Instants between which all laws of time are smooth."""
-        parts = (*self._scene.joints, *self._scene.loads)
-        values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
-        return tuple(t for part, p in values for t in part.breakpoints(p))
 
     def breakpoints(self, t_end: float) -> tuple[float, ...]:
         """Return the ends of the pieces of laws, and stops around pulses of unmarked laws; s."""
@@ -159,7 +155,7 @@ class AncfSystem(PlannedSystem):
         inertia, weights, factors = self._inertia, self.weights, self._constraints.factors
         return Plan(
             *self._elastic.tangent_places,
-            inertia.csr,
+            inertia.M.csr,
             self.pattern.rows_of(inertia.values),
             inertia.gravity + steady,
             rows,

@@ -126,15 +126,18 @@ class Place:
         return np.where(np.isfinite(sizes), sizes, np.inf)
 
     def _norms(self, changes: Array) -> Array:
-        """Return norms of X, balanced, and where these are large nearly its largest eigenvalue."""
+        """Return norms of X, where these are large balanced, then nearly its largest eigenvalue."""
         n_lam, n_used = self._form.shape
         X = self._form.matrices(changes).reshape(-1, n_used) @ self._P
         X = X.reshape(-1, n_lam, n_lam)
+        sizes = np.asarray(np.linalg.norm(X.reshape(-1, n_lam**2), axis=1))
+        if not np.any(sizes > CHANGED):
+            return sizes
         if self._balance is None and np.all(np.isfinite(X[-1])):
             scale = scipy.linalg.matrix_balance(X[-1], permute=False, separate=True)[1][0]
             self._balance = (scale[None] / scale[:, None]) ** 2
-        squares = X * X if self._balance is None else X * X * self._balance
-        sizes = np.asarray(np.sqrt(np.einsum("kij->k", squares)))
+        if self._balance is not None:
+            sizes = np.sqrt(np.einsum("kij->k", X * X * self._balance))
         large = np.flatnonzero(sizes > CHANGED)
         together = max(1, _NUMBERS // n_lam**2)
         for first in range(0, len(large), together):

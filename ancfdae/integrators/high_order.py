@@ -33,8 +33,8 @@ from ancfdae.numerics.time_grid import TimeGrid, next_end
 
 # Steps of which a run warns: DOP853 takes 20 s for them in a small system (5,000 a second).
 _MANY = 100_000
-# Intervals of a run of which the end alone is asked for.
-_FEW = 4
+# Intervals of a run where none are asked for, and of one of which the end alone is read.
+_INTERVALS, _FEW = 64, 4
 # Each interval has eight instants more.
 _MOST_INTERVALS = 10**8
 
@@ -120,9 +120,10 @@ class HighOrder(QuadratureIntegrator):
     ----------
     rtol : float
         Relative tolerance per step; dimensionless.
-    intervals : int
+    intervals : int, optional
         Equal intervals of the run; each has nine Gauss-Lobatto instants, ends included. They
-        say where the trajectory is reported, nothing else.
+        say where the trajectory is reported, nothing else. By default 64, and 4 in gradients of
+        objectives that are read at the end alone or integrated with the motion.
     max_steps : int
         Steps of the whole run before it ends with an outcome. The default, a million, is no
         budget: it ends runs that nobody waits for. Runs that lead nowhere end by themselves.
@@ -135,7 +136,7 @@ class HighOrder(QuadratureIntegrator):
     real_only: ClassVar[bool] = True
 
     rtol: float = 1e-8
-    intervals: int = 64
+    intervals: int | None = None
     max_steps: int = 1_000_000
     stops: tuple[float, ...] = field(default=(), kw_only=True)
 
@@ -144,7 +145,9 @@ class HighOrder(QuadratureIntegrator):
         """Validate the settings that all have."""
         name = type(self).__name__
         require_rtol(f"{name}.rtol", self.rtol, least_rtol)
-        require_count(f"{name}.intervals", self.intervals, "64 is a good number.", _MOST_INTERVALS)
+        if self.intervals is not None:
+            repair = f"{_INTERVALS} is a good number."
+            require_count(f"{name}.intervals", self.intervals, repair, _MOST_INTERVALS)
         require_array(f"{name}.stops", self.stops)
         require_count(f"{name}.max_steps", self.max_steps, f"{type(self).max_steps} is plenty.")
 
@@ -155,14 +158,16 @@ class HighOrder(QuadratureIntegrator):
 
     @final
     def at_end(self, system: MechanicalSystem, t_end: float) -> Self:
-        """Return the integrator that reports few instants, where the end alone is asked for.
+        """Return the integrator that reports few times, for a run that is read at its end alone.
 
-        Prescribed motions keep theirs: they are checked from instant to instant.
+        `intervals` that were given are kept. A prescribed motion keeps the default: it is checked
+        from one reported time to the next.
         """
-        times = np.linspace(0.0, t_end, self.intervals + 1)
-        if system.n_lam == system.n_q or is_driven(system, times, system.start()[0].real):
+        times = np.linspace(0.0, t_end, _INTERVALS + 1)
+        prescribed = system.n_lam == system.n_q
+        if self.intervals or prescribed or is_driven(system, times, system.start()[0].real):
             return self
-        return replace(self, intervals=min(self.intervals, _FEW))
+        return replace(self, intervals=_FEW)
 
     @abc.abstractmethod
     def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
@@ -187,7 +192,7 @@ class HighOrder(QuadratureIntegrator):
             problem = InitialValueProblem.of(system, t_end)
             problem = problem.differentiated() if sensitivities else problem
         problem.require_finite()
-        grid = TimeGrid.lobatto(t_end, self.intervals)
+        grid = TimeGrid.lobatto(t_end, self.intervals or _INTERVALS)
         recorder = SolutionRecorder(system, len(grid.t), grid.degree, sensitivities)
         recorder.accepted = 0
         recorder.record(*problem.initial, problem.derivative or ())

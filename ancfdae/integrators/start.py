@@ -36,6 +36,8 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 # above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.
 _CONSISTENT = 1e-8
 _PROJECTION_ITERATIONS = 50
+# Corrections of the positions below this part of them end the projection.
+_CLOSED = 1e-12
 # Numbers of stages that close a gap, one after the other until one does.
 _STAGES = (1, 8, 64)
 
@@ -74,8 +76,10 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
         _refuse_inconsistent(system, q, v, t)
     # Forces that are not finite at the start are refused here, not warned about.
     with np.errstate(all="ignore"):
-        q, _ = _project_position(system, matrices, q, t)
-        if not system.traits.linear_constraints:
+        declared, (q, _) = q, _project_position(system, matrices, q, t)
+        # Constraints were checked at the declared start, which may be where they stand already.
+        moved = norm(q - declared, system.weights) > _CLOSED * norm(declared, system.weights)
+        if moved and not system.traits.linear_constraints:
             refuse_redundant(system, matrices, system.constraint_q(t, q))
         factors = _factor_mass(system, matrices, q, t)
         v = solve(factors, system.mass_times(q, v), velocity_side(system, t, q))[0]
@@ -287,7 +291,7 @@ def _close_gap(
         q, sigma_q = q + dq, sigma_q + change
         if not finite(q):
             break
-        if norm(dq, system.weights) <= 1e-12 * scale:
+        if norm(dq, system.weights) <= _CLOSED * scale:
             # A complex perturbation lags the real part by one sweep.
             settled += 1
             if q.dtype.kind != "c" or settled == 3:

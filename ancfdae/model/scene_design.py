@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from typing import Self, TypeAlias, TypeVar
@@ -226,7 +227,7 @@ class SceneDesign(Designable):
         """Raise what `with_values` raises, but make the parts alone that change.
 
         The scene is made anew only where its own checks could find what parts do not: where
-        points, sections or the scene itself change.
+        points, sections with points off the axis, or the scene itself change.
         """
         changes_of: dict[str, list[_Change]] = {}
         for key, value in values.items():
@@ -237,19 +238,35 @@ class SceneDesign(Designable):
             start = self.start_of.get(owner)
             known = start.parameters() if isinstance(start, InitialVelocity) else ()
             started = any(target.parameter in known for _, target, _ in changes)
-            if part is None or started or not _fits_alike(part, _with_values(part, changes)):
+            whole = started or owner in self._off_axis
+            if part is None or whole or not _takes(part, changes):
                 self.with_values(values)
                 return
+
+    @cached_property
+    def _off_axis(self) -> set[str]:
+        """Names of the beams with points that must lie in their sections, off the axis."""
+        parts = (part for part in self.parts().values() if not isinstance(part, RigidBody))
+        points = [point for part in parts for point in part.points]
+        points += [body.attached for body in self.members if body.attached is not None]
+        return {point.beam for point in points if point.y != 0 or point.z != 0}
+
+    @cached_property
+    def _moved(self) -> dict[DesignVariable, list[tuple[Target, float, float]]]:
+        """Targets of the variables that were asked for, each with its factor and offset."""
+        return {}
 
     def _changes(self, key: str | DesignVariable, value: float) -> list[_Change]:
         """Return (what errors name, target, value) of everything that a value changes."""
         if isinstance(key, DesignVariable):
             where = f"design variable {key.name!r}"
             require_finite(where, value)
-            return [
-                (where, self.resolve(text), key.factor(text) * value + self.offset(key, text))
-                for text in key.targets
-            ]
+            if key not in self._moved:
+                self._moved[key] = [
+                    (self.resolve(text), key.factor(text), self.offset(key, text))
+                    for text in key.targets
+                ]
+            return [(where, x, factor * value + rest) for x, factor, rest in self._moved[key]]
         target = self.resolve(key)
         require_finite(key, value)
         return [(key, target, value)]
@@ -399,29 +416,42 @@ _Part: TypeAlias = BeamBody | RigidBody | Part
 
 def _with_values(part: _Part, changes: list[_Change]) -> _Part:
     """Return the part with numbers changed together; errors name what the user wrote."""
-    try:
+    with _in_words_of(changes):
         if isinstance(part, BeamBody):
-            return part.with_values([(t.parameter, t.element, value) for _, t, value in changes])
+            return part.with_values(_of_beam(changes))
         if isinstance(part, RigidBody):
             placement = part.placement()
             moved = {t.parameter: value for _, t, value in changes if t.parameter in placement}
             part = part.with_placement(moved) if moved else part
             changes = [change for change in changes if change[1].parameter not in placement]
         return _with_numbers(part, changes)
+
+
+def _takes(part: _Part, changes: list[_Change]) -> bool:
+    """Raise what `_with_values` raises; return whether the points of the part stay."""
+    if isinstance(part, BeamBody):
+        with _in_words_of(changes):
+            part.refuse_values(_of_beam(changes))
+        return True
+    changed = _with_values(part, changes)
+    return isinstance(part, RigidBody) or (
+        isinstance(changed, Part) and part.points == changed.points
+    )
+
+
+def _of_beam(changes: list[_Change]) -> list[tuple[str, int | None, float]]:
+    return [(target.parameter, target.element, value) for _, target, value in changes]
+
+
+@contextmanager
+def _in_words_of(changes: list[_Change]) -> Iterator[None]:
+    """Let errors name what the user wrote: the change they speak of, or all that do not fit."""
+    try:
+        yield
     except InvalidInputError as error:
-        # The one that the error speaks of, or all that do not fit together.
         named = [c for c in changes if error.where.endswith(f".{c[1].parameter}")] or changes
         where = ", ".join(dict.fromkeys(change[0] for change in named))
         raise InvalidInputError(where, error.rule, error.got, error.repair) from error
-
-
-def _fits_alike(part: _Part, changed: _Part) -> bool:
-    """Tell whether points of a changed part, or in it, lie in sections as before."""
-    if isinstance(part, BeamBody) and isinstance(changed, BeamBody):
-        return part.extents() == changed.extents()
-    return isinstance(part, RigidBody) or (
-        isinstance(part, Part) and isinstance(changed, Part) and part.points == changed.points
-    )
 
 
 def _differ(values: list[float]) -> bool:

@@ -22,7 +22,7 @@ from ancfdae.integrators.integrator import Integrator, QuadratureIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
-from ancfdae.sensitivity.objectives.totals import totals_of
+from ancfdae.sensitivity.objectives.totals import read_at_end, totals_of
 from ancfdae.sensitivity.observables.states import states_of
 
 
@@ -224,11 +224,17 @@ class Run:
     def integrals(
         self, objectives: Sequence[Objective], *, differentiated: bool, sensitivities: bool = False
     ) -> tuple[Solution, Totals]:
-        """Return a finished run and the integrals that the integrator took beside the motion."""
-        if self.after is not None or not isinstance(self.integrator, QuadratureIntegrator):
+        """Return a finished run and the integrals that the integrator took beside the motion.
+
+        The run reports few times between its ends if no objective reads these.
+        """
+        integrator = self.integrator
+        if self.after is not None or not isinstance(integrator, QuadratureIntegrator):
             return finished(self.solution(sensitivities=sensitivities)), NO_TOTALS
         totals = totals_of(self.system, objectives, differentiated)
-        run = self.integrator.integrate(
+        if read_at_end(self.system, objectives, self.t_end):
+            integrator = integrator.at_end(self.system, self.t_end)
+        run = integrator.integrate(
             self.system,
             self.t_end,
             sensitivities=sensitivities,

@@ -25,7 +25,6 @@ from ancfdae.errors.checks import (
 )
 from ancfdae.errors.kinds import AncfdaeError, InvalidInputError, UnknownNameError
 from ancfdae.errors.outcomes import Interrupted
-from ancfdae.integrators.high_order import HighOrder
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.model.design import DesignVariable, as_design
@@ -33,7 +32,6 @@ from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.method import GradientMethod, Run, finished
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.objectives.totals import read_at_end
 from ancfdae.sensitivity.observables.observable import Observable, observe
 from ancfdae.sensitivity.observables.states import states_of
 from ancfdae.studies.calls import as_system, gradient
@@ -91,9 +89,6 @@ class Evaluator:
             solution = finished(run.solution())
             return {"value": observe(self.of, solution, system), "t": solution.t}
         self.of.check(system, self.t_end)
-        if isinstance(self.integrator, HighOrder) and read_at_end(system, [self.of], self.t_end):
-            # Nobody sees the instants between.
-            run = replace(run, integrator=self.integrator.at_end(system, self.t_end))
         solution, totals = run.integrals([self.of], differentiated=False)
         return {"value": self.of.value(system, states_of(solution), totals)}
 

@@ -134,11 +134,11 @@ class Nodes:
 
     def maybe_small(self) -> Array:
         """Return for every instant whether the step that ends there may be small, shape (n_t,)."""
-        root = np.sqrt(self.problem.system.weights)
+        weights = self.problem.system.weights
         h, beta = self.steps.h, self.steps.of(1).beta
         # A run that diverged overflows; its motion is not small.
         with np.errstate(over="ignore"):
-            q, A = (np.linalg.norm(root * x.real, axis=1) for x in (self.run.q, self.run.a))
+            q, A = (np.sqrt(x.real**2 @ weights) for x in (self.run.q, self.run.a))
         # As in `ConstraintRow.of`, for all steps at once.
         allowed = _QUIET_DERIVATIVES * beta * h**2 * np.maximum(A[1:], A[:-1])
         return np.append(False, _EPS * q[:-1] > allowed)

@@ -165,17 +165,14 @@ class BeamBody(Placed):
         return parameters
 
     def element_type(self) -> ElementType:
-        """Return the type of element, which all elements of the beam share."""
-        return ElementType(self._section(), self.energy, self.reference().straight)
+        """Return the type of element of all elements; it has no energy if the beam is rigid."""
+        energy = None if self.rigid else self.energy
+        return ElementType(self._section(), energy, self.reference().straight)
 
     def half_extents(self, elements: Array) -> tuple[float, float]:
         """Half of the height and of the width that enclose the sections of some elements; m."""
         y, z = np.max([self._per_element()[0][k].half_extents for k in elements], axis=0)
         return float(y), float(z)
-
-    def extents(self) -> list[tuple[float, float]]:
-        """Half of the height and of the width of the section of every element; m."""
-        return [section.half_extents for section in self._per_element()[0]]
 
     def with_values(self, changes: Iterable[tuple[str, int | None, float]]) -> BeamBody:
         """Return the same beam with (parameter, element, value) changed together.
@@ -188,26 +185,42 @@ class BeamBody(Placed):
         changes = tuple(changes)
         moved = {name: value for name, _, value in changes if name in placement}
         beam = self.with_placement(moved) if moved else self
-        sections, materials = self._per_element()
-        sizes: list[dict[str, float]] = [{} for _ in sections]
-        numbers: list[dict[str, float]] = [{} for _ in materials]
-        for parameter, element, value in changes:
+        constants = []
+        for change in changes:
+            parameter, element, value = change
             self.check_target(parameter, element)
             if parameter in placement:
                 continue
             if names[parameter] is ElementParameter.LENGTH:
                 beam = beam.with_length(value)
-                continue
-            if names[parameter] is ElementParameter.INITIAL_STRAIN:
+            elif names[parameter] is ElementParameter.INITIAL_STRAIN:
                 beam = replace(beam, initial_strain=value)  # type: ignore[type-var]
-                continue
+            else:
+                constants.append(change)
+        sections, materials = self._with_constants(constants)
+        return replace(beam, section=sections, material=materials)  # type: ignore[type-var]
+
+    def refuse_values(self, changes: Sequence[tuple[str, int | None, float]]) -> None:
+        """Raise what `with_values` raises; of constants of elements without making the beam."""
+        names, others = self.parameter_names(), ("length", "initial_strain")
+        if any(name in others or name not in names for name, _, _ in changes):
+            self.with_values(changes)
+            return
+        sections, _ = self._with_constants(changes)
+        if any(names[name].is_size for name, _, _ in changes):
+            self._check_sections(sections)
+
+    def _with_constants(
+        self, changes: Sequence[tuple[str, int | None, float]]
+    ) -> tuple[Sequence[Section], Sequence[Material]]:
+        """Return sections and materials with sizes and constants of elements changed together."""
+        names, (sections, materials) = self.parameter_names(), self._per_element()
+        sizes: list[dict[str, float]] = [{} for _ in sections]
+        numbers: list[dict[str, float]] = [{} for _ in materials]
+        for parameter, element, value in changes:
             for k in range(self.element_count) if element is None else [element]:
                 (sizes if names[parameter].is_size else numbers)[k][parameter] = value
-        return replace(  # type: ignore[type-var]
-            beam,
-            section=_changed(sections, sizes),
-            material=_changed(materials, numbers),
-        )
+        return _changed(sections, sizes), _changed(materials, numbers)
 
     def check_target(self, parameter: str, element: int | None) -> None:
         """Refuse a design target that this beam does not have."""
@@ -262,7 +275,7 @@ class BeamBody(Placed):
         self._check_turn(f"beam {self.name!r}")
         self._check_part(self.section, Section)
         self._check_part(self.material, Material)
-        self._check_sections()
+        self._check_sections(self._per_element()[0])
         self._check_energy()
         self._check_kinks()
         self._check_initial_strain()
@@ -307,16 +320,17 @@ class BeamBody(Placed):
                 f"Give one {kind.__name__}, or as many as there are elements.",
             )
 
-    def _check_sections(self) -> None:
-        forms = {section.form() for section in self._per_element()[0]}
+    def _check_sections(self, sections: Sequence[Section]) -> None:
+        distinct = list({id(section): section for section in sections}.values())
+        forms = {section.form() for section in distinct}
         if len(forms) > 1:
             raise InvalidInputError(
                 f"beam {self.name!r}, section",
                 "the sections of a beam must differ in their sizes only",
-                repr(self.section),
+                repr(tuple(sections)),
                 "Join two beams with a Clamp instead.",
             )
-        for section in {x.sizes(): x for x in self._per_element()[0]}.values():
+        for section in {x.sizes(): x for x in distinct}.values():
             self.element.check_section(f"beam {self.name!r}", section)
 
     def _check_energy(self) -> None:

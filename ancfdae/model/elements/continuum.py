@@ -116,21 +116,23 @@ class ContinuumBeam(BeamElement):
 
 @final
 class _ContinuumIntegrals(ElementIntegrals):
-    """A and m of scaled vectors."""
+    """A and m of scaled vectors; A is zero for elements without energy, of rigid beams."""
 
     def __init__(self, batch: Batch, owners: Array) -> None:
-        self._batch, self._fibres, self._C = batch, fibres(batch), section_stiffness(batch)
+        self._batch, self._fibres = batch, fibres(batch)
+        self._C = () if batch.kind.energy is None else section_stiffness(batch)
         count = _STRAIGHT_POINTS if batch.kind.straight else _CURVED_POINTS
         self._regions = [Region(batch, self._fibres, gauss_rule(count), owners)]
         if len(self._C) > 1:
             axis = self._fibres.axis()
             self._regions.append(Region(batch, axis, gauss_rule(AXIS_POINTS), owners))
         self._rho = batch.of(ElementParameter.DENSITY)
-        parts = zip(self._regions, self._C, strict=True)
-        A: Array = np.sum([r.total(r.stiffness(C)) for r, C in parts], axis=0)
-        self.values = A, self._regions[0].mass(self._rho)
         # What the scaling took out of g, with its squares of the chord, and of s_a.
         rows, columns = upper_triangle(2 * batch.d + 1)
+        A = np.zeros((len(self._rho), len(rows), len(rows)), dtype=self._rho.dtype)
+        for region, C in zip(self._regions, self._C, strict=False):
+            A = A + region.total(region.stiffness(C))
+        self.values = A, self._regions[0].mass(self._rho)
         of_g = -(rows == 0).astype(int) - (columns == 0)
         of_s = np.array(2 * ([0] + batch.d * [1]))
         self.powers = of_g[:, None] + of_g, of_s[:, None] + of_s
@@ -140,8 +142,11 @@ class _ContinuumIntegrals(ElementIntegrals):
         A_b, m_b = (np.zeros_like(x) for x in self.values)
         if which is ElementParameter.DENSITY:
             return A_b, self.values[1] / self._rho[:, None, None]
-        batch = self._batch
-        if which in (ElementParameter.YOUNGS_MODULUS, ElementParameter.POISSON_RATIO):
+        batch, moduli = (
+            self._batch,
+            (ElementParameter.YOUNGS_MODULUS, ElementParameter.POISSON_RATIO),
+        )
+        if self._C and which in moduli:
             step, moved = batch.step(which), section_stiffness(batch.moved(which))
             for r, C, C_moved in zip(self._regions, self._C, moved, strict=True):
                 A_b += r.total(r.stiffness(change(C_moved, C, step)))
@@ -149,7 +154,7 @@ class _ContinuumIntegrals(ElementIntegrals):
         if not fibres_b.any():
             return A_b, m_b
         moves = [fibres_b, fibres_b.axis()][: len(self._regions)]
-        for r, C, move in zip(self._regions, self._C, moves, strict=True):
+        for r, C, move in zip(self._regions, self._C, moves, strict=False):
             A_b += r.total(r.stiffness_partial(C, move))
         m_b += self._regions[0].mass_partial(self._rho, fibres_b)
         return A_b, m_b

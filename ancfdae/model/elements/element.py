@@ -13,6 +13,7 @@ design derivatives follow from these facts.
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import final
@@ -163,6 +164,9 @@ class InvariantPartial:
     m: Array  # (n, n_a, n_a)
 
 
+Partials = dict[ElementParameter, InvariantPartial]
+
+
 @final
 @dataclass(frozen=True)
 class Invariants:
@@ -176,9 +180,9 @@ class Invariants:
     # (n, 2): flexural stiffness E I and length of elements that bend as cables do (`curvature`),
     # zero stiffness of those that do not; None where no element does.
     bending: Array | None
-    # Derivatives by element parameter, only those asked for; none for the damping time, which no
+    # Returns the derivatives in the element parameters given; none for the damping time, which no
     # invariant depends on.
-    partials: dict[ElementParameter, InvariantPartial]
+    partials: Callable[[Iterable[ElementParameter]], Partials]
 
 
 class ElementIntegrals(abc.ABC):

@@ -24,6 +24,7 @@ from ancfdae.model.elements.element import (
     ElementParameter,
     InvariantPartial,
     Invariants,
+    Partials,
 )
 from ancfdae.model.elements.strain_fields import packed_gram, upper_triangle
 from ancfdae.model.elements.volume import change
@@ -37,52 +38,67 @@ _STRAIGHT_CHUNK, _CURVED_CHUNK = 256, 32
 def prepare(
     element: BeamElement,
     batch: Batch,
-    wanted: Iterable[ElementParameter] = (),
     owners: Array | None = None,
 ) -> Invariants:
-    """Integrate the invariants of a batch, and the derivatives in the parameters wanted.
+    """Integrate the invariants of a batch of elements; their derivatives follow when asked for.
 
     InvalidInputError, with what each element belongs to, if the reference configuration folds (det
     dr_o/dx <= 0 somewhere).
     """
-    wanted, n = tuple(wanted), len(batch.parameters)
+    n = len(batch.parameters)
     if owners is None:
         owners = np.full(n, "reference configuration")
     count = _STRAIGHT_CHUNK if batch.kind.straight else _CURVED_CHUNK
     chunks = [slice(k, k + count) for k in range(0, n, count)]
-    return joined([_invariants(element, batch[k], wanted, owners[k]) for k in chunks])
+    return joined([_invariants(element, batch[k], owners[k], keep=n <= count) for k in chunks])
 
 
-def _invariants(
-    element: BeamElement, batch: Batch, wanted: tuple[ElementParameter, ...], owners: Array
-) -> Invariants:
-    """Multiply the integrals by powers of the length; the product rule."""
+def _invariants(element: BeamElement, batch: Batch, owners: Array, *, keep: bool) -> Invariants:
+    """Multiply the integrals by powers of the length; the product rule.
+
+    Integrals that are not kept are taken again for derivatives: points of many curved elements
+    would fill the memory.
+    """
     integrals = element.integrals(batch, owners)
     where, repair = (
         f"integrals of the element {element.name}",
         "Return an object of the class `Integrals`.",
     )
     require_kind(where, integrals, (ElementIntegrals,), repair)
-    lengths = [batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
+    (A, m, *flexural), kept = _scaled(integrals, batch)[0], integrals if keep else None
+
+    def partials(wanted: Iterable[ElementParameter]) -> Partials:
+        its, found = kept or element.integrals(batch, owners), Partials()
+        whole, sizes, Y_o = *_scaled(its, batch), _free(batch)
+        for which in wanted:
+            changes = [x * size for x, size in zip(its.partial(which), sizes, strict=True)]
+            Y_b = change(_free(batch.moved(which)), Y_o, batch.step(which))
+            if which is ElementParameter.LENGTH:
+                by_l = zip(whole, its.powers, strict=True)
+                changes = [
+                    x_b + x * k / batch.lengths.reshape(-1, *[1] * k.ndim)
+                    for x_b, (x, k) in zip(changes, by_l, strict=True)
+                ]
+            A_b, m_b, *flexural_b = changes
+            g_ob = gram(Y_o, Y_b)
+            bending_b = np.zeros((len(A_b), 2), dtype=A_b.dtype)
+            if flexural_b:
+                bending_b = np.insert(flexural_b[0], 1, which is ElementParameter.LENGTH, axis=1)
+            c = np.einsum("nij,nj->ni", whole[0], g_ob)
+            found[which] = InvariantPartial(A_b, g_ob, bending_b, c, m_b)
+        return found
+
+    bending = None
+    if flexural:
+        bending = np.concatenate([flexural[0], batch.lengths[:, None]], axis=1)
+    return Invariants(A, packed_gram(_free(batch)), m, bending, partials)
+
+
+def _scaled(integrals: ElementIntegrals, batch: Batch) -> tuple[list[Array], list[Array]]:
+    """Return the integrals times the powers of the length, and these powers."""
+    lengths = (batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers)
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
-    whole = [x * size for x, size in zip(integrals.values, sizes, strict=True)]
-    A, m, *flexural = whole
-    Y_o, partials = _free(batch), {}
-    for which in wanted:
-        changes = [x * size for x, size in zip(integrals.partial(which), sizes, strict=True)]
-        Y_b = change(_free(batch.moved(which)), Y_o, batch.step(which))
-        if which is ElementParameter.LENGTH:
-            by_l = zip(whole, integrals.powers, lengths, strict=True)
-            changes = [x_b + x * k / l for x_b, (x, k, l) in zip(changes, by_l, strict=True)]
-        A_b, m_b, *flexural_b = changes
-        g_ob = gram(Y_o, Y_b)
-        bending_b = np.zeros((len(A), 2), dtype=A.dtype)
-        if flexural_b:
-            bending_b = np.insert(flexural_b[0], 1, which is ElementParameter.LENGTH, axis=1)
-        c = np.einsum("nij,nj->ni", A, g_ob)
-        partials[which] = InvariantPartial(A_b, g_ob, bending_b, c, m_b)
-    bending = np.insert(flexural[0], 1, batch.lengths, axis=1) if flexural else None
-    return Invariants(A, packed_gram(Y_o), m, bending, partials)
+    return [x * size for x, size in zip(integrals.values, sizes, strict=True)], sizes
 
 
 def _free(batch: Batch) -> Array:
@@ -103,12 +119,16 @@ def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invarian
     def fields(parts: Sequence[Invariants | InvariantPartial], *names: str) -> dict[str, Array]:
         return {name: together([getattr(part, name) for part in parts]) for name in names}
 
-    partials = {
-        which: InvariantPartial(
-            **fields([piece.partials[which] for piece in pieces], "A", "g_o", "bending", "c", "m")
-        )
-        for which in pieces[0].partials
-    }
+    of_pieces = [piece.partials for piece in pieces]
+
+    def partials(wanted: Iterable[ElementParameter]) -> Partials:
+        wanted, names = tuple(wanted), ("A", "g_o", "bending", "c", "m")
+        parts = [derivatives(wanted) for derivatives in of_pieces]
+        return {
+            which: InvariantPartial(**fields([part[which] for part in parts], *names))
+            for which in wanted
+        }
+
     none = all(piece.bending is None for piece in pieces)
     bending = [
         np.zeros_like(piece.g_o[:, :2]) if piece.bending is None else piece.bending
@@ -129,8 +149,6 @@ def relative_places(element: BeamElement, wider: BeamElement) -> Array:
 
 def widened(narrow: Invariants, element: BeamElement, wider: BeamElement) -> Invariants:
     """Return invariants of the size of another element, zero for vectors that are not there."""
-    if element.quantities == wider.quantities:
-        return narrow
     n_y, at = wider.n_y, element.places_in(wider)
     packed = np.zeros((n_y, n_y), dtype=np.int64)
     packed[upper_triangle(n_y)] = np.arange(n_y * (n_y + 1) // 2)
@@ -146,8 +164,12 @@ def widened(narrow: Invariants, element: BeamElement, wider: BeamElement) -> Inv
         wide = {name: placed(getattr(part, name), of_g, n_g) for name in names}
         return {**wide, "m": placed(part.m, at, wider.n_a)}
 
-    partials = {
-        which: InvariantPartial(**fields(part, "A", "g_o", "c"), bending=part.bending)
-        for which, part in narrow.partials.items()
-    }
+    of_narrow = narrow.partials
+
+    def partials(wanted: Iterable[ElementParameter]) -> Partials:
+        return {
+            which: InvariantPartial(**fields(part, "A", "g_o", "c"), bending=part.bending)
+            for which, part in of_narrow(wanted).items()
+        }
+
     return Invariants(**fields(narrow, "A", "g_o"), bending=narrow.bending, partials=partials)

@@ -6,6 +6,7 @@ that the length enters through the fibres only.
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -104,14 +105,19 @@ class Region:
     ) -> None:
         self._xi, self.rule = along
         self._d, self._fibres = batch.d, fibres
-        assumed = batch.energy.assumed_strains
+        assumed = batch.kind.energy is not None and batch.energy.assumed_strains
         self._turns = turn_count(batch.d) if assumed else 0
         self.beta = section_strains(batch.d, tuple(self._xi.tolist()), assumed)
         straight = batch.kind.straight
         self._frames = Frames.straight(batch.d) if straight else Frames.of(batch.Y_unit, self._xi)
-        self.R, self.volume = self._strains(fibres), self._measure(fibres)
+        self.volume = self._measure(fibres)
         if not straight:
             _refuse_folds(self._frames.stretch(fibres.offsets), owners)
+
+    @cached_property
+    def R(self) -> Array:
+        """Strains at the fibres per strain of the section, shape (n, n_xi or 1, n_f, n_v, n_s)."""
+        return self._strains(self._fibres)
 
     def stiffness(self, C: Array) -> Array:
         """Return the integral of R^T C R over the sections, shape (n, n_xi or 1, n_s, n_s)."""
@@ -136,15 +142,16 @@ class Region:
     def mass(self, rho: Array) -> Array:
         """Return the integral of rho s s^T (eq. 10), shape (n, n_a, n_a)."""
         s = self._shape(self._fibres.offsets)
-        return _product(rho, self._points(self.volume), s, s)
+        return _product(rho, self.rule[:, None] * self.volume, s, s)
 
     def mass_partial(self, rho: Array, fibres_b: Fibres) -> Array:
         """Return the derivative of `mass` along that of the fibres."""
         offsets, offsets_b = self._fibres.offsets, fibres_b.offsets
         s, s_b = self._shape(offsets), along(self._shape, (offsets,), (offsets_b,))
         volume_b = self._along(self._measure, fibres_b)
-        cross = _product(rho, self._points(self.volume), s_b, s)
-        return cross + cross.swapaxes(-1, -2) + _product(rho, self._points(volume_b), s, s)
+        dV, dV_b = (self.rule[:, None] * x for x in (self.volume, volume_b))
+        cross = _product(rho, dV, s_b, s)
+        return cross + cross.swapaxes(-1, -2) + _product(rho, dV_b, s, s)
 
     def _strains(self, fibres: Fibres) -> Array:
         return self._frames.strains(fibres, self._turns, 1)
@@ -168,10 +175,6 @@ class Region:
         y, z = np.moveaxis(offsets[:, None], -1, 0)
         weights = shape_weights(self._d, Quantity.POSITION, self._xi[:, None], y, z)
         return weights
-
-    def _points(self, volume: Array) -> Array:
-        """Volume of points, shape (n, n_xi, n_f)."""
-        return np.asarray(self.rule[:, None] * volume)
 
 
 def _product(rho: Array, dV: Array, s_1: Array, s_2: Array) -> Array:
