@@ -33,8 +33,8 @@ class BuildKernels(build_ext):
         compiler = shlex.split(command)[0]
         if shutil.which(compiler) is None:
             raise SystemExit(
-                "ancfdae: needs a C++ compiler to be installed from source; got none under the name "
-                f"{compiler!r}. {_PACKAGES}; or name yours in CXX, or install a wheel."
+                "ancfdae: needs a C++ compiler to be installed from source; got none under the "
+                f"name {compiler!r}. {_PACKAGES}; or name yours in CXX, or install a wheel."
             )
         try:
             super().run()
