@@ -76,31 +76,17 @@ constexpr int TYPE = std::is_same<T, double>::value    ? NPY_DOUBLE
 
 bool is_complex(PyObject *x) { return PyArray_Check(x) && PyArray_ISCOMPLEX((PyArrayObject *)x); }
 
-/* An array in one piece with at least AXES axes. */
-template <class T, int AXES = 0> class Array
+/* An array in one piece; the axes are counted from the first, negative ones from the last. */
+template <class T> class ArrayOf
 {
     Ref held;
 
-  protected:
-    Array(PyObject *object, bool in_place)
-    {
-        must(object != Py_None, "an array is missing");
-        if (in_place) {
-            auto *own = (PyArrayObject *)object;
-            must(PyArray_Check(object) && PyArray_TYPE(own) == TYPE<T> && PyArray_ISCARRAY(own),
-                 "an array to write to has another type or shape, or is not in one piece");
-            held = Ref(Py_NewRef(object));
-        } else
-            held = made(PyArray_FROM_OTF(object, TYPE<T>, NPY_ARRAY_IN_ARRAY));
-        taken();
-    }
-
-    void taken()
+    void take(int least)
     {
         auto *own = (PyArrayObject *)held.get();
         axes = PyArray_NDIM(own), shape = PyArray_DIMS(own), size = PyArray_SIZE(own);
         data = (T *)PyArray_DATA(own);
-        must(axes >= AXES, "an array has too few axes");
+        must(axes >= least, "an array has too few axes");
     }
 
   public:
@@ -109,11 +95,19 @@ template <class T, int AXES = 0> class Array
     const npy_intp *shape;
     T *data;
 
-    explicit Array(PyObject *object) : Array(object, false) {}
-    explicit Array(Ref object) : held(std::move(object)) { taken(); }
+    NOT_INLINE ArrayOf(PyObject *object, int least, bool in_place)
+    {
+        auto *own = (PyArrayObject *)object;
+        must(object != Py_None, "an array is missing");
+        must(!in_place ||
+                 (PyArray_Check(object) && PyArray_TYPE(own) == TYPE<T> && PyArray_ISCARRAY(own)),
+             "an array to write to has another type or shape, or is not in one piece");
+        held = in_place ? Ref(Py_NewRef(object))
+                        : made(PyArray_FROM_OTF(object, TYPE<T>, NPY_ARRAY_IN_ARRAY));
+        take(least);
+    }
+    explicit ArrayOf(Ref object) : held(std::move(object)) { take(0); }
     PyObject *release() { return held.release(); }
-    PyObject *get() const { return held.get(); }
-    /* Length of an axis; those that are negative count from the last one. */
     Size length(int axis) const { return shape[axis < 0 ? axes + axis : axis]; }
     /* Product of all lengths but the last ones. */
     Size rows(int last) const
@@ -124,7 +118,7 @@ template <class T, int AXES = 0> class Array
         return product;
     }
     /* Whether the last axes have these lengths; negative ones are any. */
-    bool ends(std::initializer_list<Size> lengths) const
+    NOT_INLINE bool ends(std::initializer_list<Size> lengths) const
     {
         int axis = axes - (int)lengths.size();
         if (axis < 0)
@@ -138,30 +132,36 @@ template <class T, int AXES = 0> class Array
     {
         return axes == (int)lengths.size() && ends(lengths);
     }
-    template <class U, int N> bool alike(const Array<U, N> &other) const
+    template <class U> bool alike(const ArrayOf<U> &other) const
     {
         return axes == other.axes && std::equal(shape, shape + axes, other.shape);
     }
 };
 
+/* An array with at least AXES axes. */
+template <class T, int AXES = 0> struct Array : ArrayOf<T> {
+    explicit Array(PyObject *object) : ArrayOf<T>(object, AXES, false) {}
+    explicit Array(Ref object) : ArrayOf<T>(std::move(object)) {}
+};
+
 /* An array of this type that is written to where it stands. */
-template <class T> struct InPlace : Array<T> {
-    explicit InPlace(PyObject *object) : Array<T>(object, true) {}
+template <class T> struct InPlace : ArrayOf<T> {
+    explicit InPlace(PyObject *object) : ArrayOf<T>(object, 0, true) {}
 };
 
 template <class T, int AXES = 0> using Maybe = std::optional<Array<T, AXES>>;
 
 template <class A> auto data_of(const std::optional<A> &x) { return x ? x->data : nullptr; }
 
-template <class T> Array<T> zeros(std::initializer_list<Size> shape)
+template <class T> NOT_INLINE Array<T> zeros(std::initializer_list<Size> shape)
 {
     return Array<T>(
         made(PyArray_ZEROS((int)shape.size(), const_cast<npy_intp *>(shape.begin()), TYPE<T>, 0)));
 }
 
 /* Zeros with the axes of an array but its last ones, and then more. */
-template <class T, class A>
-Array<T> zeros_like(const A &model, int last, std::initializer_list<Size> more)
+template <class T, class U>
+NOT_INLINE Array<T> zeros_like(const ArrayOf<U> &model, int last, std::initializer_list<Size> more)
 {
     std::vector<npy_intp> shape(model.shape, model.shape + (model.axes - last));
     shape.insert(shape.end(), more);
@@ -170,7 +170,7 @@ Array<T> zeros_like(const A &model, int last, std::initializer_list<Size> more)
 
 /* Whether all numbers lie from `least` to `most`: else x - least or most - x has the bit of the
  * sign. Without branches this costs next to nothing. */
-template <class I, int N> bool within(const Array<I, N> &array, Size least, Size most)
+template <class I> NOT_INLINE bool within(const ArrayOf<I> &array, Size least, Size most)
 {
     using Bits = std::make_unsigned_t<I>;
     const Size high = std::min(most, (Size)std::numeric_limits<I>::max());
@@ -181,7 +181,7 @@ template <class I, int N> bool within(const Array<I, N> &array, Size least, Size
 }
 
 /* Whether numbers begin at 0, end at `end` and never fall. */
-template <class I> bool ascending(const I *at, Size count, Size stride, Size end)
+template <class I> NOT_INLINE bool ascending(const I *at, Size count, Size stride, Size end)
 {
     bool good = count > 0 && at[0] == 0 && at[(count - 1) * stride] == end;
     for (Size i = 1; i < count; i++)
@@ -265,7 +265,7 @@ template <class A> struct From<std::optional<A>> {
     }
 };
 template <class A> struct From<std::vector<A>> {
-    static std::vector<A> object(PyObject *x)
+    NOT_INLINE static std::vector<A> object(PyObject *x)
     {
         must(PyTuple_Check(x), "several arguments are given as a tuple");
         std::vector<A> all;
@@ -279,7 +279,7 @@ template <class... A> struct From<std::tuple<A...>> {
     {
         return std::tuple<A...>{From<A>::object(PyTuple_GetItem(x, I))...};
     }
-    static std::tuple<A...> object(PyObject *x)
+    NOT_INLINE static std::tuple<A...> object(PyObject *x)
     {
         must(PyTuple_Check(x) && PyTuple_Size(x) == sizeof...(A),
              "plans and their parts are named tuples of a fixed number of items");
@@ -292,7 +292,7 @@ PyObject *given(bool x) { return PyBool_FromLong(x); }
 PyObject *given(int x) { return PyLong_FromLong(x); }
 PyObject *given(Size x) { return PyLong_FromSsize_t(x); }
 PyObject *given(double x) { return PyFloat_FromDouble(x); }
-template <class T, int N> PyObject *given(Array<T, N> x) { return x.release(); }
+template <class T> PyObject *given(Array<T> x) { return x.release(); }
 template <class... A> PyObject *given(std::tuple<A...> x)
 {
     Ref all = made(PyTuple_New(sizeof...(A)));
