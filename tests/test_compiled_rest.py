@@ -17,7 +17,7 @@ from ancfdae import (
     assemble,
     equilibrium,
 )
-from ancfdae.kernels import RULES, narrow_order, prepare, rest
+from ancfdae.kernels import RULES, Model, narrow_order
 from ancfdae.results import Verdict
 from ancfdae.sections import Rectangle
 from ancfdae.statics.balance import Balance
@@ -105,7 +105,7 @@ def test_wrong_arrays_are_refused():
     system = assemble(held())
     balance = Balance.of(system, 0.0, system.start()[0], np.zeros(system.n_lam))
     plan = system.plan
-    arrays = prepare(plan, balance.matrices.layout(band=True), np.zeros(RULES))
+    model = Model(plan, balance.matrices.layout(band=True), np.zeros(RULES))
     n_q, n_lam = system.n_q, system.n_lam
     q, lam = np.zeros(n_q), np.zeros(n_lam)
     factors = np.ones(1), *(plan.load_factors(np.zeros(1))[0] for _ in range(2))
@@ -120,7 +120,7 @@ def test_wrong_arrays_are_refused():
         (3, np.ones(10)),
     ):
         with pytest.raises((ValueError, TypeError)):
-            rest(arrays, *good[:at], bad, *good[at + 1 :])
+            model.rest(*good[:at], bad, *good[at + 1 :])
     patterns = *system.pattern.places, *system.constraint_pattern.places
     for at, bad in ((1, patterns[1] + 1), (0, patterns[0][:-1]), (3, patterns[3] - 1), (2, None)):
         with pytest.raises((ValueError, TypeError)):

@@ -813,7 +813,6 @@ def _refused_in_envelopes():
         ("fewer K", 0, ((1.0, m.K[:-1]),)),
         ("terms of two sizes", 0, ((1.0, m.K), (1.0, m.K[1:]))),
         ("no terms", 0, ()),
-        ("four terms", 0, 4 * ((1.0, m.K),)),
         ("no number", 0, ((m.K, 1.0),)),
         ("a list", 0, [(1.0, m.K)]),
         ("more B", 1, np.append(m.B, 1.0)),

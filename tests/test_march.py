@@ -416,7 +416,7 @@ BROKEN = {
 @pytest.mark.parametrize("arguments", BROKEN.values(), ids=BROKEN)
 def test_what_does_not_fit_together_is_no_plan(arguments):
     with pytest.raises((ValueError, TypeError)):
-        kernels.prepare(*arguments)
+        kernels.Model(*arguments)
 
 
 @pytest.mark.parametrize(
@@ -424,7 +424,7 @@ def test_what_does_not_fit_together_is_no_plan(arguments):
 )
 def test_passes_take_only_what_fits_their_plan(spoilt):
     n_q, n_lam = len(PLAN.gravity), 2
-    prepared = kernels.prepare(PLAN, LAYOUT, RULES)
+    model = kernels.Model(PLAN, LAYOUT, RULES)
     shapes = {
         "h": (4,),
         "q": (4, n_q),
@@ -444,21 +444,22 @@ def test_passes_take_only_what_fits_their_plan(spoilt):
 
     def call(shapes):
         *steps, right, z, states, lam_b, on, mu, zeta = (np.ones(x) for x in shapes.values())
-        kernels.differentiate_steps(prepared, tuple(steps), right, z, states, lam_b)
-        kernels.pull_back_steps(prepared, tuple(steps), (None, mu, zeta), on, mu, zeta)
+        model.differentiate_steps(tuple(steps), right, z, states, lam_b)
+        model.pull_back_steps(tuple(steps), (None, mu, zeta), on, mu, zeta)
 
     call(shapes)
     with pytest.raises(ValueError, match="shapes of a plan"):
         call(shapes | {spoilt: (*shapes[spoilt][:-1], shapes[spoilt][-1] + 1)})
 
 
-@pytest.mark.parametrize("spoilt", ["state", "h", "joints", "loads", "rows", "columns", "prepared"])
+@pytest.mark.parametrize(
+    "spoilt", ["state", "h", "joints", "loads", "rows", "columns", "arguments"]
+)
 def test_a_march_takes_only_what_fits_its_plan(spoilt):
     n_q, n_lam = len(PLAN.gravity), 2
     zeros = [np.zeros(n) for n in (n_q, n_q, n_q, n_lam, n_q)]
     rows = [np.zeros((4, n)) for n in (n_q, n_q, n_q, n_lam)]
     of = {
-        "prepared": kernels.prepare(PLAN, LAYOUT, RULES),
         "state": tuple(zeros),
         "motion": np.inf,
         "h": np.full(4, STEP),
@@ -468,7 +469,7 @@ def test_a_march_takes_only_what_fits_its_plan(spoilt):
         "rows": tuple(rows),
     }
     changes = {
-        "prepared": {"prepared": None},
+        "arguments": {"more": None},
         "state": {"state": (zeros[0][1:], *zeros[1:])},
         "h": {"h": np.full((4, 1), STEP)},
         "joints": {"joints": np.ones((1, 2, 2))},
@@ -476,6 +477,7 @@ def test_a_march_takes_only_what_fits_its_plan(spoilt):
         "rows": {"rows": tuple(row[1:] for row in rows)},
         "columns": {"rows": tuple(np.asfortranarray(row) for row in rows)},
     }
-    kernels.march(*of.values())
+    model = kernels.Model(PLAN, LAYOUT, RULES)
+    model.march(*of.values())
     with pytest.raises((ValueError, TypeError)):
-        kernels.march(*(of | changes[spoilt]).values())
+        model.march(*(of | changes[spoilt]).values())

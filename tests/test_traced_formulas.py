@@ -19,15 +19,12 @@ from ancfdae.integrators.index_1 import Accelerations, ListedAccelerations, acce
 from ancfdae.kernels import (
     RULES,
     STAGES_SOLVED,
+    Model,
     OperationList,
     index_1_projected,
     index_1_rows,
     index_1_stages,
     list_values,
-    march,
-    prepare,
-    rest,
-    solve_stages,
 )
 from ancfdae.numerics.extrapolation import scaled_derivative
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
@@ -609,17 +606,22 @@ def test_steps_in_the_kernel_are_those_of_python(pair, how):
     with pytest.MonkeyPatch.context() as patch:
         taken = []
 
-        def counted(function):
-            def call(*x):
-                found = function(*x)
-                # Steps of `march`; of `solve_stages`, one that it solves.
-                taken.append(found[0] if function is march else int(found[0] == STAGES_SOLVED))
+        class Counted:
+            def __init__(self, *arguments):
+                self.model = Model(*arguments)
+
+            def march(self, *x):
+                found = self.model.march(*x)
+                taken.append(found[0])
                 return found
 
-            return call
+            def solve_stages(self, *x):
+                found = self.model.solve_stages(*x)
+                taken.append(int(found[0] == STAGES_SOLVED))
+                return found
 
-        patch.setattr(compiled, "march", counted(march))
-        patch.setattr(radau_newton, "solve_stages", counted(solve_stages))
+        patch.setattr(compiled, "Model", Counted)
+        patch.setattr(radau_newton, "Model", Counted)
         runs, counts = [], []
         for kind in pair:
             system = kind()
@@ -773,7 +775,7 @@ def test_plans_of_lists_that_do_not_fit_are_refused(field):
     system = Elbow()
     plan, rules = system.list_plan, np.zeros(RULES)
     layout = saddle_point(system, 0.0).layout(band=True)
-    prepared = prepare(plan, layout, rules)
+    model = Model(plan, layout, rules)
     for value in WRONG_PLANS[field]:
         if isinstance(value, str) and value == "reversed":
             value = plan.lists[::-1]
@@ -781,7 +783,7 @@ def test_plans_of_lists_that_do_not_fit_are_refused(field):
             first, columns, values = getattr(plan, field)
             value = first, columns[:-1], values[:-1]
         with pytest.raises((ValueError, TypeError)):
-            prepare(plan._replace(**{field: value}), layout, rules)
+            Model(plan._replace(**{field: value}), layout, rules)
     # What needs a scene does not take lists.
     with pytest.raises(ValueError, match="only march"):
-        rest(prepared, (), (), (), rules)
+        model.rest((), (), (), rules)

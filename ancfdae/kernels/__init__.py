@@ -16,7 +16,129 @@ import numpy as np
 import numpy.typing as npt
 
 try:
-    from ancfdae.kernels import _kernels
+    from ancfdae.kernels._kernels import (
+        ConstraintPlan as ConstraintPlan,
+    )
+    from ancfdae.kernels._kernels import (
+        LoadPlan as LoadPlan,
+    )
+    from ancfdae.kernels._kernels import (
+        Model as Model,
+    )
+    from ancfdae.kernels._kernels import (
+        OperationList as OperationList,
+    )
+    from ancfdae.kernels._kernels import (
+        add_scaled as add_scaled,
+    )
+    from ancfdae.kernels._kernels import (
+        balance as balance,
+    )
+    from ancfdae.kernels._kernels import (
+        band_factor as band_factor,
+    )
+    from ancfdae.kernels._kernels import (
+        band_solve as band_solve,
+    )
+    from ancfdae.kernels._kernels import (
+        constraint_curvature as constraint_curvature,
+    )
+    from ancfdae.kernels._kernels import (
+        constraint_gradient as constraint_gradient,
+    )
+    from ancfdae.kernels._kernels import (
+        constraint_totals as constraint_totals,
+    )
+    from ancfdae.kernels._kernels import (
+        constraints as constraints,
+    )
+    from ancfdae.kernels._kernels import (
+        csr_rows as csr_rows,
+    )
+    from ancfdae.kernels._kernels import (
+        csr_rows_transposed as csr_rows_transposed,
+    )
+    from ancfdae.kernels._kernels import (
+        csr_subtract as csr_subtract,
+    )
+    from ancfdae.kernels._kernels import (
+        eliminate as eliminate,
+    )
+    from ancfdae.kernels._kernels import (
+        finite as finite,
+    )
+    from ancfdae.kernels._kernels import (
+        force_partials as force_partials,
+    )
+    from ancfdae.kernels._kernels import (
+        force_totals as force_totals,
+    )
+    from ancfdae.kernels._kernels import (
+        forces as forces,
+    )
+    from ancfdae.kernels._kernels import (
+        forces_along as forces_along,
+    )
+    from ancfdae.kernels._kernels import (
+        fronts_factor as fronts_factor,
+    )
+    from ancfdae.kernels._kernels import (
+        fronts_solve as fronts_solve,
+    )
+    from ancfdae.kernels._kernels import (
+        gram as gram,
+    )
+    from ancfdae.kernels._kernels import (
+        index_1_projected as index_1_projected,
+    )
+    from ancfdae.kernels._kernels import (
+        index_1_rows as index_1_rows,
+    )
+    from ancfdae.kernels._kernels import (
+        index_1_stages as index_1_stages,
+    )
+    from ancfdae.kernels._kernels import (
+        ldl_factor as ldl_factor,
+    )
+    from ancfdae.kernels._kernels import (
+        ldl_solve as ldl_solve,
+    )
+    from ancfdae.kernels._kernels import (
+        lifted as lifted,
+    )
+    from ancfdae.kernels._kernels import (
+        list_values as list_values,
+    )
+    from ancfdae.kernels._kernels import (
+        load_forces as load_forces,
+    )
+    from ancfdae.kernels._kernels import (
+        load_forces_along as load_forces_along,
+    )
+    from ancfdae.kernels._kernels import (
+        load_tangents as load_tangents,
+    )
+    from ancfdae.kernels._kernels import (
+        narrow_order as narrow_order,
+    )
+    from ancfdae.kernels._kernels import (
+        norm as norm,
+    )
+    from ancfdae.kernels._kernels import (
+        recombine as recombine,
+    )
+    from ancfdae.kernels._kernels import (
+        relative as relative,
+    )
+    from ancfdae.kernels._kernels import (
+        strain as strain,
+    )
+    from ancfdae.kernels._kernels import (
+        stressed as stressed,
+    )
+    from ancfdae.kernels._kernels import (
+        tangents as tangents,
+    )
 except ImportError as error:  # a checkout that was updated since it was installed
     raise ImportError(
         "the kernels of ancfdae are not compiled; run `python -m pip install -e .` in the checkout"
@@ -55,11 +177,6 @@ class Constraints(IntEnum):
 Csr: TypeAlias = tuple[Array, Array, Array]
 
 
-ConstraintPlan = _kernels.ConstraintPlan
-LoadPlan = _kernels.LoadPlan
-OperationList = _kernels.OperationList
-
-
 class Plan(NamedTuple):
     """A system of elements, joints and loads, for `march`.
 
@@ -89,7 +206,7 @@ class Plan(NamedTuple):
 
 @final
 class ListPlan(NamedTuple):
-    """A system of lists of operations, for `march` and `solve_stages`.
+    """A system of lists of operations, for `Model`.
 
     Lists take t, q, v, A, lam and b, and return Phi_q, Phi, dPhi/dt, Q, M, and f_q with f_v behind
     it if forces use velocities. B and K are the full patterns of Phi_q and M.
@@ -140,7 +257,7 @@ ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME = range(5)
 #: How Newton's method for the stages of a step ends.
 STAGES_SOLVED, STAGES_DIVERGED, STAGES_NOT_FINITE, STAGES_SINGULAR = range(4)
 
-#: Numbers among the rules of `prepare`.
+#: Numbers among the rules of a `Model`.
 RULES = 17
 
 
@@ -154,48 +271,3 @@ class Rest(IntEnum):
     SINGULAR = 3
     INDEFINITE = 4
     STUCK = 5
-
-
-add_scaled = _kernels.add_scaled
-balance = _kernels.balance
-band_factor = _kernels.band_factor
-band_solve = _kernels.band_solve
-constraint_curvature = _kernels.constraint_curvature
-constraint_gradient = _kernels.constraint_gradient
-constraint_totals = _kernels.constraint_totals
-constraints = _kernels.constraints
-csr_rows = _kernels.csr_rows
-csr_rows_transposed = _kernels.csr_rows_transposed
-csr_subtract = _kernels.csr_subtract
-differentiate_steps = _kernels.differentiate_steps
-eliminate = _kernels.eliminate
-finite = _kernels.finite
-force_partials = _kernels.force_partials
-force_totals = _kernels.force_totals
-forces = _kernels.forces
-forces_along = _kernels.forces_along
-fronts_factor = _kernels.fronts_factor
-fronts_solve = _kernels.fronts_solve
-gram = _kernels.gram
-ldl_factor = _kernels.ldl_factor
-list_values = _kernels.list_values
-index_1_rows = _kernels.index_1_rows
-index_1_projected = _kernels.index_1_projected
-index_1_stages = _kernels.index_1_stages
-load_forces = _kernels.load_forces
-load_forces_along = _kernels.load_forces_along
-load_tangents = _kernels.load_tangents
-ldl_solve = _kernels.ldl_solve
-lifted = _kernels.lifted
-prepare = _kernels.prepare
-march = _kernels.march
-narrow_order = _kernels.narrow_order
-norm = _kernels.norm
-pull_back_steps = _kernels.pull_back_steps
-recombine = _kernels.recombine
-relative = _kernels.relative
-rest = _kernels.rest
-solve_stages = _kernels.solve_stages
-strain = _kernels.strain
-stressed = _kernels.stressed
-tangents = _kernels.tangents

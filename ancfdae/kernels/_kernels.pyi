@@ -294,61 +294,6 @@ def ldl_factor(
 def ldl_solve(factors: Array, first: Array, order: Array, right: Array, /) -> Array:
     """Return P^T (L D L^T)^-1 P x for right sides x along the last axis; P as in `band_solve`."""
 
-def prepare(plan: Plan | ListPlan, layout: MatrixLayout, rules: Array, /) -> object:
-    """Return what `march` takes.
-
-    The rules are hht_alpha, Newton's tolerance, most iterations and the other numbers of
-    `integrators/hht/newton.py` in the order of `march_rules` in `kernels.cpp`.
-    """
-
-Steps: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, Array]
-
-def differentiate_steps(
-    prepared: object, steps: Steps, right: Array, z: Array, states: Array, lam_b: Array, /
-) -> tuple[int, int]:
-    """Take steps of direct differentiation; return their number, and why it ends as `march`.
-
-    Steps are sizes, q, v and lam that they arrived at, factors of joints (one row where nothing is
-    driven) and of loads there, and matrices of `recombine`, with k rows each. Rows of `right`,
-    (k, n_b, n), are what is known of the right sides, and overwritten, as is z, (4, n_b, n_q);
-    written are states, (k, 3, n_b, n_q), and lam_b, (k, n_b, n_lam).
-    """
-
-def pull_back_steps(
-    prepared: object,
-    steps: Steps,
-    seeds: tuple[Array | None, Array | None, Array | None],
-    on: Array,
-    mu: Array,
-    zeta: Array,
-    /,
-) -> tuple[int, int]:
-    """Take the transposed steps back from the last; return as `differentiate_steps`.
-
-    Seeds are rows on q, v and lam, `on`, (6, n_q), is overwritten; written are rows of mu and zeta.
-    """
-
-def solve_stages(
-    prepared: object,
-    coupled: tuple[Array, Array, int, Array, Array, Array],
-    state: tuple[Array, Array, Array, Array],
-    x: Array,
-    lam: Array,
-    of_joints: Array,
-    of_loads: Array,
-    tableau: Array,
-    rules: Array,
-    /,
-) -> tuple[int, float, tuple[int, int, int]]:
-    """Solve for x and lam of the three stages of a step of Radau IIA, from (q, v, a, lam) before.
-
-    The coupled matrix is (order, scale, half, flat, factors) as in `band_factor`, and the places of
-    blocks (i, j) in its K. Factors are those at the stages and at the start, (4, n_parts) and
-    (4, n_loads). The tableau is c, A^-1 and A^-2, the rules are `stage_rules` in `stages.h`.
-    Returns how it ends, the size of the last correction, and counts of iterations, factorisations
-    and whether round-off ended it.
-    """
-
 def eliminate(
     first: Array, columns: Array, /
 ) -> tuple[tuple[Array, Array, Array, Array, Array, Array, int, int], float]:
@@ -380,44 +325,101 @@ def fronts_solve(
     The residual is relative to the largest entries of the scaled right side and solution.
     """
 
-def march(
-    prepared: object,
-    state: tuple[Array, Array, Array, Array, Array],
-    motion: float,
-    h: Array,
-    of_joints: Array,
-    of_loads: Array,
-    seconds: float,
-    rows: tuple[Array, Array, Array, Array],
-    /,
-) -> tuple[int, int, float, Array, tuple[int, int, int]]:
-    """Take steps of sizes h from (q, v, a, lam, A), as many as can be taken in so many seconds.
-
-    Factors of joints are (k, instants, n_parts): at the end of each step, at its beginning, at the
-    three Gauss points, and their time derivatives there; two instants do where no step is small.
-    Factors of loads are (k, 2, n_loads). Returns the number of steps taken, why it ends, the motion
-    and a of the last state, and counts of iterations, factorisations and steps that round-off
-    disturbs. The states after the steps, q, v, A and lam, are written to rows.
-    """
-
 def add_scaled(x: Array, s: Any, y: Array, /) -> Array:
     """Return x + s y for arrays of one shape, or whatever NumPy makes of it."""
 
 def finite(x: Array, /) -> bool:
     """Tell whether every entry is finite."""
 
-def rest(
-    prepared: Any,
-    state: tuple[Array, Array, Array, Array],
-    known: tuple[Array, Array | None, Array, Array],
-    factors: tuple[Array, Array, Array],
-    rules: Array,
-    /,
-) -> tuple[int, int, float, int]:
-    """Solve for an equilibrium under part of the load, from q and lam, by Newton's method.
+Steps: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, Array]
 
-    The state (q, lam, q_s, lam_s) is written in place. Known are (q_0, anchor or None, r_0, Phi_0),
-    factors those of constraints, of loads as they act, and of those that turn. Returns why it ends
-    (`Rest`), iterations, the size of the last correction, and whether K is surely positive
-    definite.
+class Model:
+    """A system with its matrices, checked once, and room for its steps.
+
+    The rules are hht_alpha, Newton's tolerance, most iterations and the other numbers of
+    `integrators/hht/newton.py` in the order of `MarchRules` in `march.h`.
     """
+
+    def __init__(self, plan: Plan | ListPlan, layout: MatrixLayout, rules: Array, /) -> None: ...
+    def march(
+        self,
+        state: tuple[Array, Array, Array, Array, Array],
+        motion: float,
+        h: Array,
+        of_joints: Array,
+        of_loads: Array,
+        seconds: float,
+        rows: tuple[Array, Array, Array, Array],
+        /,
+    ) -> tuple[int, int, float, Array, tuple[int, int, int]]:
+        """Take steps of sizes h from (q, v, a, lam, A), as many as can be taken in so many seconds.
+
+        Factors of joints are (k, instants, n_parts): at the end of each step, at its beginning, at
+        the three Gauss points, and their time derivatives there; two instants do where no step is
+        small. Factors of loads are (k, 2, n_loads). Returns the number of steps taken, why it ends,
+        the motion and a of the last state, and counts of iterations, factorisations and steps that
+        round-off disturbs. The states after the steps, q, v, A and lam, are written to rows.
+        """
+
+    def differentiate_steps(
+        self, steps: Steps, right: Array, z: Array, states: Array, lam_b: Array, /
+    ) -> tuple[int, int]:
+        """Take steps of direct differentiation; return their number, and why it ends as `march`.
+
+        Steps are sizes, q, v and lam that they arrived at, factors of joints (one row where nothing
+        is driven) and of loads there, and matrices of `recombine`, with k rows each. Rows of
+        `right`, (k, n_b, n), are what is known of the right sides, and overwritten, as is z, (4,
+        n_b, n_q); written are states, (k, 3, n_b, n_q), and lam_b, (k, n_b, n_lam).
+        """
+
+    def pull_back_steps(
+        self,
+        steps: Steps,
+        seeds: tuple[Array | None, Array | None, Array | None],
+        on: Array,
+        mu: Array,
+        zeta: Array,
+        /,
+    ) -> tuple[int, int]:
+        """Take the transposed steps back from the last; return as `differentiate_steps`.
+
+        Seeds are rows on q, v and lam, `on`, (6, n_q), is overwritten; written are rows of mu and
+        zeta.
+        """
+
+    def rest(
+        self,
+        state: tuple[Array, Array, Array, Array],
+        known: tuple[Array, Array | None, Array, Array],
+        factors: tuple[Array, Array, Array],
+        rules: Array,
+        /,
+    ) -> tuple[int, int, float, int]:
+        """Solve for an equilibrium under part of the load, from q and lam, by Newton's method.
+
+        The state (q, lam, q_s, lam_s) is written in place. Known are (q_0, anchor or None, r_0,
+        Phi_0), factors those of constraints, of loads as they act, and of those that turn. Returns
+        why it ends (`Rest`), iterations, the size of the last correction, and whether K is surely
+        positive definite.
+        """
+
+    def solve_stages(
+        self,
+        coupled: tuple[Array, Array, int, Array, Array, Array],
+        state: tuple[Array, Array, Array, Array],
+        x: Array,
+        lam: Array,
+        of_joints: Array,
+        of_loads: Array,
+        tableau: Array,
+        rules: Array,
+        /,
+    ) -> tuple[int, float, tuple[int, int, int]]:
+        """Solve for the stages of a step of Radau IIA, from (q, v, a, lam) before it.
+
+        The coupled matrix is (order, scale, half, flat, factors) as in `band_factor`, and the
+        places of blocks (i, j) in its K. Factors are those at the stages and at the start, (4,
+        n_parts) and (4, n_loads). The tableau is c, A^-1 and A^-2, the rules are `StageRules` in
+        `stages.h`. Returns how it ends, the size of the last correction, and counts of iterations,
+        factorisations and whether round-off ended it.
+        """

@@ -23,9 +23,11 @@
 #define INLINE inline __attribute__((always_inline))
 #define ALWAYS                                                                                     \
     __attribute__((always_inline)) /* Behind the arguments of a function without a name. */
+#define NOT_INLINE __attribute__((noinline))
 #else
 #define INLINE inline
 #define ALWAYS
+#define NOT_INLINE
 #endif
 /* Before a short loop that is to become one of vectors; GCC would unroll it first, and then take
  * the loop around it (measured: five times slower). */

@@ -8,8 +8,8 @@
 struct Elimination {
     Size n;
     int32_t *parent, *count, *post, *place; /* n each; rows of a column of L, the new order. */
-    int64_t *first;                         /* n + 1; entries left of the diagonal, */
-    int32_t *columns;                       /* row by row. */
+    const int64_t *first;                   /* n + 1; entries left of the diagonal, */
+    const int32_t *columns;                 /* row by row. */
     int32_t *mark, *head, *next;            /* n + 1 each. */
 };
 
@@ -117,6 +117,20 @@ Size elimination_fronts(Size n, const int32_t *parent, const int32_t *count, int
     }
     begin[N] = (int32_t)n;
     return N;
+}
+
+/* Columns below the diagonal from rows left of it, in the new order; `down` has room for n + 2. */
+void elimination_turned(const Elimination *x, int64_t *down, int32_t *below)
+{
+    memset(down, 0, (size_t)(x->n + 2) * sizeof *down);
+    for (Size i = 0; i < x->n; i++)
+        for (int64_t e = x->first[i]; e < x->first[i + 1]; e++)
+            down[x->place[x->columns[e]] + 2]++;
+    for (Size i = 0; i < x->n; i++)
+        down[i + 2] += down[i + 1];
+    for (Size i = 0; i < x->n; i++)
+        for (int64_t e = x->first[i]; e < x->first[i + 1]; e++)
+            below[down[x->place[x->columns[e]] + 1]++] = x->place[i];
 }
 
 int by_number(const void *a, const void *b)

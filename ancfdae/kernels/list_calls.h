@@ -1,250 +1,117 @@
 /* What Python calls of formulas: a list of operations, made once, and its values. */
 
-enum { LIST_INDICES = 4 };
-
-/* Indices in the order of `Operations`, and constants, real and complex. */
+/* (n_inputs, constants, op, a, b, outputs) */
 struct OperationList {
-    PyObject_HEAD PyObject *arguments;
-    PyArrayObject *indices[LIST_INDICES], *constants[2];
+    static constexpr const char *NAME = "ancfdae.kernels._kernels.OperationList";
+    static constexpr const char *MISSING = "plans of lists must have lists of operations";
+    using Indices = Array<int32_t, 1>;
+    using Arguments = std::tuple<Size, Numbers, Indices, Indices, Indices, Indices>;
+    Arguments of;
     Operations list;
+
+    explicit OperationList(Arguments arguments) : of(std::move(arguments))
+    {
+        auto &[n_inputs, constants, op, a, b, outputs] = of;
+        must(n_inputs <= NPY_MAX_INT32, "a number of inputs is negative or too large");
+        must((bool)constants.in_real, "constants must be real");
+        Size ahead = n_inputs + constants.in_real->size, all = ahead + op.size;
+        list = {n_inputs,    constants.in_real->size,
+                op.size,     outputs.size,
+                all,         op.data,
+                a.data,      b.data,
+                outputs.data};
+        must(in_order(ahead, op, a, b) &&
+                 (outputs.size == 0 || (all > 0 && within(outputs, 0, all - 1))),
+             "these are not the indices of a list of operations");
+    }
+
+    template <class T> const T *constants() const
+    {
+        if constexpr (std::is_same<T, double>::value)
+            return std::get<1>(of).in_real->data;
+        else
+            return std::get<1>(of).in_complex.data;
+    }
 };
 
-void list_dropped(OperationList *self)
+template <class T> Array<T> py_list_values(Kept<OperationList> of, Array<T, 1> x)
 {
-    Py_XDECREF(self->arguments);
-    for (int i = 0; i < LIST_INDICES; i++)
-        Py_XDECREF(self->indices[i]);
-    for (int i = 0; i < 2; i++)
-        Py_XDECREF(self->constants[i]);
-    PyTypeObject *type = Py_TYPE((PyObject *)self);
-    PyObject_Free(self);
-    Py_DECREF(type);
-}
-
-int list_fits(const OperationList *self)
-{
-    const Operations *p = &self->list;
-    PyArrayObject *const *x = self->indices;
-    Size ahead = p->n_inputs + p->n_constants;
-    int good = within_32(x[0], 0, OPERATIONS - 1) && PyArray_SIZE(x[1]) == p->n_operations &&
-               PyArray_SIZE(x[2]) == p->n_operations &&
-               (p->n_outputs == 0 || (p->n_numbers > 0 && within_32(x[3], 0, p->n_numbers - 1)));
-    for (Size k = 0; good && k < p->n_operations; k++)
-        good = p->a[k] >= 0 && p->a[k] < ahead + k && p->b[k] >= 0 && p->b[k] < ahead + k;
-    return good || wrong("these are not the indices of a list of operations");
-}
-
-/* OperationList(n_inputs, constants, op, a, b, outputs) */
-int list_filled(OperationList *self, PyObject *arguments)
-{
-    PyObject *constants, *indices[LIST_INDICES];
-    Py_ssize_t n_inputs;
-    Operations *p = &self->list;
-    const int32_t **to[] = {&p->op, &p->a, &p->b, &p->outputs};
-    if (!PyArg_ParseTuple(arguments, "nOOOOO", &n_inputs, &constants, indices, indices + 1,
-                          indices + 2, indices + 3))
-        return 0;
-    if (n_inputs < 0 || n_inputs > NPY_MAX_INT32)
-        return wrong("a number of inputs is negative or too large");
-    for (int i = 0; i < LIST_INDICES; i++) {
-        if (!taken(indices[i], NPY_INT32, 1, &self->indices[i]))
-            return 0;
-        *to[i] = data_of(self->indices[i]);
-    }
-    if (!taken(constants, NPY_DOUBLE, 1, &self->constants[0]) ||
-        !taken(constants, NPY_CDOUBLE, 1, &self->constants[1]))
-        return 0;
-    p->n_inputs = n_inputs, p->n_constants = PyArray_SIZE(self->constants[0]);
-    p->n_operations = PyArray_SIZE(self->indices[0]);
-    p->n_outputs = PyArray_SIZE(self->indices[3]);
-    p->n_numbers = p->n_inputs + p->n_constants + p->n_operations;
-    return list_fits(self);
-}
-
-PyObject *list_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
-{
-    OperationList *self = (OperationList *)PyType_GenericAlloc(type, 0);
-    if (!self)
-        return nullptr;
-    self->arguments = Py_NewRef(arguments);
-    if ((names && PyDict_Size(names) > 0 && !wrong("a list takes no names")) ||
-        !list_filled(self, arguments))
-        Py_CLEAR(self);
-    return (PyObject *)self;
-}
-
-PyObject *list_reduced(PyObject *self, PyObject *none)
-{
-    (void)none;
-    return Py_BuildValue("(OO)", Py_TYPE(self), ((OperationList *)self)->arguments);
-}
-
-static PyMethodDef list_methods[] = {{"__reduce__", list_reduced, METH_NOARGS, nullptr},
-                                     {nullptr, nullptr, 0, nullptr}};
-static PyType_Slot list_slots[] = {{Py_tp_dealloc, (void *)list_dropped},
-                                   {Py_tp_methods, list_methods},
-                                   {Py_tp_new, (void *)list_new},
-                                   {0, nullptr}};
-static PyType_Spec list_type = {"ancfdae.kernels._kernels.OperationList", sizeof(OperationList), 0,
-                                Py_TPFLAGS_DEFAULT, list_slots};
-static PyTypeObject *OperationListType; /* Made when the module is imported. */
-
-/* list_values(list, inputs) */
-PyObject *py_list_values(PyObject *const *args)
-{
-    PyArrayObject *x = nullptr, *out = nullptr;
-    int type = is_complex(args[1]) ? NPY_CDOUBLE : NPY_DOUBLE;
-    if (!PyObject_TypeCheck(args[0], OperationListType))
-        return wrong("the first argument must be a list of operations"), nullptr;
-    const OperationList *of = (const OperationList *)args[0];
     const Operations *p = &of->list;
-    if (taken(args[1], type, 1, &x) &&
-        (ends_with(x, 1, &p->n_inputs) || wrong("there must be a number for each input"))) {
-        Memory work = new_room((size_t)p->n_numbers * LIST_LANES * 16 + 1);
-        Size k = leading_size(x, 1);
-        out = work ? zeros_like(x, 1, 1, &p->n_outputs, type) : (PyErr_NoMemory(), nullptr);
-        if (out && type == NPY_DOUBLE)
-            list_values<double>(p, data_of(of->constants[0]), k, data_of(x), work, data_of(out));
-        else if (out)
-            list_values<Complex>(p, data_of(of->constants[1]), k, data_of(x), work, data_of(out));
-        PyMem_Free(work);
-    }
-    Py_XDECREF(x);
-    return (PyObject *)out;
+    must(x.ends({p->n_inputs}), "there must be a number for each input");
+    auto work = room_for<T>(p->n_numbers * LIST_LANES);
+    auto out = zeros_like<T>(x, 1, {p->n_outputs});
+    list_values<T>(p, of->constants<T>(), x.rows(1), x.data, work.get(), out.data);
+    return out;
 }
 
 /* ---- accelerations from lists (index_1.h) --------------------------------------------------- */
 
-/* A system with the arrays that it points to. */
-struct Index1 {
-    Index1System system;
-    PyArrayObject *b, *scale, *t;
-    Memory memory;
+/* A system of such arguments for states, (2, 1 or 1 + n_b, n), with room for its work. */
+struct Index1Model : Index1System {
+    std::unique_ptr<double[]> memory;
+    std::unique_ptr<int[]> rows_exchanged;
+
+    Index1Model(const std::vector<Kept<OperationList>> &all, const Array<double, 1> &design,
+                const Array<double, 1> &scales, const npy_intp *shape)
+    {
+        static const int values[] = {MATRIX, PLACE, SPEED}, changes[] = {SIDES, PLACES, SPEEDS};
+        must(all.size() == INDEX_1_LISTS, "there must be six lists of operations");
+        for (size_t i = 0; i < INDEX_1_LISTS; i++)
+            lists[i] = &all[i]->list, constants[i] = all[i]->constants<double>();
+        b = design.data, n_b = design.size, rows = shape[1], n = shape[2];
+        scale = scales.data, m = scales.size - n;
+        Size plain = 1 + 2 * n + n_b, size = n + m;
+        bool good = m >= 0 && shape[0] == 2 && (rows == 1 || rows == 1 + n_b);
+        for (int i = 0; good && i < 3; i++) {
+            const Operations *of = lists[values[i]], *by = lists[changes[i]];
+            Size more = 2 * n + n_b + (i == 0 ? size : 0);
+            good = of->n_inputs == plain && by->n_inputs == plain + more &&
+                   of->n_outputs == (i == 0 ? n * size + size : m) &&
+                   by->n_outputs == (i == 0 ? size : m);
+        }
+        must(good, "lists, design, scale and states do not fit together");
+        memory = room_for<double>(index_1_room(this) + size);
+        rows_exchanged = room_for<int>(size + 1);
+        x = memory.get(), K = x + size, numbers = K + size * (size + 1 + 2 * LIST_LANES);
+        exchanged = rows_exchanged.get();
+    }
 };
 
-void index_1_dropped(Index1 *x)
+/* Rows of (a, lam), or with `projected` states moved onto the constraints; else what prevents it. */
+template <bool projected>
+Ref py_index_1(std::vector<Kept<OperationList>> lists, Array<double, 1> b, Array<double, 1> scale,
+               Array<double, 1> t, Array<double, 4> states)
 {
-    Py_XDECREF(x->b);
-    Py_XDECREF(x->scale);
-    Py_XDECREF(x->t);
-    PyMem_Free(x->memory);
+    Index1Model s(lists, b, scale, states.shape + states.axes - 3);
+    must(states.axes == 4, "states must have four axes");
+    must(t.size == states.length(0), "each state must have a time");
+    Size count = 2 * s.rows * s.n, size = s.rows * (s.n + s.m);
+    auto out = projected ? zeros_like<double>(states, 0, {})
+                         : zeros_like<double>(states, 3, {s.rows, s.n + s.m});
+    if (projected)
+        std::copy(states.data, states.data + states.size, out.data);
+    for (Size k = 0; k < t.size; k++) {
+        int trouble =
+            projected ? index_1_projected(&s, t.data[k], out.data + k * count)
+                      : index_1_rows(&s, t.data[k], states.data + k * count, out.data + k * size);
+        if (trouble)
+            return made(PyLong_FromLong(trouble));
+    }
+    return Ref(out.release());
 }
 
-/* (lists, b, scale, t), and `shape`, the last axes of states: 2, 1 or 1 + n_b, n. */
-int index_1_taken(Index1 *x, PyObject *const *args, const Size *shape)
+int py_index_1_stages(std::vector<Kept<OperationList>> lists, Array<double, 1> b,
+                      Array<double, 1> scale, Array<double, 1> times, Array<double, 3> factors,
+                      InPlace<double> rows, InPlace<double> states, InPlace<double> out, Size first,
+                      Size last)
 {
-    static const int values[] = {MATRIX, PLACE, SPEED}, changes[] = {SIDES, PLACES, SPEEDS};
-    Index1System *s = &x->system;
-    for (int i = 0; i < INDEX_1_LISTS; i++) {
-        PyObject *list = item(args[0], INDEX_1_LISTS, i);
-        if (!list)
-            return 0;
-        if (!PyObject_TypeCheck(list, OperationListType))
-            return wrong("the first argument must be lists of operations");
-        s->lists[i] = &((OperationList *)list)->list;
-        s->constants[i] = data_of(((OperationList *)list)->constants[0]);
-    }
-    if (!taken(args[1], NPY_DOUBLE, 1, &x->b) || !taken(args[2], NPY_DOUBLE, 1, &x->scale) ||
-        !taken(args[3], NPY_DOUBLE, 1, &x->t))
-        return 0;
-    s->b = data_of(x->b), s->scale = data_of(x->scale);
-    s->n_b = PyArray_SIZE(x->b), s->rows = shape[1], s->n = shape[2];
-    s->m = PyArray_SIZE(x->scale) - s->n;
-    Size n = s->n, m = s->m, plain = 1 + 2 * n + s->n_b, size = n + m;
-    int good = m >= 0 && shape[0] == 2 && (s->rows == 1 || s->rows == 1 + s->n_b);
-    for (int i = 0; good && i < 3; i++) {
-        const Operations *of = s->lists[values[i]], *by = s->lists[changes[i]];
-        Size more = 2 * n + s->n_b + (i == 0 ? size : 0);
-        good = of->n_inputs == plain && by->n_inputs == plain + more &&
-               of->n_outputs == (i == 0 ? n * size + size : m) &&
-               by->n_outputs == (i == 0 ? size : m);
-    }
-    if (!good)
-        return wrong("lists, design, scale and states do not fit together");
-    Size room = index_1_room(s) + size;
-    x->memory = new_room((size_t)room * sizeof(double) + (size_t)(size + 1) * sizeof(int));
-    if (!x->memory)
-        return PyErr_NoMemory(), 0;
-    s->x = x->memory, s->K = s->x + size, s->numbers = s->K + size * (size + 1 + 2 * LIST_LANES);
-    s->exchanged = (int *)((double *)x->memory + room);
-    return 1;
-}
-
-/* Calls one of the two functions of states: rows or, in place, projected. */
-PyObject *of_states(PyObject *const *args, int projected)
-{
-    Index1 x = {};
-    PyArrayObject *states = nullptr, *out = nullptr;
-    int trouble = SOLVED;
-    if (taken(args[4], NPY_DOUBLE, 4, &states) &&
-        index_1_taken(&x, args, PyArray_DIMS(states) + PyArray_NDIM(states) - 3) &&
-        (PyArray_NDIM(states) == 4 || wrong("states must have four axes")) &&
-        (PyArray_SIZE(x.t) == PyArray_DIM(states, 0) || wrong("each state must have a time"))) {
-        const Index1System *s = &x.system;
-        Size shape[] = {s->rows, s->n + s->m}, count = 2 * s->rows * s->n;
-        const double *t = data_of(x.t);
-        out = projected ? (PyArrayObject *)PyArray_NewCopy(states, NPY_CORDER)
-                        : zeros_like(states, 3, 2, shape, NPY_DOUBLE);
-        for (Size k = 0; out && !trouble && k < PyArray_DIM(states, 0); k++) {
-            double *to = (double *)data_of(out);
-            trouble = projected ? index_1_projected(s, t[k], to + k * count)
-                                : index_1_rows(s, t[k], (const double *)data_of(states) + k * count,
-                                               to + k * shape[0] * shape[1]);
-        }
-    }
-    index_1_dropped(&x);
-    Py_XDECREF(states);
-    if (trouble) {
-        Py_XDECREF(out);
-        return PyLong_FromLong(trouble);
-    }
-    return (PyObject *)out;
-}
-
-/* index_1_rows(lists, b, scale, t, states) */
-PyObject *py_index_1_rows(PyObject *const *args) { return of_states(args, 0); }
-
-/* index_1_projected(lists, b, scale, t, states) */
-PyObject *py_index_1_projected(PyObject *const *args) { return of_states(args, 1); }
-
-/* An array of doubles in one piece that may be written to, of a shape. */
-double *written_to(PyObject *object, int axes, const Size *shape)
-{
-    PyArrayObject *x = (PyArrayObject *)object;
-    if (!PyArray_Check(object) || PyArray_TYPE(x) != NPY_DOUBLE || !PyArray_ISCARRAY(x) ||
-        PyArray_NDIM(x) != axes || !ends_with(x, axes, shape)) {
-        wrong("an array to write to has another shape or type, or is not in one piece");
-        return nullptr;
-    }
-    return data_of(x);
-}
-
-/* index_1_stages(lists, b, scale, times, factors, rows, states, out, first, last) */
-PyObject *py_index_1_stages(PyObject *const *args)
-{
-    Index1 x = {};
-    PyArrayObject *factors = nullptr;
-    PyObject *result = nullptr;
-    Size first, last;
-    PyArrayObject *model = (PyArrayObject *)args[6];
-    if (!PyArray_Check(args[6]) || PyArray_NDIM(model) != 4)
-        return wrong("states must be an array of four axes"), nullptr;
-    Size stages = PyArray_DIM(model, 0), width = stages + 2;
-    if (taken(args[4], NPY_DOUBLE, 3, &factors) &&
-        index_1_taken(&x, args, PyArray_DIMS(model) + 1) && taken_number(args[9], stages, &last) &&
-        taken_number(args[8], last, &first)) {
-        const Index1System *s = &x.system;
-        Size n = s->n, of_factors[] = {stages, 2, width}, of_rows[] = {width, s->rows * n};
-        Size of_out[] = {stages, s->rows, n + s->m};
-        double *rows = written_to(args[5], 2, of_rows);
-        double *states = rows ? written_to(args[6], 4, PyArray_DIMS(model)) : nullptr;
-        double *out = states ? written_to(args[7], 3, of_out) : nullptr;
-        if (out && ((ends_with(factors, 3, of_factors) && PyArray_SIZE(x.t) >= last) ||
-                    wrong("factors or times do not fit")))
-            result = PyLong_FromLong(index_1_stages(s, first, last, width, data_of(x.t),
-                                                    data_of(factors), rows, states, out));
-    }
-    index_1_dropped(&x);
-    Py_XDECREF(factors);
-    return result;
+    must(states.axes == 4, "states must be an array of four axes");
+    Size stages = states.length(0), width = stages + 2;
+    Index1Model s(lists, b, scale, states.shape + 1);
+    must(first <= last && last <= stages, "a number is negative or too large");
+    must(rows.has({width, s.rows * s.n}) && out.has({stages, s.rows, s.n + s.m}),
+         "an array to write to has another shape");
+    must(factors.ends({stages, 2, width}) && times.size >= last, "factors or times do not fit");
+    return index_1_stages(&s, first, last, width, times.data, factors.data, rows.data, states.data,
+                          out.data);
 }

@@ -4,7 +4,7 @@
  * `newton.py` say what they are. Plans are those of marches (prepared.h).
  */
 
-enum { STAGES = 3, COUPLED_ITEMS = 6, BEGIN_ITEMS = 4, MOST_HALF = 1024 };
+enum { STAGES = 3 };
 /* How it ends. */
 enum { STAGES_SOLVED, STAGES_DIVERGED, STAGES_NOT_FINITE, STAGES_SINGULAR };
 

@@ -10,7 +10,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, PlannedSystem
-from ancfdae.kernels import RULES, Plan, Rest, prepare, rest
+from ancfdae.kernels import RULES, Model, Plan, Rest
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 
@@ -50,7 +50,7 @@ class CompiledRest:
 
     def __init__(self, plan: Plan, matrices: SaddlePoint, t: float, known: RestStart) -> None:
         self._plan, self._matrices, self._known = plan, matrices, known
-        self._arrays = self._prepared(band=False)
+        self._model = self._prepared(band=False)
         instant, of = np.array([t]), plan.joint_factors
         self._of_joints = np.ones(1) if of is None else np.array(of(instant, 1)[0, 0])
         self._of_loads = plan.load_factors(instant)[0]
@@ -84,13 +84,13 @@ class CompiledRest:
         state = q.copy(), lam.copy(), np.empty_like(q), np.empty_like(lam)
         rules = np.array([s, mu, *gaps, *known[3:], iterations, _CLEAR])
         given = known.q_0, anchor, known.r_0, known.Phi_0
-        why, count, size, definite = rest(self._arrays, state, given, factors, rules)
+        why, count, size, definite = self._model.rest(state, given, factors, rules)
         if why == Rest.INDEFINITE:
-            self._arrays = self._prepared(band=True)
+            self._model = self._prepared(band=True)
             return self.solve(s, q, lam, gaps, mu, anchor, iterations)
         return RestEnd(Rest(why), state[0], state[1], state[2:], count, size, bool(definite))
 
-    def _prepared(self, band: bool) -> object:
+    def _prepared(self, band: bool) -> Model:
         layout = self._matrices.layout(band)
         assert layout is not None
-        return prepare(self._plan, layout, np.zeros(RULES))
+        return Model(self._plan, layout, np.zeros(RULES))

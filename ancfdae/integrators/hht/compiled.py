@@ -22,11 +22,8 @@ from ancfdae.kernels import (
     RULES,
     ListPlan,
     MatrixLayout,
+    Model,
     Plan,
-    differentiate_steps,
-    march,
-    prepare,
-    pull_back_steps,
 )
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
@@ -48,7 +45,7 @@ class Prepared:
         self, plan: Plan | ListPlan, layout: MatrixLayout, matrices: SaddlePoint, rules: Array
     ) -> None:
         self.plan, self._matrices, self._rules = plan, matrices, rules
-        self.arrays = prepare(plan, layout, rules)
+        self.model = Model(plan, layout, rules)
 
     @classmethod
     def of(cls, system: MechanicalSystem, matrices: SaddlePoint, rules: Array) -> Prepared | None:
@@ -61,7 +58,7 @@ class Prepared:
         """Prepare for matrices that are not positive definite, too."""
         layout = self._matrices.layout(band=True)
         assert layout is not None
-        self.arrays = prepare(self.plan, layout, self._rules)
+        self.model = Model(self.plan, layout, self._rules)
 
 
 @final
@@ -93,9 +90,8 @@ class CompiledPasses:
         return h, q, v, lam, of_joints, of_loads, matrices
 
     def forward(self, steps: Packet, right: Array, z: Array, states: Array, lam_b: Array) -> int:
-        """Take steps of direct differentiation; see `differentiate_steps`."""
-        arrays = self.kernel.arrays
-        taken, why = differentiate_steps(arrays, steps, right, z, states, lam_b)
+        """Take steps of direct differentiation; see `Model`."""
+        taken, why = self.kernel.model.differentiate_steps(steps, right, z, states, lam_b)
         if why != INDEFINITE:
             return taken
         self.kernel.add_band()
@@ -103,8 +99,8 @@ class CompiledPasses:
         return taken + self.forward(_part(steps, rest), right[rest], z, states[rest], lam_b[rest])
 
     def backward(self, steps: Packet, seeds: OnStates, on: Array, mu: Array, zeta: Array) -> int:
-        """Take transposed steps back from the last; see `pull_back_steps`."""
-        taken, why = pull_back_steps(self.kernel.arrays, steps, seeds, on, mu, zeta)
+        """Take transposed steps back from the last; see `Model`."""
+        taken, why = self.kernel.model.pull_back_steps(steps, seeds, on, mu, zeta)
         if why != INDEFINITE:
             return taken
         self.kernel.add_band()
@@ -145,8 +141,8 @@ class CompiledSteps:
         of_loads = self._kernel.plan.load_factors
         loads = np.stack([of_loads(ends), of_loads(starts)], axis=1)
         tables = self._joint_factors(starts, ends, h), loads
-        taken, why, motion, a, counts = march(
-            self._kernel.arrays, (q, v, a, lam, A), motion, h, *tables, _PATIENCE, rows
+        taken, why, motion, a, counts = self._kernel.model.march(
+            (q, v, a, lam, A), motion, h, *tables, _PATIENCE, rows
         )
         if why == NEEDS_GAUSS:
             self._small = True

@@ -32,11 +32,10 @@ from ancfdae.kernels import (
     STAGES_SINGULAR,
     STAGES_SOLVED,
     ListPlan,
+    Model,
     Plan,
     finite,
     norm,
-    prepare,
-    solve_stages,
 )
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.coupled import CoupledFactors
@@ -87,28 +86,28 @@ class StageSolver:
         self._rules = np.array([0.0, *rules, _POSITIONS])
         self._kernel = self._prepared()
 
-    def _prepared(self) -> tuple[Plan | ListPlan, object, Any] | None:
+    def _prepared(self) -> tuple[Plan | ListPlan, Model, Any] | None:
         """Return plan, plan as a kernel takes it, and the matrix; None where there are none."""
         system, layout = self._problem.system, self._problem.matrices.layout(band=False)
         plan = planned(system)
         coupled = self._matrices.arrays
         if plan is None or layout is None or coupled is None:
             return None
-        return plan, prepare(plan, layout, np.zeros(RULES)), coupled
+        return plan, Model(plan, layout, np.zeros(RULES)), coupled
 
     def solve(self, begin: Begin, guess: tuple[Array, Array]) -> SolvedStages | Failure:
         """Solve the equations of a step from a guess of x and of the multipliers."""
         if self._kernel is None or guess[0].dtype.kind == "c":
             return self._iterated(begin, guess)
-        plan, prepared, coupled = self._kernel
+        plan, model, coupled = self._kernel
         (x, lam), (q, v, a, lam_0) = (map(np.array, each) for each in (guess, begin.state))
         instants = np.append(begin.times, begin.t)
         joints, still = plan.joint_factors, np.ones((1, 1))
         factors = still if joints is None else joints(instants, 1)[0]
         tables = factors, plan.load_factors(instants), _TABLEAU, self._rules
         self._rules[0] = begin.h
-        ends, size, (iterations, factorisations, stuck) = solve_stages(
-            prepared, coupled, (q, v, a, lam_0), x, lam, *tables
+        ends, size, (iterations, factorisations, stuck) = model.solve_stages(
+            coupled, (q, v, a, lam_0), x, lam, *tables
         )
         self._recorder.residuals += 3 * iterations
         self._recorder.iterations += iterations
