@@ -9,9 +9,9 @@ from ancfdae import HHT, assemble, simulate
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import medians
 from ancfdae.plotting import Panel, Series
-from validation.peers import gradients, jax_runs, rest
+from validation.peers import designs, gradients, jax_runs, loops, own_systems, rest, trees
 from validation.peers.cables import CablePendulum, FlexibleSlider
-from validation.peers.exudyn import Exudyn, require_exudyn
+from validation.peers.exudyn import Exudyn, require_peers
 from validation.peers.pair import Pair
 from validation.peers.rigid import Chain, RigidSlider
 from validation.report import Agreement, Report
@@ -25,12 +25,17 @@ _COMPARED = 0.125
 
 def run(report: Report, quick: bool) -> None:
     """Run the cases of report `peers`; add its text, tables and figures."""
-    require_exudyn()
+    require_peers()
     report.heading("Method")
     report.text(_METHOD.format(version=importlib.metadata.version("exudyn")))
     _motion(report, _quick_pairs() if quick else _pairs(), 32 if quick else 512, 1 if quick else 5)
+    trees.fill(report, (2,) if quick else (5, 10, 20), 1 if quick else 5)
+    nets = [(4, 4)] if quick else [(8, 128), (16, 128), (32, 128), (60, 64)]
+    loops.fill(report, nets, (2,) if quick else (4, 8, 16, 31), 1 if quick else 3)
     rest.fill(report, (8,) if quick else (8, 64, 256), 1 if quick else 7)
+    designs.fill(report, (5,) if quick else (5, 20, 100), 2 if quick else 100, 1 if quick else 5)
     gradients.fill(report, quick)
+    own_systems.fill(report, 1 if quick else 3, 1 if quick else 5)
     jax_runs.fill(report, 8 if quick else 512, 1 if quick else 5)
     report.heading("Limits")
     report.text(_LIMITS)
