@@ -30,8 +30,8 @@ def run(report: Report, quick: bool) -> None:
     report.text(_METHOD.format(version=importlib.metadata.version("exudyn")))
     _motion(report, _quick_pairs() if quick else _pairs(), 32 if quick else 512, 1 if quick else 5)
     trees.fill(report, (2,) if quick else (5, 10, 20), 1 if quick else 5)
-    nets = [(4, 4)] if quick else [(8, 128), (16, 128), (32, 128), (60, 64)]
-    loops.fill(report, nets, (2,) if quick else (4, 8, 16, 31), 1 if quick else 3)
+    nets = [(3, 4), (4, 4)] if quick else [(8, 128), (16, 128), (32, 128), (60, 64)]
+    loops.fill(report, nets, (2, 3) if quick else (4, 8, 16, 31), 1 if quick else 3)
     rest.fill(report, (8,) if quick else (8, 64, 256), 1 if quick else 7)
     designs.fill(report, (5,) if quick else (5, 20, 100), 2 if quick else 100, 1 if quick else 5)
     gradients.fill(report, quick)
