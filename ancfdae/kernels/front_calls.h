@@ -263,7 +263,7 @@ static PyObject *py_fronts_solve(PyObject *const *args)
         else if ((out = zeros_like(right, 0, 0, NULL, type))) {
             double worst;
             Py_BEGIN_ALLOW_THREADS
-            worst = fronts_solve(&x, data_of(a[0]), data_of(a[2]), data_of(order), data_of(a[1]),
+            worst = fronts_solve(REFINED * DBL_EPSILON, &x, data_of(a[0]), data_of(a[2]), data_of(order), data_of(a[1]),
                                  columns, parts, data_of(right), work, PyArray_DATA(out));
             Py_END_ALLOW_THREADS
             result = Py_BuildValue("Od", out, worst);

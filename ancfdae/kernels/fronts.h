@@ -211,8 +211,13 @@ enum { MOST_REFINEMENTS = 5 };
  * refinement has not converged. */
 #define UNREFINED 1e-12
 
-/* Solve and refine; returns the largest residual relative to the entries of b and x. */
-INLINE double fronts_refined(int wide, const fronts *q, const double *a, const double *factors,
+/* A correction of Newton's method needs no more digits than this residual leaves: the next one
+ * takes its error away. */
+#define ENOUGH 1e-6
+
+/* Solve, and refine down to a residual `enough`; returns the largest residual relative to the
+ * entries of b and x. */
+INLINE double fronts_refined(int wide, double enough, const fronts *q, const double *a, const double *factors,
                              const double *restrict b, double *restrict x, double *restrict work,
                              double *below)
 {
@@ -231,7 +236,7 @@ INLINE double fronts_refined(int wide, const fronts *q, const double *a, const d
             }
             worst = left > 0 ? fmax(worst, left / most) : worst;
         }
-        if (worst <= REFINED * DBL_EPSILON || turn == MOST_REFINEMENTS || !(worst < 0.5 * last))
+        if (worst <= enough || turn == MOST_REFINEMENTS || !(worst < 0.5 * last))
             return worst;
         last = worst;
         fronts_beside(wide, q, factors, work, below);
@@ -240,22 +245,22 @@ INLINE double fronts_refined(int wide, const fronts *q, const double *a, const d
     }
 }
 
-WITH_WIDE_VECTORS static double fronts_one(const fronts *q, const double *a, const double *factors,
+WITH_WIDE_VECTORS static double fronts_one(double enough, const fronts *q, const double *a, const double *factors,
                                            const double *b, double *x, double *work, double *below)
 {
-    return fronts_refined(1, q, a, factors, b, x, work, below);
+    return fronts_refined(1, enough, q, a, factors, b, x, work, below);
 }
 
-WITH_WIDE_VECTORS static double fronts_four(const fronts *q, const double *a, const double *factors,
+WITH_WIDE_VECTORS static double fronts_four(double enough, const fronts *q, const double *a, const double *factors,
                                             const double *b, double *x, double *work,
                                             double *below)
 {
-    return fronts_refined(4, q, a, factors, b, x, work, below);
+    return fronts_refined(4, enough, q, a, factors, b, x, work, below);
 }
 
 /* Solve for columns as `ldl_solve` takes them, of a matrix scaled by `scale`; `work` has room for
  * 12 n and 4 times the rows of the largest front. Returns the largest relative residual. */
-static double fronts_solve(const fronts *q, const double *a, const double *factors,
+static double fronts_solve(double enough, const fronts *q, const double *a, const double *factors,
                            const npy_int64 *order, const double *scale, npy_intp columns, int parts,
                            const double *restrict right, double *restrict work, double *restrict out)
 {
@@ -269,8 +274,8 @@ static double fronts_solve(const fronts *q, const double *a, const double *facto
         for (npy_intp i = 0; i < n; i++)
             for (int r = 0; r < wide; r++)
                 b[i * wide + r] = r < own ? scale[i] * right[at[r] + order[i] * parts] : 0;
-        double one = wide == 1 ? fronts_one(q, a, factors, b, x, left, below)
-                               : fronts_four(q, a, factors, b, x, left, below);
+        double one = wide == 1 ? fronts_one(enough, q, a, factors, b, x, left, below)
+                               : fronts_four(enough, q, a, factors, b, x, left, below);
         worst = one <= worst ? worst : one;
         for (npy_intp i = 0; i < n; i++)
             for (int r = 0; r < own; r++)

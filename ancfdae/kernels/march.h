@@ -395,14 +395,15 @@ INLINE double NAME(band_scale)(const NAME(plan) *p, const NAME(room) *r, npy_int
     return i < p->n_q ? p->scale[i] : r->of_B * p->scale[i];
 }
 
-/* x = J^-1 right, or its transpose, for rows: 0, or NOT_SOLVED where refinement does not converge. */
-static int NAME(solve_rows)(const NAME(plan) *p, NAME(room) *r, char how, npy_intp rows,
-                             const T *right, T *x)
+/* x = J^-1 right, or its transpose, for rows, by fronts with a residual `enough`: 0, or NOT_SOLVED
+ * where refinement does not converge. */
+static int NAME(solve_rows)(const NAME(plan) *p, NAME(room) *r, char how, double enough, npy_intp rows,
+                            const T *right, T *x)
 {
     npy_intp n = p->n_q + p->n_lam;
     if (r->factored == BY_FRONTS)
-        return fronts_solve(p->fronts, r->in_fronts.a, r->matrix, p->order, r->in_fronts.scale, rows,
-                            1, right, r->work, x) <= UNREFINED
+        return fronts_solve(enough, p->fronts, r->in_fronts.a, r->matrix, p->order, r->in_fronts.scale,
+                            rows, 1, right, r->work, x) <= fmax(enough, UNREFINED)
                    ? 0
                    : NOT_SOLVED;
     if (r->factored == BY_ENVELOPE) {
@@ -464,7 +465,7 @@ static int NAME(iterated)(const NAME(plan) *p, NAME(room) *r, const step_coeffic
                                           &close)))
             return NOT_SOLVED;
         int failed = fresh ? NAME(factorised)(p, r, c, of_loads) : 0;
-        if (failed || (failed = NAME(solve_rows)(p, r, 'N', 1, r->R, r->x)))
+        if (failed || (failed = NAME(solve_rows)(p, r, 'N', ENOUGH, 1, r->R, r->x)))
             return failed;
         for (npy_intp k = 0; k < p->n_q; k++)
             r->a[k] -= r->x[k];

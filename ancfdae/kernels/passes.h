@@ -63,7 +63,7 @@ static npy_intp differentiated(const plan_real *p, room_real *r, const computed_
         if (p->velocity)
             csr_rows_real(n_q, K->first, K->columns, r->f_v, n_b, n_q, z + size, r->work, -1, n,
                           right);
-        if ((*ends = solve_rows_real(p, r, 'N', n_b, right, x)))
+        if ((*ends = solve_rows_real(p, r, 'N', REFINED * DBL_EPSILON, n_b, right, x)))
             return i;
         for (npy_intp b = 0; b < n_b; b++) {
             memcpy(z + 3 * size + b * n_q, x + b * n, (size_t)n_q * sizeof(double));
@@ -101,7 +101,7 @@ static npy_intp pulled_back(const plan_real *p, room_real *r, const computed_ste
         }
         for (npy_intp e = 0; e < n_lam; e++)
             r->R[n_q + e] = seeds[2] ? seeds[2][i * n_lam + e] : 0;
-        if ((*ends = solve_rows_real(p, r, 'T', 1, r->R, r->x)))
+        if ((*ends = solve_rows_real(p, r, 'T', REFINED * DBL_EPSILON, 1, r->R, r->x)))
             return s->k - 1 - i;
         if (r->factored == BY_BAND)
             csr_rows_transposed_real(n_q, K->first, K->columns, r->f_q, 1, r->x, -1, n_q, r->q);

@@ -128,7 +128,7 @@ static void rest_solved(const plan_real *p, room_real *r)
         for (npy_int32 i = p->B.first[k]; i < p->B.first[k + 1]; i++)
             r->R[p->B.columns[i]] += force * r->B[i];
     }
-    solve_rows_real(p, r, 'N', 1, r->R, r->x);
+    solve_rows_real(p, r, 'N', REFINED * DBL_EPSILON, 1, r->R, r->x);
 }
 
 /* dq/ds and dlam/ds with the factors that there are. */
