@@ -88,7 +88,7 @@ class Fronts:
         return None if failed else solve
 
     def growth(self, terms: Terms, B: Array) -> float | None:
-        """Return the largest sum_k L_ik^2 |D_k| of all unknowns; None unless pivots have their signs.
+        """Return the largest sum_k L_ik^2 |D_k|; None where a pivot has not its sign.
 
         Relative to the diagonal of K, and to rows of B of length one: rows i of the matrix have an
         error of eps times this sum.
