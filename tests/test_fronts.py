@@ -17,7 +17,7 @@ from ancfdae import (
     gradient,
 )
 from ancfdae.numerics.fronts import Fronts
-from ancfdae.numerics.linear_solvers import SaddlePoint
+from ancfdae.numerics.linear_solvers import SaddlePoint, _Places
 from ancfdae.numerics.patterns import SparsityPattern
 from ancfdae.observables import position
 from ancfdae.sections import Circle
@@ -175,3 +175,51 @@ def test_the_gradient_of_a_net_is_the_limit_of_differences():
     # Central differences: the square of the step, and Newton's 1e-10 over it.
     difference = (behind - before) / (2e-4 * -9.81)
     assert np.isclose(difference, one.gradient[1], rtol=2e-6)
+
+
+@pytest.mark.parametrize("nodes", [2, 5, 11])
+def test_growth_is_that_of_a_dense_elimination_in_the_same_order(nodes):
+    K, B = grid(nodes, 1e3, seed=10 + nodes)
+    fronts = Fronts(K[0], B[0], np.arange(sum(p.shape[0] for p in (K[0], B[0]))))
+    diagonal = K[1][K[0].diagonal]
+    root = 1 / np.sqrt(diagonal)
+    values = K[1] * root[K[0].rows] * root[K[0].columns]
+    rows = B[1] * root[B[0].columns]
+    rows = rows / np.sqrt(np.bincount(B[0].rows, rows * rows))[B[0].rows]
+    left = dense_saddle((K[0], values), (B[0], rows))[np.ix_(fronts.order, fronts.order)]
+    left[np.arange(len(left)), np.arange(len(left))] -= 1e-7 * (fronts.order >= K[0].shape[0])
+    sums = np.zeros(len(left))
+    for k in range(len(left)):
+        pivot, column = left[k, k], left[k:, k].copy()
+        sums[k:] += column**2 / abs(pivot)
+        left[k:, k:] -= np.outer(column, column) / pivot
+    growth = fronts.growth(((1.0, values),), rows)
+    # The perturbation is 1e-7 of rows scaled by powers of two, up to a factor of four.
+    assert growth == pytest.approx(np.max(sums), rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", [21, 22, 23])
+def test_negative_directions_are_those_of_eigenvalues_on_the_null_space(seed):
+    K, B = grid(6, 1e2, seed)
+    places = _Places(K[0], B[0], np.arange(sum(p.shape[0] for p in (K[0], B[0]))))
+    pattern = places.sparse.constrained
+    ones = np.ones(K[0].shape[0])
+    diagonal = K[0].diagonal
+    null = np.linalg.svd(B[0].dense(B[1]))[2][B[0].shape[0] :]
+    kappa = np.linalg.eigvalsh(null @ K[0].dense(K[1]) @ null.T)
+    # One eigenvalue is moved below zero. Fronts have -1e-7 in place of zeros, so that they prove
+    # nothing of stiffnesses below 1e-7 of the largest; factors without them count then.
+    away = 1e-3 * kappa[-1]
+    values = K[1].copy()
+    values[diagonal] -= kappa[0] + away
+    for wide in (True, False):
+        pattern.wide = wide
+        matrix = pattern.scaled(values, B[1], ones)
+        assert matrix.below(0.5 * away) == 1
+        assert matrix.below(2.0 * away) == 0
+    assert matrix._none_below(2.0 * away)
+    assert not matrix._none_below(0.5 * away)
+    small = 1e-10 * kappa[-1]
+    values[diagonal] += away - small
+    matrix = pattern.scaled(values, B[1], ones)
+    assert (matrix.below(0.5 * small), matrix.below(2.0 * small)) == (1, 0)

@@ -5,8 +5,10 @@ import pytest
 import scipy
 
 from ancfdae import (
+    CABLE_2D,
     Beam,
     Clamp,
+    FollowerForce,
     Material,
     Pin,
     PointForce,
@@ -16,6 +18,7 @@ from ancfdae import (
     equilibrium,
 )
 from ancfdae.errors import StabilityWarning
+from ancfdae.numerics.inertia import ConstrainedMatrix
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.patterns import SparsityPattern
 from ancfdae.sections import Rectangle
@@ -180,3 +183,30 @@ def pressed_link(o, beyond):
     foot, load = bar.at(-0.5, 0), (-10.0 * (1.0 + beyond), 0.0)
     loads = [TorsionalSpringDamper(foot, 10.0), PointForce(bar.at(0.5, 0), load)]
     return Scene(joints=[Pin(foot)], bodies=[bar], loads=loads)
+
+
+def test_round_off_of_a_symmetric_stiffness_is_no_load_that_turns(monkeypatch):
+    """Forces of cables have a potential; eigenvalues are sought where a load turns alone."""
+
+    def refused(self, M):
+        raise AssertionError("no load turns")
+
+    monkeypatch.setattr(ConstrainedMatrix, "growing", refused)
+    rope = Beam(
+        "rope",
+        (0, 0),
+        (1.2, 0),
+        256,
+        Rectangle(0.02, 0.02),
+        Material(1000, 2e8, 0),
+        element=CABLE_2D,
+    )
+    load = PointForce(rope.at_end, (0, -5.0))
+    found = equilibrium(Scene([rope], [Clamp(rope.at_start)], loads=[load]))
+    assert found.outcome.success
+    strip = Beam("strip", (0, 0), (1.2, 0), 4, Rectangle(0.02, 0.02), Material(1000, 2e8, 0))
+    turning = Scene(
+        [strip], [Clamp(strip.at_start)], loads=[FollowerForce(strip.at_end, (0, -0.1))]
+    )
+    with pytest.raises(AssertionError, match="no load turns"):
+        equilibrium(turning)

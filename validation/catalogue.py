@@ -162,9 +162,9 @@ CATALOGUE: tuple[Definition, ...] = (
     ),
     Definition(
         name="peers",
-        title="Beside Exudyn and JAX",
-        question="What do motion, equilibrium, modes and gradients of small mechanisms cost beside "
-        "a multibody code in C++, and beside a program written by hand in JAX?",
+        title="Beside Exudyn, CasADi and JAX",
+        question="What do set-up, motion, equilibrium, modes, sweeps and gradients cost beside a "
+        "multibody code in C++, solvers of sparse matrices, CasADi with IDAS, and JAX?",
         run=peers.run,
         source="wanted",
     ),

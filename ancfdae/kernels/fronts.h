@@ -213,8 +213,14 @@ enum { MOST_REFINEMENTS = 5 };
  * refinement has not converged. */
 #define UNREFINED 1e-12
 
-/* Solve and refine; returns the largest residual relative to the entries of b and x. */
-INLINE double fronts_refined(int wide, const Fronts *q, const double *a, const double *factors,
+/* A correction of Newton's method needs no more digits than this residual leaves: the next one
+ * takes its error away. Anything else is solved to round-off. */
+#define ENOUGH 1e-6
+#define TO_ROUND_OFF (REFINED * DBL_EPSILON)
+
+/* Solve, and refine down to a residual `enough`; returns the largest residual relative to the
+ * entries of b and x. */
+INLINE double fronts_refined(int wide, double enough, const Fronts *q, const double *a, const double *factors,
                              const double *__restrict b, double *__restrict x,
                              double *__restrict work, double *below)
 {
@@ -233,7 +239,7 @@ INLINE double fronts_refined(int wide, const Fronts *q, const double *a, const d
             }
             worst = left > 0 ? fmax(worst, left / most) : worst;
         }
-        if (worst <= REFINED * DBL_EPSILON || turn == MOST_REFINEMENTS || !(worst < 0.5 * last))
+        if (worst <= enough || turn == MOST_REFINEMENTS || !(worst < 0.5 * last))
             return worst;
         last = worst;
         fronts_beside(wide, q, factors, work, below);
@@ -242,21 +248,21 @@ INLINE double fronts_refined(int wide, const Fronts *q, const double *a, const d
     }
 }
 
-WITH_WIDE_VECTORS double fronts_one(const Fronts *q, const double *a, const double *factors,
+WITH_WIDE_VECTORS double fronts_one(double enough, const Fronts *q, const double *a, const double *factors,
                                     const double *b, double *x, double *work, double *below)
 {
-    return fronts_refined(1, q, a, factors, b, x, work, below);
+    return fronts_refined(1, enough, q, a, factors, b, x, work, below);
 }
 
-WITH_WIDE_VECTORS double fronts_four(const Fronts *q, const double *a, const double *factors,
+WITH_WIDE_VECTORS double fronts_four(double enough, const Fronts *q, const double *a, const double *factors,
                                      const double *b, double *x, double *work, double *below)
 {
-    return fronts_refined(4, q, a, factors, b, x, work, below);
+    return fronts_refined(4, enough, q, a, factors, b, x, work, below);
 }
 
 /* Solve for columns as `ldl_solve` takes them, of a matrix scaled by `scale`; `work` has room for
  * 12 n and 4 times the rows of the largest front. Returns the largest relative residual. */
-double fronts_solve(const Fronts *q, const double *a, const double *factors, const int64_t *order,
+double fronts_solve(double enough, const Fronts *q, const double *a, const double *factors, const int64_t *order,
                     const double *scale, Size columns, int parts, const double *__restrict right,
                     double *__restrict work, double *__restrict out)
 {
@@ -270,8 +276,8 @@ double fronts_solve(const Fronts *q, const double *a, const double *factors, con
         for (Size i = 0; i < n; i++)
             for (int r = 0; r < wide; r++)
                 b[i * wide + r] = r < own ? scale[i] * right[at[r] + order[i] * parts] : 0;
-        double one = wide == 1 ? fronts_one(q, a, factors, b, x, left, below)
-                               : fronts_four(q, a, factors, b, x, left, below);
+        double one = wide == 1 ? fronts_one(enough, q, a, factors, b, x, left, below)
+                               : fronts_four(enough, q, a, factors, b, x, left, below);
         worst = one <= worst ? worst : one;
         for (Size i = 0; i < n; i++)
             for (int r = 0; r < own; r++)

@@ -425,14 +425,17 @@ template <class T> INLINE double band_scale(const Plan<T> *p, const Room<T> *r, 
     return i < p->n_q ? p->scale[i] : r->of_B * p->scale[i];
 }
 
-/* x = J^-1 right, or its transpose, for rows: 0, or NOT_SOLVED where refinement does not converge. */
+/* x = J^-1 right, or its transpose, for rows, by fronts with a residual `enough`: 0, or NOT_SOLVED
+ * where refinement does not converge. */
 template <class T>
-int solve_rows(const Plan<T> *p, Room<T> *r, char how, Size rows, const T *right, T *x)
+int solve_rows(const Plan<T> *p, Room<T> *r, char how, double enough, Size rows, const T *right,
+               T *x)
 {
     Size n = p->n_q + p->n_lam;
     if (r->factored == BY_FRONTS)
-        return fronts_solve(p->fronts, r->in_fronts.a, r->matrix, p->order, r->in_fronts.scale,
-                            rows, 1, right, r->work, x) <= UNREFINED
+        return fronts_solve(enough, p->fronts, r->in_fronts.a, r->matrix, p->order,
+                            r->in_fronts.scale, rows, 1, right, r->work,
+                            x) <= fmax(enough, UNREFINED)
                    ? 0
                    : NOT_SOLVED;
     if (r->factored == BY_ENVELOPE) {
@@ -496,7 +499,7 @@ int iterated(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befo
                                        &close)))
             return NOT_SOLVED;
         int failed = fresh ? factorised<T>(p, r, c, of_loads) : 0;
-        if (failed || (failed = solve_rows<T>(p, r, 'N', 1, r->R, r->x)))
+        if (failed || (failed = solve_rows<T>(p, r, 'N', ENOUGH, 1, r->R, r->x)))
             return failed;
         for (Size k = 0; k < p->n_q; k++)
             r->a[k] -= r->x[k];

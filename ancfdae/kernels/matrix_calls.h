@@ -483,7 +483,7 @@ py_fronts_solve(std::tuple<Array<double, 1>, Array<double, 1>, Array<double, 1>>
     {
         Unlocked others;
         worst =
-            fronts_solve(&x, a.data, factors.data, order.data, scale.data, right.rows(1) * parts,
+            fronts_solve(TO_ROUND_OFF, &x, a.data, factors.data, order.data, scale.data, right.rows(1) * parts,
                          parts, (const double *)right.data, work.get(), (double *)out.data);
     }
     return {std::move(out), worst};

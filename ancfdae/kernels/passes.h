@@ -62,7 +62,7 @@ Size differentiated(const Plan<double> *p, Room<double> *r, const ComputedSteps 
         if (p->velocity)
             csr_rows<double>(n_q, K->first, K->columns, r->f_v, n_b, n_q, z + size, r->work, -1, n,
                              right);
-        if ((*ends = solve_rows<double>(p, r, 'N', n_b, right, x)))
+        if ((*ends = solve_rows<double>(p, r, 'N', TO_ROUND_OFF, n_b, right, x)))
             return i;
         for (Size b = 0; b < n_b; b++) {
             memcpy(z + 3 * size + b * n_q, x + b * n, (size_t)n_q * sizeof(double));
@@ -99,7 +99,7 @@ Size pulled_back(const Plan<double> *p, Room<double> *r, const ComputedSteps *s,
         }
         for (Size e = 0; e < n_lam; e++)
             r->R[n_q + e] = seeds[2] ? seeds[2][i * n_lam + e] : 0;
-        if ((*ends = solve_rows<double>(p, r, 'T', 1, r->R, r->x)))
+        if ((*ends = solve_rows<double>(p, r, 'T', TO_ROUND_OFF, 1, r->R, r->x)))
             return s->k - 1 - i;
         if (r->factored == BY_BAND)
             csr_rows_transposed<double>(n_q, K->first, K->columns, r->f_q, 1, r->x, -1, n_q, r->q);

@@ -136,7 +136,7 @@ void rest_solved(const Plan<double> *p, Room<double> *r)
         for (int32_t i = p->B.first[k]; i < p->B.first[k + 1]; i++)
             r->R[p->B.columns[i]] += force * r->B[i];
     }
-    solve_rows<double>(p, r, 'N', 1, r->R, r->x);
+    solve_rows<double>(p, r, 'N', TO_ROUND_OFF, 1, r->R, r->x);
 }
 
 /* dq/ds and dlam/ds with the factors that there are. */

@@ -13,6 +13,7 @@ sweep. The factorisation is multifrontal (`kernels/fronts.h`).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -38,21 +39,20 @@ _ORDERS: tuple[dict[str, Any], ...] = (
 class Fronts:
     """The elimination of matrices of one pattern, shape (n + m, n + m).
 
-    `order` is the order of elimination; `by_columns` says whether it is COLAMD's, where that takes
-    less work than minimum degree.
+    `order` is the order of elimination, found unless one is given; `by_columns` says whether it is
+    COLAMD's, where that takes less work than minimum degree.
     """
 
-    def __init__(self, K: SparsityPattern, B: SparsityPattern) -> None:
+    def __init__(self, K: SparsityPattern, B: SparsityPattern, order: Array | None = None) -> None:
         n, m = K.shape[0], B.shape[0]
         # All entries below the diagonal of either triangle, and the diagonals of multipliers.
         multipliers = n + np.arange(m)
         rows = np.concatenate([K.rows, n + B.rows, multipliers])
         columns = np.concatenate([K.columns, B.columns, multipliers])
-        by_degree, by_columns = (
-            _analysed(order, rows, columns) for order in _orders(rows, columns, n + m)
-        )
-        self.by_columns = by_columns[2] < by_degree[2]
-        self.order, analysis, _ = by_columns if self.by_columns else by_degree
+        orders = _orders(rows, columns, n + m) if order is None else [order]
+        found = [_analysed(each, rows, columns) for each in orders]
+        self.by_columns = found[-1][2] < found[0][2]
+        self.order, analysis, _ = found[-1] if self.by_columns else found[0]
         place = _places(self.order)
         row, column = place[rows], place[columns]
         lower = row >= column
@@ -86,6 +86,40 @@ class Fronts:
             return x if residual <= _UNREFINED else None
 
         return None if failed else solve
+
+    def growth(self, terms: Terms, B: Array) -> float | None:
+        """Return the largest sum_k L_ik^2 |D_k|; None where a pivot has not its sign.
+
+        Relative to the diagonal of K, and to rows of B of length one: rows i of the matrix have an
+        error of eps times this sum.
+        """
+        (_, scale, factors), failed = fronts_factor(
+            terms, B, self._chosen, self._places, self._arrays
+        )
+        if failed:
+            return None
+        at, row, column = self._triangle
+        L, D = factors[at], 1.0 / factors[self._pivots]
+        sums = np.bincount(row, L * L * np.abs(D)[column], minlength=len(D)) + np.abs(D)
+        return float(np.max(sums / scale**2))
+
+    @cached_property
+    def _pivots(self) -> Array:
+        """Where the pivots stand in the factors."""
+        begin, row_at, _, factor_at = self._arrays[:4]
+        pivots, rows = np.diff(begin), np.diff(row_at)
+        within = np.arange(len(self.order)) - np.repeat(begin[:-1], pivots)
+        return np.repeat(factor_at[:-1], pivots) + within * (np.repeat(rows, pivots) + 1)
+
+    @cached_property
+    def _triangle(self) -> tuple[Array, Array, Array]:
+        """Where the factors stand below their diagonal, and their rows and columns."""
+        begin, row_at, rows, factor_at = self._arrays[:4]
+        size, front = np.diff(row_at), np.repeat(np.arange(len(row_at) - 1), np.diff(factor_at))
+        within = np.arange(len(front)) - factor_at[front]
+        column, row = within // size[front], within % size[front]
+        at = np.flatnonzero(row > column)
+        return at, rows[row_at[front] + row][at], (begin[front] + column)[at]
 
 
 def _places(order: Array) -> Array:

@@ -25,6 +25,7 @@ import numpy as np
 import scipy
 
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.fronts import Fronts
 from ancfdae.numerics.patterns import SparsityPattern
 
 _EPS = float(np.finfo(float).eps)
@@ -51,32 +52,54 @@ _DIAGONAL = _EXCHANGING | {
 class ConstrainedPattern:
     """Places of the entries of saddle-point matrices, compressed by columns in a given order.
 
-    The order, (n + m,), has every multiplier behind a coordinate of its own constraint.
+    The order, (n + m,), has every multiplier behind a coordinate of its own constraint; `wide`
+    says that entries of it stand in no narrow band.
     """
 
-    def __init__(self, K: SparsityPattern, B: SparsityPattern, order: Array) -> None:
-        n, size = K.shape[0], len(order)
-        self.K, self.B, self.size = K, B, size
+    def __init__(self, K: SparsityPattern, B: SparsityPattern, order: Array, wide: bool) -> None:
+        size = len(order)
+        self.K, self.B, self.size, self.wide = K, B, size, wide
         self.place = np.empty(size, dtype=np.int64)
         self.place[order] = np.arange(size)
         self.pairs = _pairs(B)
+
+    @cached_property
+    def _entries(self) -> tuple[Array, Array, Array]:
+        """Where the values of `matrix` go, and rows and starts of columns of the matrix."""
+        K, B, n, size = self.K, self.B, self.K.shape[0], self.size
         i, j = (B.columns[pair] for pair in self.pairs)
         diagonal, multipliers = np.arange(n), n + B.rows
         rows = np.concatenate([K.rows, K.columns, diagonal, multipliers, B.columns, i])
         columns = np.concatenate([K.columns, K.rows, diagonal, B.columns, multipliers, j])
         flat = self.place[columns] * size + self.place[rows]
-        entries, self._to = np.unique(flat, return_inverse=True)
-        self._rows = (entries % size).astype(np.int32)
-        starts = np.arange(size + 1) * size
-        self._first = np.searchsorted(entries, starts).astype(np.int32)
+        entries, to = np.unique(flat, return_inverse=True)
+        first = np.searchsorted(entries, np.arange(size + 1) * size).astype(np.int32)
+        return to, (entries % size).astype(np.int32), first
+
+    @cached_property
+    def squared(self) -> tuple[SparsityPattern, Array]:
+        """Pattern of K + K^T + 1 + B^T B, and where the values of each go in it."""
+        K, (one, other) = self.K, (self.B.columns[pair] for pair in self.pairs)
+        n, diagonal = K.shape[0], np.arange(K.shape[0])
+        rows = np.concatenate([K.rows, K.columns, diagonal, one])
+        columns = np.concatenate([K.columns, K.rows, diagonal, other])
+        entries, to = np.unique(rows.astype(np.int64) * n + columns, return_inverse=True)
+        return SparsityPattern(K.shape, entries // n, entries % n), to
+
+    @cached_property
+    def fronts(self) -> Fronts:
+        """L D L^T in this order, in which no multiplier is eliminated before its coordinates."""
+        order = np.empty(self.size, dtype=np.int64)
+        order[self.place] = np.arange(self.size)
+        return Fronts(self.squared[0], self.B, order)
 
     def matrix(self, *values: Array) -> scipy.sparse.csc_array:
         """Return the sum of entries of K, of K^T, a diagonal, of B, of B^T and of B^T B."""
-        flat, entries = np.concatenate(values), len(self._rows)
-        data = np.bincount(self._to, flat.real, minlength=entries)
+        flat, (to, rows, first) = np.concatenate(values), self._entries
+        data = np.bincount(to, flat.real, minlength=len(rows))
         if flat.dtype.kind == "c":
-            data = data + 1j * np.bincount(self._to, flat.imag, minlength=entries)
-        return scipy.sparse.csc_array((data, self._rows, self._first), shape=(self.size, self.size))
+            data = data + 1j * np.bincount(to, flat.imag, minlength=len(rows))
+        return scipy.sparse.csc_array((data, rows, first), shape=(self.size, self.size))
 
     def scaled(self, K: Array, B: Array, diagonal: Array) -> ConstrainedMatrix:
         """Return a matrix measured against a positive diagonal, rows of B of length one."""
@@ -116,6 +139,9 @@ class ConstrainedMatrix:
 
         None where round-off could move one by more than sigma/2.
         """
+        # The analysis of fronts costs more than a factorisation in a band.
+        if self.pattern.wide and self._none_below(sigma):
+            return 0
         lu = self._factors(sigma, symmetric=True)
         if lu is None or np.any(lu.perm_r != lu.perm_c):
             return None
@@ -126,6 +152,24 @@ class ConstrainedMatrix:
         if not _EPS * np.max(reach) <= 0.5 * sigma:
             return None
         return int(np.sum(pivots < 0)) - self.pattern.B.shape[0]
+
+    def _none_below(self, sigma: float) -> bool:
+        """Whether L D L^T by fronts proves that no eigenvalue is less than -sigma.
+
+        With -eps, 1e-7, in place of the zeros all pivots of coordinates are positive and those of
+        multipliers negative where K + sigma + B^T B + B^T B / eps is positive definite: on the null
+        space of B that is K + sigma. Eigenvalues below eps may remain without proof.
+        """
+        growth = self.pattern.fronts.growth(((1.0, self._symmetric(sigma)),), self.B)
+        return growth is not None and _EPS * growth <= 0.5 * sigma
+
+    def _symmetric(self, sigma: float) -> Array:
+        """Values of the symmetric part of K + sigma + B^T B on the pattern of all of them."""
+        one, other = self.pattern.pairs
+        diagonal = np.full(self.pattern.K.shape[0], sigma)
+        values = [0.5 * self.K, 0.5 * self.K, diagonal, self.B[one] * self.B[other]]
+        to = self.pattern.squared[1]
+        return np.bincount(to, np.concatenate(values), minlength=self.pattern.squared[0].size)
 
     def below_densely(self, sigma: float) -> int | None:
         """Return the same of a matrix of dependent constraints, by dense matrices; None if large.

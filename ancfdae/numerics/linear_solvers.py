@@ -167,11 +167,10 @@ class SaddlePoint:
         """Number of coordinates."""
         return self._patterns[0].shape[0]
 
-    @cached_property
+    @property
     def constrained(self) -> ConstrainedPattern:
         """Pattern of the matrices whose negative directions are counted."""
-        places = self._places if self._in_band else self._sparse
-        return ConstrainedPattern(*self._patterns, places.order)
+        return (self._places if self._in_band else self._places.sparse).constrained
 
     @cached_property
     def parts(self) -> tuple[int, Array]:
@@ -252,12 +251,7 @@ class SaddlePoint:
             return self._band
         if self._places.fronts.by_columns:
             return _SparseStorage(self.scale, self._n, self._places, _BY_COLUMNS)
-        return _SparseStorage(self.scale, self._n, self._sparse, _IN_ORDER)
-
-    @cached_property
-    def _sparse(self) -> _Places:
-        """Places of entries in an order of minimum degree."""
-        return _Places(*self._patterns, little_fill(*self._patterns))
+        return _SparseStorage(self.scale, self._n, self._places.sparse, _IN_ORDER)
 
     @cached_property
     def _band(self) -> _BandStorage:
@@ -286,6 +280,17 @@ class _Places:
     def fronts(self) -> Fronts:
         """The elimination in an order with little fill, whatever this order."""
         return Fronts(*self._patterns)
+
+    @cached_property
+    def sparse(self) -> _Places:
+        """Places of entries in an order of minimum degree, whatever this order."""
+        return _Places(*self._patterns, little_fill(*self._patterns))
+
+    @cached_property
+    def constrained(self) -> ConstrainedPattern:
+        """Pattern of matrices in this order whose negative directions are counted."""
+        wide = self.half_width > _BAND_HALF_WIDTH
+        return ConstrainedPattern(*self._patterns, self.order, wide)
 
     @cached_property
     def flat(self) -> Array:

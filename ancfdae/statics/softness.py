@@ -63,7 +63,7 @@ class Softness:
         matrix = self._matrix
         if not negative_directions(matrix) and not np.any(self._values < -self.noise):
             return True
-        if matrix.skewness <= _CLEAR[0]:
+        if not self.follows:
             return False
         return not (matrix.is_odd(_CLEAR[0]) or matrix.has_negative(self._M))
 
@@ -80,7 +80,7 @@ class Softness:
     @property
     def follows(self) -> bool:
         """Whether K is not symmetric, because loads turn with the motion: it may flutter."""
-        return self._matrix.skewness > _CLEAR[0]
+        return not self.balance.system.traits.symmetric and self._matrix.skewness > _CLEAR[0]
 
     @property
     def judged(self) -> bool:

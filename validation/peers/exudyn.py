@@ -14,9 +14,9 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
 from validation.peers.pair import Pair
 
-INSTALL = "Report peers needs Exudyn and JAX: .venv/bin/python -m pip install -e '.[peers]'"
+__all__ = ["SPECTRAL_RADIUS", "Exudyn", "Way", "quiet", "require_peers"]
 
-__all__ = ["INSTALL", "SPECTRAL_RADIUS", "Exudyn", "Way", "require_exudyn"]
+_PEERS = ("exudyn", "jax", "diffrax", "casadi", "qdldl")
 
 # Of generalised-alpha with the numerical damping of HHT at alpha = -0.3: (1 + alpha)/(1 - alpha).
 SPECTRAL_RADIUS = 0.7 / 1.3
@@ -38,10 +38,12 @@ class Way(NamedTuple):
 _DENSE = 500
 
 
-def require_exudyn() -> None:
-    """Refuse where Exudyn is not installed."""
-    if importlib.util.find_spec("exudyn") is None:
-        raise MissingPackageError(INSTALL)
+def require_peers() -> None:
+    """Raise MissingPackageError unless all packages of the extra ``peers`` are installed."""
+    missing = [name for name in _PEERS if importlib.util.find_spec(name) is None]
+    if missing:
+        names, install = ", ".join(missing), ".venv/bin/python -m pip install -e '.[peers]'"
+        raise MissingPackageError(f"Report peers needs {names}: {install}")
 
 
 @final
@@ -49,18 +51,19 @@ class Exudyn:
     """A pair's model in Exudyn."""
 
     def __init__(self, pair: Pair) -> None:
-        require_exudyn()
+        require_peers()
         # Asked for before the import: the version without checks of ranges, which is faster.
         sys.exudynFast = True  # type: ignore[attr-defined]
         self._exu: Any = importlib.import_module("exudyn")
         self._container = self._exu.SystemContainer()
         self._mbs = self._container.AddSystem()
+        self._symmetric = pair.symmetric
         self._model = pair.build(self._exu, importlib.import_module("exudyn.utilities"), self._mbs)
         self._mbs.Assemble()
 
     def end(self, step: float, steps: int, newton: float, way: Way) -> Array:
         """Integrate; return where the point is at the end, NaN if the run fails."""
-        asked = self._quiet()
+        asked = quiet(self._exu)
         asked.linearSolver.solverType = getattr(self._exu.LinearSolverType, way.linear_solver)
         integration = asked.timeIntegration
         integration.numberOfSteps, integration.endTime = steps, steps * step
@@ -86,13 +89,14 @@ class Exudyn:
             done = np.all(np.isfinite(self.end(step, steps, newton, way)))
             return clock() if done else np.inf
 
-        dense = ["EXUdense"] * (self._mbs.systemData.ODE2Size() <= _DENSE)
-        ways = itertools.product([*dense, "EigenSparse"], (True, False))
+        solvers = ["EXUdense"] * (self._mbs.systemData.ODE2Size() <= _DENSE)
+        solvers += ["EigenSparse"] + ["EigenSparseSymmetric"] * self._symmetric
+        ways = itertools.product(solvers, (True, False))
         return min(itertools.starmap(Way, ways), key=seconds)
 
     def at_rest(self, load_steps: int) -> Array:
         """Solve for equilibrium; return where the point is, NaN if that fails."""
-        asked = self._quiet()
+        asked = quiet(self._exu)
         asked.linearSolver.solverType = self._exu.LinearSolverType.EigenSparse
         asked.staticSolver.numberOfLoadSteps = load_steps
         asked.staticSolver.newton.relativeTolerance = 1e-8
@@ -117,11 +121,18 @@ class Exudyn:
             rows.append((ends[0] - ends[1]) / (2 * step))
         return np.array(rows)
 
-    def frequencies(self, number: int, held: Sequence[int]) -> Array:
-        """Return the lowest natural frequencies, rad/s, where some coordinates are held."""
+    def frequencies(self, number: int, held: Sequence[int], sparse: bool) -> Array:
+        """Return the lowest natural frequencies, rad/s, where some coordinates are fixed.
+
+        By Exudyn's sparse solver (ARPACK) or by its dense one (LAPACK, all eigenvalues).
+        """
+        asked = quiet(self._exu)
+        if sparse:
+            asked.linearSolver.solverType = self._exu.LinearSolverType.EigenSparse
         values, _ = self._mbs.ComputeODE2Eigenvalues(
-            self._quiet(),
-            useSparseSolver=False,
+            asked,
+            useSparseSolver=sparse,
+            numberOfEigenvalues=number if sparse else 0,
             constrainedCoordinates=list(held),
             ignoreAlgebraicEquations=True,
             autoAssemble=False,
@@ -129,10 +140,12 @@ class Exudyn:
         frequencies: Array = np.sqrt(np.abs(np.asarray(values)[:number]))
         return frequencies
 
-    def _quiet(self) -> Any:
-        asked = self._exu.SimulationSettings()
-        asked.solution.file.write = False
-        asked.solution.sensors.writePeriod = 1e10
-        asked.timeIntegration.verboseMode = asked.staticSolver.verboseMode = 0
-        asked.parallel.numberOfThreads = 1
-        return asked
+
+def quiet(exu: Any) -> Any:
+    """Return settings of Exudyn with one thread, without files, sensors and messages."""
+    asked = exu.SimulationSettings()
+    asked.solution.file.write = False
+    asked.solution.sensors.writePeriod = 1e10
+    asked.timeIntegration.verboseMode = asked.staticSolver.verboseMode = 0
+    asked.parallel.numberOfThreads = 1
+    return asked

@@ -7,15 +7,12 @@ derivatives those of the loop over the steps. Nothing of the package is used.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ancfdae.errors import MissingPackageError
 from ancfdae.numerics.arrays import Array
-from validation.peers.exudyn import INSTALL
 
 __all__ = ["compiled"]
 
@@ -38,8 +35,6 @@ def compiled(elements: int, step: float, steps: int, b: Array) -> list[Callable[
 
 
 def _jax() -> Any:
-    if importlib.util.find_spec("jax") is None:
-        raise MissingPackageError(INSTALL)
     jax: Any = importlib.import_module("jax")
     jax.config.update("jax_enable_x64", True)
     return jax

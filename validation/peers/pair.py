@@ -26,10 +26,12 @@ class Model(NamedTuple):
 class Pair(ABC):
     """A scene in this package and in Exudyn, compared where a point of it is.
 
-    `asked` is the largest ratio of this package's time to Exudyn's that is wanted.
+    `asked` is the largest ratio of this package's time to Exudyn's that is wanted; `symmetric`
+    says whether the matrices of the model in Exudyn are symmetric.
     """
 
     asked: ClassVar[float] = 1.0
+    symmetric: ClassVar[bool] = False
 
     @property
     @abstractmethod

@@ -1,6 +1,8 @@
-"""Report on peers: first that both sides agree, then what each costs."""
+"""Report on other codes: first that both sides agree, then what each costs."""
 
 import importlib.metadata
+import importlib.util
+import os
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -9,9 +11,9 @@ from ancfdae import HHT, assemble, simulate
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import medians
 from ancfdae.plotting import Panel, Series
-from validation.peers import gradients, jax_runs, rest
+from validation.peers import designs, gradients, jax_runs, loops, own_systems, rest, trees
 from validation.peers.cables import CablePendulum, FlexibleSlider
-from validation.peers.exudyn import Exudyn, require_exudyn
+from validation.peers.exudyn import Exudyn, require_peers
 from validation.peers.pair import Pair
 from validation.peers.rigid import Chain, RigidSlider
 from validation.report import Agreement, Report
@@ -25,15 +27,29 @@ _COMPARED = 0.125
 
 def run(report: Report, quick: bool) -> None:
     """Run the cases of report `peers`; add its text, tables and figures."""
-    require_exudyn()
+    require_peers()
+    before = os.getloadavg()
     report.heading("Method")
-    report.text(_METHOD.format(version=importlib.metadata.version("exudyn")))
+    report.text(_METHOD.format(version=importlib.metadata.version("exudyn"), packages=_packages()))
     _motion(report, _quick_pairs() if quick else _pairs(), 32 if quick else 512, 1 if quick else 5)
+    trees.fill(report, (2,) if quick else (5, 10, 20), 1 if quick else 5)
+    nets = [(3, 4), (4, 4)] if quick else [(8, 128), (16, 128), (32, 128), (60, 64)]
+    loops.fill(report, nets, (2, 3) if quick else (4, 8, 16, 31), 1 if quick else 3)
     rest.fill(report, (8,) if quick else (8, 64, 256), 1 if quick else 7)
+    designs.fill(report, (5,) if quick else (5, 20, 100), 2 if quick else 100, 1 if quick else 5)
     gradients.fill(report, quick)
+    own_systems.fill(report, 1 if quick else 3, 1 if quick else 5)
     jax_runs.fill(report, 8 if quick else 512, 1 if quick else 5)
     report.heading("Limits")
-    report.text(_LIMITS)
+    loads = report.figure("load.before", before[0]), report.figure("load.after", os.getloadavg()[0])
+    report.text(_LIMITS.format(cores=os.cpu_count(), before=loads[0], after=loads[1]))
+
+
+def _packages() -> str:
+    """Return the versions of the other codes."""
+    names = ["casadi", "jax", "diffrax", "qdldl"]
+    names += ["pypardiso"] * (importlib.util.find_spec("pypardiso") is not None)
+    return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
 
 
 def _quick_pairs() -> list[Pair]:
@@ -70,7 +86,8 @@ def _motion(report: Report, pairs: Sequence[Pair], steps: int, repeats: int) -> 
     )
     worst = max(ratios)
     report.claim(
-        "A step of any scene costs no more than Exudyn's in its best setting: largest ratio",
+        "A step of chains, slider-cranks and cables, of Exudyn's time in its best setting: "
+        "largest ratio",
         "at most 1",
         f"{worst:.2f} ({pairs[int(np.argmax(ratios))].title})",
         Agreement.AGREES if worst <= 1 else Agreement.DISAGREES,
@@ -131,13 +148,18 @@ cables is measured in ways that differ by the axial strain) and of their meshes.
 turns, one thread, steps of 2^-10 s, Newton's method to 1e-8 (1e-7 for 1000
 cables: Exudyn does not converge to 1e-8 there); the medians of processor time count.
 Exudyn integrates by generalised-alpha with the numerical damping of HHT at alpha = -0.3, in its
-version without checks of ranges, without files, with the faster of its two linear solvers and of
-full and modified Newton iteration. Gradients are those of the height of the end in the logarithms
-of variables: here direct and adjoint, there central differences at the best change.
+version without checks of ranges, without files, with the fastest of its linear solvers (dense,
+sparse, sparse and symmetric where the matrix is) and of full and modified Newton iteration.
+Modified Newton keeps factors from step to step; here every step has its own. Natural frequencies
+are those of the faster of Exudyn's dense and sparse solver. Gradients are those of the height of
+the end in the logarithms of variables: here direct and adjoint, there central differences at the
+best change. Other codes: {packages}.
 """
 
 _LIMITS = """\
-- One thread, one machine; ratios of small scenes move by a fifth from run to run.
+- One thread, one machine with {cores} processors; ratios of small scenes move by a fifth from run
+  to run. Its load average was {before:.1f} when the report began and {after:.1f} at its end: beyond
+  the number of processors times are longer than on a quiet machine, and ratios less certain.
 - Exudyn's models are ours: an expert of it may find a faster one.
 - The pendulum in JAX is the plainest way, quadrature at every point in every iteration: constant
   invariants, which this package is built on, make it faster and longer.

@@ -60,8 +60,10 @@ def _modes(cables: int, repeats: int) -> tuple[float, list[float]]:
     held = (0, 1, 3)
     calls: list[Callable[[], object]] = [
         lambda: modes(system, _MODES),
-        lambda: exudyn.frequencies(_MODES, held),
+        lambda: exudyn.frequencies(_MODES, held, sparse=True),
+        lambda: exudyn.frequencies(_MODES, held, sparse=False),
     ]
     here = modes(system, _MODES).natural_frequencies
-    apart = np.max(np.abs(here / exudyn.frequencies(_MODES, held) - 1))
-    return float(apart), medians(calls, repeats)
+    apart = np.max(np.abs(here / exudyn.frequencies(_MODES, held, sparse=True) - 1))
+    own, *others = medians(calls, repeats)
+    return float(apart), [own, min(others)]

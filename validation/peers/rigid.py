@@ -20,9 +20,9 @@ from ancfdae import (
 from ancfdae.extend import Joint, MaterialPoint
 from validation.peers.pair import GRAVITY, Model, Pair
 
-__all__ = ["Chain", "RigidSlider"]
+__all__ = ["DENSITY", "LENGTH", "THICKNESS", "Chain", "RigidSlider"]
 
-_DENSITY, _LENGTH, _THICKNESS = 1000.0, 0.2, 0.02
+DENSITY, LENGTH, THICKNESS = 1000.0, 0.2, 0.02
 
 
 @final
@@ -44,9 +44,9 @@ class Chain(Pair):
 
     def scene(self) -> Scene:
         """Return the model as a scene of this package."""
-        box = RigidBox(_LENGTH, _THICKNESS, _THICKNESS)
+        box = RigidBox(LENGTH, THICKNESS, THICKNESS)
         bars = [
-            RigidBody(f"bar {i}", ((i + 0.5) * _LENGTH, 0, 0), shape=box, density=_DENSITY)
+            RigidBody(f"bar {i}", ((i + 0.5) * LENGTH, 0, 0), shape=box, density=DENSITY)
             for i in range(self.bodies)
         ]
         joints = [self._joint(bars[i], bars[i - 1] if i else None) for i in range(self.bodies)]
@@ -58,14 +58,14 @@ class Chain(Pair):
         return 0.0 if self.revolute else 1.0
 
     def _joint(self, bar: RigidBody, before: RigidBody | None) -> Revolute | Spherical:
-        here = bar.at(-_LENGTH / 2)
-        other = None if before is None else before.at(_LENGTH / 2)
+        here = bar.at(-LENGTH / 2)
+        other = None if before is None else before.at(LENGTH / 2)
         return Revolute(here, (0, 1, 0), other) if self.revolute else Spherical(here, other)
 
     @property
     def point(self) -> MaterialPoint:
         """The end of the last bar."""
-        return MaterialPoint(f"bar {self.bodies - 1}", x=_LENGTH / 2, y=0, z=0)
+        return MaterialPoint(f"bar {self.bodies - 1}", x=LENGTH / 2, y=0, z=0)
 
     def design(self) -> list[str]:
         """Return the densities."""
@@ -75,16 +75,16 @@ class Chain(Pair):
         """Angles of Cardan: fewer coordinates than Euler parameters, and faster."""
         last, spin, bars = mbs.CreateGround(), np.array([0, 0, self._spin]), []
         for i in range(self.bodies):
-            centre = [(i + 0.5) * _LENGTH, 0, 0]
+            centre = [(i + 0.5) * LENGTH, 0, 0]
             bar = mbs.CreateRigidBody(
                 referencePosition=centre,
                 initialVelocity=list(np.cross(spin, centre)),
                 initialAngularVelocity=list(spin),
-                inertia=items.InertiaCuboid(_DENSITY, [_LENGTH, _THICKNESS, _THICKNESS]),
+                inertia=items.InertiaCuboid(DENSITY, [LENGTH, THICKNESS, THICKNESS]),
                 gravity=[0, 0, -GRAVITY],
                 nodeType=exu.NodeType.RotationRxyz,
             )
-            pair, place = [last, bar], [i * _LENGTH, 0, 0]
+            pair, place = [last, bar], [i * LENGTH, 0, 0]
             if self.revolute:
                 mbs.CreateRevoluteJoint(itemNumbers=pair, position=place, axis=[0, 1, 0])
             else:
@@ -93,12 +93,12 @@ class Chain(Pair):
             last = bar
 
         def vary(i: int, factor: float) -> None:
-            inertia = items.InertiaCuboid(factor * _DENSITY, [_LENGTH, _THICKNESS, _THICKNESS])
+            inertia = items.InertiaCuboid(factor * DENSITY, [LENGTH, THICKNESS, THICKNESS])
             mbs.SetObjectParameter(bars[i], "mass", inertia.mass)
             mbs.SetObjectParameter(bars[i], "inertia", inertia.GetInertia6D())
 
         place = exu.OutputVariableType.Position
-        return Model(lambda: mbs.GetObjectOutputBody(last, place, [_LENGTH / 2, 0, 0]), vary)
+        return Model(lambda: mbs.GetObjectOutputBody(last, place, [LENGTH / 2, 0, 0]), vary)
 
 
 @final
@@ -124,7 +124,7 @@ class RigidSlider(Pair):
         return elbow, np.array([elbow[0] + math.sqrt(self.rod**2 - elbow[1] ** 2), 0.0])
 
     def _inertia(self, length: float) -> tuple[float, float]:
-        mass = _DENSITY * self.section * length
+        mass = DENSITY * self.section * length
         return mass, mass * length**2 / 12
 
     def scene(self) -> Scene:
