@@ -41,7 +41,7 @@ def sides(nodes, s, places):
 
     `nodes`, (n + 1, n_s, d), have the arc lengths s. A positive number is unfolded.
     """
-    d, (n, n_s) = nodes.shape[2], (len(nodes) - 1, nodes.shape[1])
+    n, n_s, d = len(nodes) - 1, *nodes.shape[1:]
     values = np.empty((n, len(places)))
     for k in range(n):
         here = s[k] + (s[k + 1] - s[k]) * places
@@ -62,7 +62,7 @@ def sides(nodes, s, places):
 @pytest.mark.parametrize("element", [BEAM_2D, BEAM_3D, CABLE_2D, CABLE_3D], ids=lambda x: x.name)
 def test_random_elements_are_judged_as_determinants_judge_them(element, seed):
     """100 states of three elements beside others, from nearly straight to wild."""
-    random, d, n_s = np.random.default_rng(seed), element.d, element.n_s
+    random, d = np.random.default_rng(seed), element.d
     z, made = (0.0,) * (d - 1), (Rectangle(0.01, 0.01), RUBBER)
     first = Beam("first", (-2.0, *z), (0.0, *z), 1, *made, element=BEAM_2D if d == 2 else BEAM_3D)
     body = Beam("body", (0.0, *z), (1.5, *z), 3, *made, element=element)
