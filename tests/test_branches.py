@@ -122,7 +122,7 @@ class Rows:
 
 @pytest.mark.parametrize("distance", [1e-3, 1e-5])
 def test_a_linkage_on_its_other_branch_is_found_beside_a_free_pendulum(distance):
-    """From the dead point on the crank is reflected, as IDA(1e-4) once left it with success."""
+    """The crank is reflected after the dead point, as IDA(1e-4) once left it with success."""
     begin = R + L - distance - STROKE
     _, scene = pushed(begin, Harmonic(STROKE, RATE), hangs=True)
     run = simulate(scene, 0.1, HHT(0.0005))

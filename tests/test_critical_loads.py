@@ -910,7 +910,7 @@ def test_a_frame_loaded_at_one_corner_sways_until_its_own_limit(pinned, n):
 
 @pytest.mark.parametrize("force", [-3.0, -1.0, 1.0, 3.0])
 def test_a_strip_that_hangs_over_by_its_weight_has_no_critical_load(force):
-    """It hangs to the side on which it stands: nothing is symmetric, and no load turns it over.
+    """The strip hangs to the side to which it leans: no load at its tip buckles it.
 
     Newton's method, begun at the end of the range, once took a step of no length for convergence:
     "P = 0: limit point" and "bifurcation". Stiffness is counted by dense eigenvalues.

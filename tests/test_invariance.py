@@ -376,10 +376,10 @@ CALLS = {
 def bound(call, name):
     """Return the largest difference allowed, the looser for IDA, here with rtol = 1e-6.
 
-    Its tolerances are the same for all components of a vector. Of stiff rods Newton's corrections
-    soon are round-off; IDA estimates from them how fast the iteration converges, and so iterations,
-    steps and orders change with the last digits of a scene: found 5e-8 wherever it is moved. A
-    rigid rod has none of it: found 5e-14.
+    IDA has the same tolerance for all components of a vector. It estimates from Newton's
+    corrections how fast the iteration converges. Corrections of stiff rods soon are round-off, and
+    steps and orders change with the last digits of a scene: found 5e-8 at every place. A rigid rod
+    keeps its steps: found 5e-14.
     """
     return 1e-7 if call == "IDA" and name != "sprung" else 1e-9
 

@@ -85,7 +85,7 @@ def test_real_negative_eigenvalues_of_other_matrices_are_found(seed, n):
 
 
 def test_eigenvalues_that_arnoldi_does_not_find_are_found_densely(monkeypatch):
-    """It gave up with a raw error on soft spatial beams beside stiff ones under a follower."""
+    """ARPACK gave up with a raw error on soft beams beside stiff ones under a follower force."""
     n, rng = 150, np.random.default_rng(0)
     of_K, of_B = couplings(n, 5, wide=False)
     K = (

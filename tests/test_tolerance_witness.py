@@ -340,7 +340,7 @@ def test_transitions_of_friction_are_not_stepped_over(coulomb, smooth_speed, tol
 
 
 def test_a_slider_that_sticks_is_refused_with_the_way_that_gets_there():
-    """It sticks within 1e-5 m/s of 5 m/s: equal steps that meet that would take days."""
+    """Friction turns within 1e-5 m/s of 5 m/s: equal steps that meet its slope take days."""
     scene, a = rubbing(6.0, 1e-5)
     end, design = Terminal(position(a.at(0), 0)), ["s.stiffness", "f.coulomb"]
     with pytest.raises(InvalidInput, match="a force jumps while the state changes by") as refused:

@@ -3,9 +3,9 @@
     python -m validation.outcomes 500
     python -m validation.outcomes 300 100 odd
 
-draw 500 scenes from seeds 0, 1, ..., or 300 odd ones from seed 100 on (soft beside stiff, a
-thousand lengths away, in other units, finely divided, with joints that repeat others), and print
-those whose outcome does not hold. A success
+draw 500 scenes from seeds 0, 1, ..., or 300 odd ones from seed 100 on, and print those whose
+outcome does not hold. Odd scenes have soft parts beside stiff ones, fine meshes, other units, a
+distant place or joints that repeat others. A success
 must have forces in balance as NumPy's long doubles form them from the stationarity of the energy,
 no element turned inside out, and as many negative eigenvalues of the stiffness, on the motions that
 keep the constraints, as the outcome says: none if it is stable, one at least if not.
@@ -53,8 +53,7 @@ _MATERIALS = (
     Material(1000.0, 1e8, 0.3),
 )
 
-# Density, Young's modulus and Poisson's ratio in SI; units of length, mass and time, of which a
-# metre, a kilogram and a second have so many.
+# Density, Young's modulus and Poisson's ratio in SI; metre, kilogram and second in other units.
 _SOFT_AND_STIFF = (
     (7850.0, 2.1e11, 0.3),
     (1100.0, 1e5, 0.45),
