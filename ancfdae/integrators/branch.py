@@ -32,10 +32,10 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import velocity_side
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 # Places that the free motion is to pass, by time.
-Guide: TypeAlias = Callable[[float], Array]
+TranslationDriver: TypeAlias = Callable[[float], Array]
 
 # Largest norm of X on one branch: half of the least at which it may be another.
 CHANGED = 0.5
@@ -194,7 +194,7 @@ class Place:
         return size
 
 
-def determined(pattern: Pattern) -> tuple[Array, Array]:
+def determined(pattern: SparsityPattern) -> tuple[Array, Array]:
     """Return the constraints and the coordinates of the part that constraints determine, as masks.
 
     They are the square part of the pattern of Phi_q (Dulmage & Mendelsohn 1958). A matching pairs
@@ -220,7 +220,7 @@ def followed(
     t: float,
     q: Array,
     end: float,
-    guide: Guide | None = None,
+    guide: TranslationDriver | None = None,
     taken: Array | None = None,
 ) -> tuple[float, Array]:
     """Follow a motion on its branch from (t, q); return the time reached, and the place.

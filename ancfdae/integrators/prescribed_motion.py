@@ -17,19 +17,19 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import Verdict
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.branch import (
     APART,
     CHANGED,
     SMALL,
     Form,
-    Guide,
     Place,
+    TranslationDriver,
     closed,
     determined,
     followed,
 )
-from ancfdae.integrators.recorder import Recorder, Rows
+from ancfdae.integrators.recorder import Rows, SolutionRecorder
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
@@ -62,7 +62,7 @@ class Lost(NamedTuple):
 class Watch:
     """Checks the recorded states of one run, each once; cuts the run back to the last right one."""
 
-    def __init__(self, system: MechanicalSystem, recorder: Recorder) -> None:
+    def __init__(self, system: MechanicalSystem, recorder: SolutionRecorder) -> None:
         self._system, self._recorder = system, recorder
         self._right = max(recorder.instants, 1)
         self._linear = system.traits.linear_constraints or not system.n_lam
@@ -203,7 +203,7 @@ def _reached_otherwise(system: MechanicalSystem, step: Rows, taken: Array, known
     return ""
 
 
-def _cubic(step: Rows) -> Guide:
+def _cubic(step: Rows) -> TranslationDriver:
     """Return the cubic through places and velocities at the ends of a step."""
     (t, end), q, v = step
     h = end - t

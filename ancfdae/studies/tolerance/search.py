@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.sensitivity.method import Trial
@@ -66,21 +66,21 @@ class _Spent:
 
 def _out_of_reach(
     spent: _Spent, ways: dict[Runs, float], seer: Second, tolerance: float
-) -> InvalidInput:
+) -> InvalidInputError:
     """Return the refusal of a search whose runs do not follow what happens, and say no error."""
     costs, steps = "; ".join(spent.price(*x) for x in ways.items()), seer.transitions.steps
     if steps and seer.least >= steps:
-        return InvalidInput(
+        return InvalidInputError(
             "tolerance",
             f"derivatives need {steps} equal steps: a force jumps while the state changes by "
             f"{seer.transitions.narrow:.1g} of its size, as dry friction does within its "
             "smooth_speed, and the slope of the jump must be met by steps",
             costs,
             "Control the errors of derivatives instead, which takes short steps at jumps alone: "
-            f"Radau(ControlledSteps({0.01 * tolerance:.1g}, sensitivities=True)), and again with a "
+            f"Radau(AdaptiveSteps({0.01 * tolerance:.1g}, sensitivities=True)), and again with a "
             "tenth of that rtol to see the error; or raise smooth_speed.",
         )
-    return InvalidInput(
+    return InvalidInputError(
         "tolerance",
         "must be within reach: laws, observables or waves are too fast for the steps of a search",
         costs,
