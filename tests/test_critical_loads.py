@@ -9,6 +9,7 @@ from scipy.optimize import brentq, minimize, minimize_scalar
 from scipy.special import ellipe, ellipk
 
 from ancfdae import (
+    CABLE_2D,
     HHT,
     Adjoint,
     Beam,
@@ -52,6 +53,7 @@ from ancfdae.sections import Rectangle
 from ancfdae.statics import critical
 from ancfdae.statics.equilibrium import find_equilibrium
 from ancfdae.statics.held_coordinate import HeldSystem
+from validation.outcomes import of_stability
 
 from scenes import rotor
 
@@ -913,6 +915,34 @@ def test_a_frame_loaded_at_one_corner_sways_until_its_own_limit(pinned, n):
 
 
 # -- structures that are not perfect ------------------------------------------------------------
+
+
+@pytest.mark.parametrize("force", [-3.0, -1.0, 1.0, 3.0])
+def test_a_strip_that_hangs_over_by_its_weight_has_no_critical_load(force):
+    """The strip hangs to the side to which it leans: no load at its tip buckles it.
+
+    Newton's method, begun at the end of the range, once took a step of no length for convergence:
+    "P = 0: limit point" and "bifurcation". Stiffness is counted by dense eigenvalues.
+    """
+    made = Rectangle(9.66395e-3, 9.66395e-3), Material(1000.0, 6.7989e7, 0.3)
+    strip = Beam("strip", (0, 0), (0.34066, 0.81961), 8, *made, element=CABLE_2D)
+    load = PointForce(strip.at_end, (0.0, 0.0), name="P")
+    spring = Bushing(strip.at_end, (0.0888855, 0.0), name="spring")
+    scene = Scene([strip], [Clamp(strip.at_start)], (0.0, -9.81), loads=[load, spring])
+    with pytest.raises(NoCriticalPointError, match=f"every equilibrium up to {force:g} is stable"):
+        critical_load(scene, "P.force_y", force)
+    for part in (0.0, 0.3, 1.0):
+        loaded = scene.with_values({"P.force_y": part * force})
+        assert of_stability(loaded, equilibrium(loaded)) == ""
+
+
+def test_a_step_that_the_range_shortens_is_no_convergence():
+    """Newton's method is led out of the range, of which nothing is known, from its very end."""
+    system = assemble(leaning(0.1), ["load.force_y"])
+    place = critical._Place.of(system, 0, -1.0, find_equilibrium(system))
+    search = critical._Search(place, 0, (0.0, -35.0), 1.0)
+    # p should rise by one at first, and by half of it from wherever it stands.
+    assert search._newton(lambda x: (np.diag([1.0, 1.0]), np.array([0.0, -1.0]))) is None
 
 
 def leaning(free, across=0.0):

@@ -41,7 +41,7 @@ def sides(nodes, s, places):
 
     `nodes`, (n + 1, n_s, d), have the arc lengths s. A positive number is unfolded.
     """
-    d, (n, n_s) = nodes.shape[2], (len(nodes) - 1, nodes.shape[1])
+    n, n_s, d = len(nodes) - 1, *nodes.shape[1:]
     values = np.empty((n, len(places)))
     for k in range(n):
         here = s[k] + (s[k + 1] - s[k]) * places
@@ -62,7 +62,7 @@ def sides(nodes, s, places):
 @pytest.mark.parametrize("element", [BEAM_2D, BEAM_3D, CABLE_2D, CABLE_3D], ids=lambda x: x.name)
 def test_random_elements_are_judged_as_determinants_judge_them(element, seed):
     """100 states of three elements beside others, from nearly straight to wild."""
-    random, d, n_s = np.random.default_rng(seed), element.d, element.n_s
+    random, d = np.random.default_rng(seed), element.d
     z, made = (0.0,) * (d - 1), (Rectangle(0.01, 0.01), RUBBER)
     first = Beam("first", (-2.0, *z), (0.0, *z), 1, *made, element=BEAM_2D if d == 2 else BEAM_3D)
     body = Beam("body", (0.0, *z), (1.5, *z), 3, *made, element=element)
@@ -92,7 +92,7 @@ def test_random_elements_are_judged_as_determinants_judge_them(element, seed):
 
 @pytest.mark.parametrize("angle", [1.5, 1.570796, 1.570797, 1.8])
 def test_a_cable_folds_when_its_end_turns_against_the_chord(angle):
-    """Its tangents stand at +-angle to the chord: folded beyond a right angle, pi/2 = 1.5707963."""
+    """End tangents at +-angle to the chord: folded beyond a right angle, pi/2 = 1.5707963."""
     rope = Beam("rope", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.01, 0.01), RUBBER, element=CABLE_2D)
     system = assemble(Scene([rope], [Pin(rope.at_start)]))
     c, s = np.cos(angle), np.sin(angle)
@@ -128,7 +128,7 @@ def test_a_wire_whose_ends_are_driven_together(elements, integrator):
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.filterwarnings("ignore", category=LargeStrainWarning)
 def test_a_strip_that_is_pushed_through_itself(d, integrator):
-    """Its sections at the nodes stand upright while that in the middle of the element turns."""
+    """Sections at the nodes stand upright while the one in the middle of the element turns."""
     z = (0.0,) * (d - 1)
     strip = Beam("strip", (0.0, *z), (1.0, *z), 1, Rectangle(0.05, 0.05), RUBBER)
     joints = [Clamp(strip.at_start), PointOnLine(strip.at_end, direction=(1, *z))]

@@ -87,6 +87,28 @@ def test_real_negative_eigenvalues_of_other_matrices_are_found(seed, n):
     assert matrix.has_negative(one) == np.any(real < 0)
 
 
+def test_eigenvalues_that_arnoldi_does_not_find_are_found_densely(monkeypatch):
+    """ARPACK gave up with a raw error on soft beams beside stiff ones under a follower force."""
+    n, rng = 150, np.random.default_rng(0)
+    of_K, of_B = couplings(n, 5, wide=False)
+    K = (
+        np.diag(rng.uniform(0.5, 2.0, n))
+        + 0.01 * of_K.csr(rng.standard_normal(of_K.size)).toarray()
+    )
+    B, one = rng.standard_normal(of_B.size), np.zeros(of_K.size)
+    one[of_K.diagonal] = 1.0
+    matrix = SaddlePoint(of_K, of_B, np.ones(n), B).constrained
+    matrix = matrix.scaled(K[of_K.rows, of_K.columns], B, np.ones(n))
+    found = matrix.nearest(one, 12)
+
+    def gives_up(*_, **__):
+        raise scipy.sparse.linalg.ArpackNoConvergence("No convergence", [], [])
+
+    monkeypatch.setattr(scipy.sparse.linalg, "eigs", gives_up)
+    densely = matrix.nearest(one, 12)
+    np.testing.assert_allclose(np.sort(np.abs(densely)), np.sort(np.abs(found)), rtol=1e-8)
+
+
 def test_a_count_that_round_off_could_change_is_refused():
     # The first pivot is 1e-15: the factors are those of a matrix that differs by a tenth.
     of_K, of_B = (

@@ -13,10 +13,12 @@ import scipy
 from ancfdae import (
     DOP853,
     HHT,
+    AdaptiveSteps,
     Integral,
     Pin,
     PointForce,
     PointOnLine,
+    Radau,
     RigidBody,
     Scene,
     SpringDamper,
@@ -26,7 +28,7 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.errors import StabilityWarning, ToleranceWarning
+from ancfdae.errors import InvalidInputError, StabilityWarning, ToleranceWarning
 from ancfdae.laws import UserLaw
 from ancfdae.observables import custom, observe, position, velocity
 from ancfdae.studies.tolerance.bars import Estimate, spread
@@ -330,6 +332,23 @@ def test_transitions_of_friction_are_not_stepped_over(coulomb, smooth_speed, tol
     assert np.linalg.norm(off) <= tolerance * size
     assert abs(found.value - value) <= tolerance * max(size, abs(value))
     assert np.all(off <= 2 * found.accuracy.gradient_bar * b + 1e-9 * size)
+
+
+def test_a_slider_that_sticks_is_refused_with_the_way_that_gets_there():
+    """Friction turns within 1e-5 m/s of 5 m/s: equal steps that meet its slope take days."""
+    scene, a = rubbing(6.0, 1e-5)
+    end, design = Terminal(position(a.at(0), 0)), ["s.stiffness", "f.coulomb"]
+    with pytest.raises(
+        InvalidInputError, match="a force jumps while the state changes by"
+    ) as refused:
+        gradient(scene, end, 2.0, tolerance=1e-2, design=design)
+    assert "Radau(AdaptiveSteps(0.0001, sensitivities=True))" in str(refused.value)
+    _, *slopes = of_rubbing(6.0, 1e-5, np.array([2.0]))
+    exact, b = np.ravel(slopes), np.array([RUB, 6.0])
+    found = gradient(scene, end, 2.0, Radau(AdaptiveSteps(1e-4, sensitivities=True)), design=design)
+    assert found.solution.outcome.success
+    # Found 1.6e-5: a hundredth of the tolerance asked for is more than is needed.
+    assert np.linalg.norm(found.gradient * b - exact) <= 1e-3 * np.linalg.norm(exact)
 
 
 @pytest.mark.parametrize(("coulomb", "smooth_speed"), [(2.0, 1e-4), (4.0, 3e-3), (6.0, 1e-3)])

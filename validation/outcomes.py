@@ -1,8 +1,11 @@
 """Truth of outcomes: random scenes at rest, each success checked by what the search does not know.
 
     python -m validation.outcomes 500
+    python -m validation.outcomes 300 100 odd
 
-draws 500 scenes from seeds 0, 1, ... and prints those whose outcome does not hold. A success
+draw 500 scenes from seeds 0, 1, ..., or 300 odd ones from seed 100 on, and print those whose
+outcome does not hold. Odd scenes have soft parts beside stiff ones, fine meshes, other units, a
+distant place or joints that repeat others. A success
 must have forces in balance as NumPy's long doubles form them from the stationarity of the energy,
 no element turned inside out, and as many negative eigenvalues of the stiffness, on the motions that
 keep the constraints, as the outcome says: none if it is stable, one at least if not.
@@ -49,6 +52,15 @@ _MATERIALS = (
     Material(1000.0, 1e8, 0.3),
 )
 
+# Density, Young's modulus and Poisson's ratio in SI; metre, kilogram and second in other units.
+_SOFT_AND_STIFF = (
+    (7850.0, 2.1e11, 0.3),
+    (1100.0, 1e5, 0.45),
+    (1000.0, 1e7, 0.3),
+    (2700.0, 7e10, 0.33),
+    (50.0, 1e4, 0.2),
+)
+_UNITS = ((1.0, 1.0, 1.0), (1e3, 1e-3, 1.0), (1e3, 1e3, 1e3), (1e-3, 1e-9, 1e-3))
 
 # Searches that have not ended by then are counted as failures.
 _MOST_STEPS = 100
@@ -106,6 +118,59 @@ def random_scene(seed: int) -> Scene:
             loads.append(SpringDamper(point, stiffness, 0.0, scale, ground=ground, name=name))
     gravity = tuple((-9.81 * np.eye(d)[1]).tolist())
     return Scene(beams, joints, gravity, loads=loads)  # type: ignore[arg-type]
+
+
+def odd_scene(seed: int) -> Scene:
+    """Return a chain of beams that `random_scene` does not draw, from a seed; see the module."""
+    rng = np.random.default_rng([35, seed])
+    d = int(rng.integers(2, 4))
+    length, mass, time = _UNITS[rng.integers(len(_UNITS))]
+    away, scale = float(rng.choice([0.0, 0.0, 1e3])), 10.0 ** rng.uniform(-1, 1)
+    place, beams, weight = away * scale * np.ones(d), list[Beam](), 0.0
+    gravity = 9.81 * length / time**2
+
+    def in_units(x: Array) -> tuple[float, ...]:
+        return tuple((length * x).tolist())
+
+    for k in range(int(rng.integers(1, 4))):
+        l, along = scale * rng.uniform(0.3, 1.0), rng.standard_normal(d)
+        end = place + l * along / np.linalg.norm(along)
+        size = length * l * 10.0 ** rng.uniform(-3, -0.7)
+        element = ((CABLE_2D, BEAM_2D) if d == 2 else (CABLE_3D, BEAM_3D))[rng.integers(2)]
+        section = Circle(size) if d == 3 else Rectangle(size, size)
+        density, modulus, ratio = _SOFT_AND_STIFF[rng.integers(len(_SOFT_AND_STIFF))]
+        pressure = mass / length / time**2
+        material = Material(density * mass / length**3, modulus * pressure, ratio)
+        rigid = bool(rng.random() < 0.2) and element in (BEAM_2D, BEAM_3D)
+        n = 1 if rigid else int(rng.choice([1, 2, 3, 8, 24, 60]))
+        ends = in_units(place), in_units(end)
+        beams.append(Beam(f"b{k}", *ends, n, section, material, element=element, rigid=rigid))
+        weight, place = weight + gravity / 9.81 * _weight(beams[-1]), end
+    joints: list[object] = [(Clamp if rng.random() < 0.7 else Pin)(beams[0].at_start)]
+    joints += [Pin(a.at_end, b.at_start) for a, b in pairwise(beams)]
+    draw = rng.random()
+    if draw < 0.1:
+        joints.append(Pin(beams[0].at_start, name="again"))
+    elif draw < 0.2:
+        joints += [Pin(beams[-1].at_end), Pin(beams[-1].at_end, name="again")]
+    elif draw < 0.4:
+        joints.append(Pin(beams[-1].at_end))
+    loads: list[object] = []
+    for k in range(int(rng.integers(0, 3))):
+        beam = beams[rng.integers(len(beams))]
+        size, point = weight * 10.0 ** rng.uniform(-1, 1.5), beam.at(float(rng.choice([0.3, 1.0])))
+        vector, kind = tuple((size * rng.standard_normal(d)).tolist()), rng.integers(3)
+        if kind == 0:
+            loads.append(PointForce(point, vector, name=f"load{k}"))
+        elif kind == 1 and beam.element in (BEAM_2D, BEAM_3D):
+            loads.append(FollowerForce(point, vector, name=f"load{k}"))
+        else:
+            ground = in_units(place + scale * rng.standard_normal(d))
+            free, stiffness = scale * length, size / (scale * length) * 10 ** rng.uniform(0, 4)
+            name = f"load{k}"
+            loads.append(SpringDamper(point, stiffness, 0.0, free, ground=ground, name=name))
+    down = tuple((-gravity * np.eye(d)[1]).tolist())
+    return Scene(beams, joints, down, loads=loads)  # type: ignore[arg-type]
 
 
 def _weight(beam: Beam) -> float:
@@ -267,12 +332,12 @@ def _reaction(system: object, q: Array, lam: Array) -> Array:
     return np.asarray(pattern.dot_transposed(B, lam))
 
 
-def main(count: int) -> int:
+def main(count: int, first: int = 0, kind: str = "") -> int:
     """Check scenes and print what is wrong; return how many."""
     kinds: Counter[str] = Counter()
-    wrong = 0
-    for seed in range(count):
-        truth = checked(random_scene(seed))
+    wrong, draw = 0, odd_scene if kind == "odd" else random_scene
+    for seed in range(first, first + count):
+        truth = checked(draw(seed))
         kinds[truth.kind] += 1
         if truth.wrong:
             wrong += 1
@@ -283,4 +348,5 @@ def main(count: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1])) > 0)
+    count, first = (int(x) for x in [*sys.argv[1:3], "0"][:2])
+    sys.exit(main(count, first, "odd" if "odd" in sys.argv else "") > 0)

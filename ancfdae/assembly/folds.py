@@ -291,8 +291,17 @@ def _turning(numbering: Numbering, vector: int, is_cable: bool) -> str:
     """Say what turns in a body or an element that begins with a vector."""
     name = [body.name for body in numbering.bodies if body.first_vector <= vector][-1]
     if is_cable:
-        return f"an element of {name!r} back on itself (its tangent turns against its chord)"
-    return f"sections of {name!r} inside out (det [r_x r_y r_z] changes its sign)"
+        return (
+            f"an element of {name!r} back on itself (its tangent turns against its chord): the "
+            "mesh is too coarse for the motion, or the step too long. Take more elements, shorter "
+            "steps, or a cable that is less slack"
+        )
+    return (
+        f"sections of {name!r} inside out (det [r_x r_y r_z] changes its sign), where the strain "
+        "energy is finite: the step is too long for the waves of the section. Take shorter steps, "
+        "give materials a damping_time, or start with sections that have the contraction of their "
+        "axis; where sections turn between nodes, take more elements"
+    )
 
 
 def _unit(x: Array) -> Array:

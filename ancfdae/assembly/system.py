@@ -329,7 +329,7 @@ class AncfSystem(PlannedSystem):
         return first, self.constraint_names[int(np.argmax(off[first]))]
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
-        """Compare the sides of sections and tangents with those of the first state."""
+        """Compare sides of sections and tangents with the first state."""
         numbering, found = self._numbering, None
         lengths, count = self.naming.lengths.real[numbering.elements], max(1, _STATES // len(q))
         for table, l in ((numbering.frames, None), (numbering.vectors, lengths)):

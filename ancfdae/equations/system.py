@@ -319,11 +319,12 @@ class MechanicalSystem(ComplexSteps):
         return None
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
-        """Return the first of k states that is mirrored or folded, and what turns in it, in words.
+        """Return the first of k states that is mirrored or folded, and in words what turns.
 
         q has the shape (k, n_q). A body is mirrored where its orientation differs from that in the
         first state, and folded where it is bent back on itself: steps may end there, for the strain
-        energy is finite, but no motion leads there. None if no state is, and by default.
+        energy is finite, but no motion leads there. The words end with a remedy. None if no state
+        is, and by default.
         """
         return None
 

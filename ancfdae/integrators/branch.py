@@ -200,10 +200,10 @@ class Place:
 def determined(pattern: SparsityPattern) -> tuple[Array, Array]:
     """Return the constraints and the coordinates of the part that constraints determine, as masks.
 
-    They are the square part of the pattern of Phi_q (Dulmage & Mendelsohn 1958): what no path leads
-    to from a coordinate that a matching of constraints with coordinates leaves out, and that goes
-    from coordinates to constraints in which they stand, and from these to the coordinates matched
-    with them. These constraints hold no other coordinates.
+    They are the square part of the pattern of Phi_q (Dulmage & Mendelsohn 1958). A matching pairs
+    constraints with coordinates and leaves some coordinates out. Paths go from a coordinate to the
+    constraints in which it stands, and from a constraint to its partner. The square part is not
+    reached from the coordinates left out; its constraints hold no other coordinates.
     """
     n_q, source = pattern.shape[1], sum(pattern.shape)
     Phi_q = pattern.csr(np.ones(pattern.size))

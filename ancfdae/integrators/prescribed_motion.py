@@ -41,13 +41,6 @@ _PLACES = np.linspace(0.0, 1.0, 5)
 # A motion that constraints determine is followed if velocities change by more than this part of the
 # sum of their sizes: a turn by 0.2 rad.
 _VELOCITIES = 0.1
-# What happened to a body, and what helps.
-_MIRRORED = (
-    "The next step turns {}, where the strain energy is finite though elements describe no body. "
-    "The step is too long for the waves of the section, or the mesh too coarse for the motion. "
-    "Take shorter steps or more elements, give materials a damping_time, or start with sections "
-    "that have the contraction of their axis."
-)
 # Instants that are checked together: one by one they would cost a quarter of a small step.
 _TOGETHER = 64
 # Rows of Phi_q that are compared with one place at once: twice as many as were near before, but at
@@ -118,7 +111,7 @@ class Watch:
             words = _half_a_turn(self._system, found[1], *t[end : end + 2].tolist())
             return Lost(end, Verdict.OFF_ROOT, words)
         if mirrored is not None:
-            return Lost(first - 1, Verdict.FOLDED, _MIRRORED.format(what))
+            return Lost(first - 1, Verdict.FOLDED, f"The next step turns {what}.")
         return None
 
     def _elsewhere(self, rows: Rows) -> Lost | None:

@@ -467,14 +467,13 @@ class _Search:
     def _ends_in(self, here: HeldPoint, end: HeldPoint) -> bool:
         """Whether the path of a place ends in a limit point.
 
-        Near it p(a) is a parabola and q(a) has the mean of two tangents as secant; tau_p keeps its
-        sign, which changes between two paths that lie side by side.
+        Near it p(a) is a parabola and q(a) has the mean of two tangents as secant. A path beside
+        this one has another slope there: none where the parameter does no work, tau_p = 0.
         """
-        k, weights = self._k, end.system.weights
-        tau_p, by_a = here.tau_b[k], end.q[end.i] - here.q[end.i]
-        if not tau_p * end.tau_b[k] > 0:
+        k, weights, by_a = self._k, end.system.weights, end.q[end.i] - here.q[end.i]
+        if not here.tau_b[k]:
             return False
-        slope, dp = -here.tau_a / tau_p, end.system.b[k] - here.system.b[k]
+        slope, dp = -here.tau_a / here.tau_b[k], end.system.b[k] - here.system.b[k]
         tangents = here.motion[0] + slope * here.paths[0][:, k] + end.motion[0]
         secant = end.q - here.q
         missed = norm(secant - 0.5 * by_a * tangents, weights)
@@ -505,13 +504,14 @@ class _Search:
             if (abs(dp) >= 0.5 * last and last <= small) or abs(dp) <= digits:
                 return point if point.held and self._is_ahead(p) else None
             # Nothing is known beyond the range: the system may not exist there.
-            room = self._room(p, -dp)
-            if not abs(dp) < room:
-                part, leaving = 0.5 * room / abs(dp), leaving + 1
+            room, last = self._room(p, -dp), abs(dp)
+            if not last < room:
+                # A step that is shortened shows no convergence.
+                part, leaving, last = 0.5 * room / last, leaving + 1, np.inf
                 if not leaving <= _LEAVES:
                     return None
                 da, dp = part * da, part * dp
-            a, p, last = a - da, p - dp, abs(dp)
+            a, p = a - da, p - dp
             if not abs(p - place.p) <= _FAR * left:
                 return None
             # The guess of the next solution.

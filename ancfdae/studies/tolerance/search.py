@@ -64,9 +64,22 @@ class _Spent:
         return f"{runs.name}{seen} about {seconds:.1g} s more"
 
 
-def _out_of_reach(spent: _Spent, ways: dict[Runs, float]) -> InvalidInputError:
+def _out_of_reach(
+    spent: _Spent, ways: dict[Runs, float], seer: Second, tolerance: float
+) -> InvalidInputError:
     """Return the refusal of a search whose runs do not follow what happens, and say no error."""
-    costs = "; ".join(spent.price(*x) for x in ways.items())
+    costs, steps = "; ".join(spent.price(*x) for x in ways.items()), seer.transitions.steps
+    if steps and seer.least >= steps:
+        return InvalidInputError(
+            "tolerance",
+            f"derivatives need {steps} equal steps: a force jumps while the state changes by "
+            f"{seer.transitions.narrow:.1g} of its size, as dry friction does within its "
+            "smooth_speed, and the slope of the jump must be met by steps",
+            costs,
+            "Control the errors of derivatives instead, which takes short steps at jumps alone: "
+            f"Radau(AdaptiveSteps({0.01 * tolerance:.1g}, sensitivities=True)), and again with a "
+            "tenth of that rtol to see the error; or raise smooth_speed.",
+        )
     return InvalidInputError(
         "tolerance",
         "must be within reach: laws, observables or waves are too fast for the steps of a search",
@@ -99,7 +112,9 @@ def search(seer: Second, others: Sequence[Runs], measure: Measure, tolerance: fl
             failures.append(sample.result)
     if not best.estimates:
         ended = any(x.samples for x in kinds)
-        raise failures[-1] if failures and not ended else _out_of_reach(spent, ways)
+        raise (
+            failures[-1] if failures and not ended else _out_of_reach(spent, ways, seer, tolerance)
+        )
     reached = best.error <= tolerance
     # What was foreseen before the last run.
     left = "; ".join(spent.price(*x) for x in ways.items() if not reached or x[0] is not best)
