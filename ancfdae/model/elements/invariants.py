@@ -15,13 +15,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ancfdae.errors import require_kind
+from ancfdae.errors.checks import require_kind
 from ancfdae.kernels import gram
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
+    ElementIntegrals,
     ElementParameter,
-    Integrals,
     InvariantPartial,
     Invariants,
     Partials,
@@ -42,7 +42,7 @@ def prepare(
 ) -> Invariants:
     """Integrate the invariants of a batch of elements; their derivatives follow when asked for.
 
-    InvalidInput, with what each element belongs to, if the reference configuration folds (det
+    InvalidInputError, with what each element belongs to, if the reference configuration folds (det
     dr_o/dx <= 0 somewhere).
     """
     n = len(batch.parameters)
@@ -64,7 +64,7 @@ def _invariants(element: BeamElement, batch: Batch, owners: Array, *, keep: bool
         f"integrals of the element {element.name}",
         "Return an object of the class `Integrals`.",
     )
-    require_kind(where, integrals, (Integrals,), repair)
+    require_kind(where, integrals, (ElementIntegrals,), repair)
     (A, m, *flexural), kept = _scaled(integrals, batch)[0], integrals if keep else None
 
     def partials(wanted: Iterable[ElementParameter]) -> Partials:
@@ -94,7 +94,7 @@ def _invariants(element: BeamElement, batch: Batch, owners: Array, *, keep: bool
     return Invariants(A, packed_gram(_free(batch)), m, bending, partials)
 
 
-def _scaled(integrals: Integrals, batch: Batch) -> tuple[list[Array], list[Array]]:
+def _scaled(integrals: ElementIntegrals, batch: Batch) -> tuple[list[Array], list[Array]]:
     """Return the integrals times the powers of the length, and these powers."""
     lengths = (batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers)
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
