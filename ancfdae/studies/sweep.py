@@ -196,8 +196,9 @@ class _Study:
         system = _assembled(self, tuple(design))
         if system is not None and isinstance(self.what, Evaluator):
             # An error is raised again by the scene at the values, in the words that a user wrote.
+            what = self.what if self.what.design is None else replace(self.what, design=None)
             with suppress(Exception):
-                return replace(self.what, design=None)(_moved(system, design))
+                return what(_moved(system, design))
         return self.what(self.model.with_values(design))
 
 
