@@ -76,7 +76,7 @@ AT_MOST: dict[str, int] = {
     "opens with what": 52,
     "as far as": 5,
     "is none": 73,
-    "that of, those of": 551,
+    "that of, those of": 550,
     "inversion": 1,
     "tells": 86,
     "all of them": 50,
