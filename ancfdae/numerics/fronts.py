@@ -21,7 +21,7 @@ import scipy
 
 from ancfdae.kernels import FrontArrays, eliminate, fronts_factor, fronts_solve
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 # Terms of a sum of matrices: numbers and values on the pattern.
 Terms: TypeAlias = tuple[tuple[float, Array], ...]
@@ -43,7 +43,7 @@ class Fronts:
     COLAMD's, where that takes less work than minimum degree.
     """
 
-    def __init__(self, K: Pattern, B: Pattern, order: Array | None = None) -> None:
+    def __init__(self, K: SparsityPattern, B: SparsityPattern, order: Array | None = None) -> None:
         n, m = K.shape[0], B.shape[0]
         # All entries below the diagonal of either triangle, and the diagonals of multipliers.
         multipliers = n + np.arange(m)

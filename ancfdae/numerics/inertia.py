@@ -26,7 +26,7 @@ import scipy
 
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.fronts import Fronts
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 _EPS = float(np.finfo(float).eps)
 # Bounds that are tried, each 16 times the last one, from the round-off of K on.
@@ -56,7 +56,7 @@ class ConstrainedPattern:
     says that entries of it stand in no narrow band.
     """
 
-    def __init__(self, K: Pattern, B: Pattern, order: Array, wide: bool) -> None:
+    def __init__(self, K: SparsityPattern, B: SparsityPattern, order: Array, wide: bool) -> None:
         size = len(order)
         self.K, self.B, self.size, self.wide = K, B, size, wide
         self.place = np.empty(size, dtype=np.int64)
@@ -77,14 +77,14 @@ class ConstrainedPattern:
         return to, (entries % size).astype(np.int32), first
 
     @cached_property
-    def squared(self) -> tuple[Pattern, Array]:
+    def squared(self) -> tuple[SparsityPattern, Array]:
         """Pattern of K + K^T + 1 + B^T B, and where the values of each go in it."""
         K, (one, other) = self.K, (self.B.columns[pair] for pair in self.pairs)
         n, diagonal = K.shape[0], np.arange(K.shape[0])
         rows = np.concatenate([K.rows, K.columns, diagonal, one])
         columns = np.concatenate([K.columns, K.rows, diagonal, other])
         entries, to = np.unique(rows.astype(np.int64) * n + columns, return_inverse=True)
-        return Pattern(K.shape, entries // n, entries % n), to
+        return SparsityPattern(K.shape, entries // n, entries % n), to
 
     @cached_property
     def fronts(self) -> Fronts:
@@ -110,7 +110,7 @@ class ConstrainedPattern:
         return ConstrainedMatrix(self, K, B / np.where(length > 0, length, 1.0)[self.B.rows])
 
 
-def _pairs(B: Pattern) -> tuple[Array, Array]:
+def _pairs(B: SparsityPattern) -> tuple[Array, Array]:
     """Return all pairs of entries that stand in one row."""
     first, _ = B.places
     count = np.diff(first)[B.rows]

@@ -5,8 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from ancfdae import HHT, DesignVariable, Evaluate, Terminal, assemble, position, sweep
+from ancfdae import HHT, DesignVariable, Evaluator, Terminal, assemble, sweep
 from ancfdae.numerics.timing import medians
+from ancfdae.observables import position
 from validation.peers.cables import CablePendulum, FlexibleSlider
 from validation.peers.exudyn import Exudyn
 from validation.peers.pair import Pair
@@ -79,7 +80,7 @@ def _sweep(pair: Pair, target: str, designs: int, repeats: int) -> list[float]:
     scene, hht = pair.scene(), HHT(_STEP, newton_tolerance=pair.newton)
     value = scene.value(DesignVariable("x", [target]))
     values = value * np.linspace(1.0, 1.2, designs)[:, None]
-    what = Evaluate(Terminal(position(pair.point, 0)), _STEPS * _STEP, hht)
+    what = Evaluator(Terminal(position(pair.point, 0)), _STEPS * _STEP, hht)
     kept = Exudyn(pair)
     way = kept.fastest(_STEP, _STEPS, pair.newton)
 

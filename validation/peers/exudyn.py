@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.errors import MissingPackage
+from ancfdae.errors import MissingPackageError
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
 from validation.peers.pair import Pair
@@ -39,11 +39,11 @@ _DENSE = 500
 
 
 def require_peers() -> None:
-    """Raise MissingPackage unless all packages of the extra ``peers`` are installed."""
+    """Raise MissingPackageError unless all packages of the extra ``peers`` are installed."""
     missing = [name for name in _PEERS if importlib.util.find_spec(name) is None]
     if missing:
         names, install = ", ".join(missing), ".venv/bin/python -m pip install -e '.[peers]'"
-        raise MissingPackage(f"Report peers needs {names}: {install}")
+        raise MissingPackageError(f"Report peers needs {names}: {install}")
 
 
 @final

@@ -9,7 +9,9 @@ from typing import Any, NamedTuple, Self, final
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import FormulaSystem, Integral, Terminal, custom
+from ancfdae import Integral, Terminal
+from ancfdae.extend import FormulaSystem
+from ancfdae.observables import custom
 from ancfdae.sensitivity.objectives import Objective
 
 __all__ = ["MECHANISMS", "Formulated", "Mechanism"]

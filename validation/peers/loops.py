@@ -15,12 +15,8 @@ from ancfdae import (
     CABLE_3D,
     HHT,
     Beam,
-    Circle,
     Clamp,
-    Joint,
     Material,
-    Point,
-    Rectangle,
     Scene,
     Spherical,
     Weld,
@@ -30,9 +26,11 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.equations import MechanicalSystem
+from ancfdae.extend import Joint, MaterialPoint
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import medians
 from ancfdae.plotting import Panel, Series
+from ancfdae.sections import Circle, Rectangle
 from validation.peers.exudyn import Exudyn
 from validation.peers.pair import GRAVITY, Model, Pair
 from validation.report import Agreement, Report
@@ -92,10 +90,10 @@ class Net(Pair):
         return Scene([*along, *across], joints, gravity=(0, 0, -GRAVITY))
 
     @property
-    def point(self) -> Point:
+    def point(self) -> MaterialPoint:
         """The point that is compared: the crossing next to the middle."""
         half = self.lines // 2
-        return Point(f"x{half}", half / (self.lines - 1))
+        return MaterialPoint(f"x{half}", half / (self.lines - 1))
 
     def build(self, exu: Any, items: Any, mbs: Any) -> Model:
         """Build the model in Exudyn from ANCF cables in space and spherical joints."""

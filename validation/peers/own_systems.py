@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ancfdae import Explicit, gradient, simulate
+from ancfdae import DOP853, gradient, simulate
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import medians, timed
 from validation.peers.casadi_runs import CasadiRuns
@@ -36,7 +36,7 @@ class _Ours:
     def __init__(self, mechanism: Mechanism, tolerance: float) -> None:
         self._mechanism, self._t_end = mechanism, mechanism.t_end
         self._system = Formulated(mechanism)
-        self._explicit = Explicit(tolerance, intervals=1)
+        self._explicit = DOP853(tolerance, intervals=1)
 
     def motion(self) -> object:
         return simulate(self._system, self._t_end, self._explicit)
@@ -144,7 +144,7 @@ def fill(report: Report, count: int, repeats: int) -> None:
 def _exact(mechanism: Mechanism) -> Array:
     """Return the gradient by DOP853 at the smallest tolerance."""
     system = Formulated(mechanism)
-    explicit = Explicit(_EXACT, intervals=1, max_steps=10**6)
+    explicit = DOP853(_EXACT, intervals=1, max_steps=10**6)
     return gradient(system, system.objective(), mechanism.t_end, explicit).gradient
 
 
@@ -167,7 +167,7 @@ The same formulas of M, Q, Phi and the objective (`validation/peers/formulas.py`
 package as a `FormulaSystem`, to CasADi, whose IDAS integrates the equations of index 1 with
 forward sensitivities, and to JAX, where diffrax's `Dopri8` integrates accelerations of a dense
 solve, derivatives by `jacfwd`, compiled. Each takes the largest tolerance of 1e-4, 1e-5, ... whose
-gradient in all variables is right to {accuracy:g}, against `Explicit(3e-14)` here. Here and with
-tracing is by `Explicit`, which records the end alone; tracing is paid again in each call. CasADi's
+gradient in all variables is right to {accuracy:g}, against `DOP853(3e-14)` here. Here and with
+tracing is by `DOP853`, which records the end alone; tracing is paid again in each call. CasADi's
 functions and compiled programs of JAX stand before the clock starts.
 """

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ancfdae import HHT, Explicit, Integrator, Radau, assemble, simulate
+from ancfdae import DOP853, HHT, Radau, assemble, simulate
 from ancfdae.equations import MechanicalSystem
+from ancfdae.extend import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import medians
 from validation.peers.exudyn import quiet
@@ -86,7 +87,7 @@ def _settings(system: MechanicalSystem, chain: Chain) -> list[_Setting]:
 
     integrators: list[tuple[str, Integrator]] = [
         *((f"HHT, {2**k} steps", HHT(_T_END / 2**k)) for k in range(5, 11)),
-        *((f"Explicit, rtol {rtol:g}", Explicit(rtol, intervals=1)) for rtol in (1e-2, 1e-3, 1e-5)),
+        *((f"DOP853, rtol {rtol:g}", DOP853(rtol, intervals=1)) for rtol in (1e-2, 1e-3, 1e-5)),
         *((f"Radau, {2**k} steps", Radau(step=_T_END / 2**k)) for k in range(4, 7)),
     ]
     return [_Setting(title, partial(run, integrator)) for title, integrator in integrators]
