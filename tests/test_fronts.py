@@ -15,6 +15,7 @@ from ancfdae import (
     Terminal,
     assemble,
     gradient,
+    simulate,
 )
 from ancfdae.numerics.fronts import Fronts
 from ancfdae.numerics.linear_solvers import SaddlePoint, _Places
@@ -223,3 +224,14 @@ def test_negative_directions_are_those_of_eigenvalues_on_the_null_space(seed):
     values[diagonal] += away - small
     matrix = pattern.scaled(values, B[1], ones)
     assert (matrix.below(0.5 * small), matrix.below(2.0 * small)) == (1, 0)
+
+
+def test_corrections_of_few_digits_leave_no_gap_and_no_error():
+    """Newton's corrections are refined to 1e-6; the test of convergence is for all of them."""
+    system = assemble(net(7))
+    rough, fine = (simulate(system, 0.05, HHT(0.005, newton_tolerance=x)) for x in (1e-10, 1e-12))
+    gap = max(np.max(np.abs(system.constraint(t, q))) for t, q in zip(fine.t, fine.q, strict=True))
+    # Of points at distances of one, which are equal to a unit of round-off.
+    assert gap <= 4 * EPS
+    fallen = np.max(np.abs(fine.q[-1] - fine.q[0]))
+    assert np.max(np.abs(rough.q[-1] - fine.q[-1])) <= 1e-10 * fallen

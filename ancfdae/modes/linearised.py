@@ -182,7 +182,12 @@ class Linearised:
         n, none = len(force), np.zeros((self.system.n_lam, *force.shape[1:]))
         x = factors.solve(np.concatenate([force, none]))[:n]
         # Round-off of the forces of stiff bodies leaves a violation of the constraints.
-        left = self.system.constraint_pattern.dot(self.Phi_q, x)
+        pattern, scale = self.system.constraint_pattern, self.saddle.scale[n:]
+        left = pattern.dot(self.Phi_q, x)
+        size = pattern.dot(np.abs(self.Phi_q), np.abs(x))
+        violation, terms = (np.max(scale * np.abs(y).T, initial=0.0) for y in (left, size))
+        if violation <= EPS * terms:
+            return np.asarray(x)
         return np.asarray(x - factors.solve(np.concatenate([0 * force, left]))[:n])
 
     def multipliers(self, z: Array, X: Array) -> Array:

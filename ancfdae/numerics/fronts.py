@@ -105,7 +105,7 @@ class Fronts:
 
     @cached_property
     def _pivots(self) -> Array:
-        """Where the pivots stand in the factors."""
+        """Indices of the pivots in the factors, shape (n + m,)."""
         begin, row_at, _, factor_at = self._arrays[:4]
         pivots, rows = np.diff(begin), np.diff(row_at)
         within = np.arange(len(self.order)) - np.repeat(begin[:-1], pivots)
@@ -113,7 +113,7 @@ class Fronts:
 
     @cached_property
     def _triangle(self) -> tuple[Array, Array, Array]:
-        """Where the factors stand below their diagonal, and their rows and columns."""
+        """Indices of factors below the diagonal, their rows and columns, each of shape (count,)."""
         begin, row_at, rows, factor_at = self._arrays[:4]
         size, front = np.diff(row_at), np.repeat(np.arange(len(row_at) - 1), np.diff(factor_at))
         within = np.arange(len(front)) - factor_at[front]

@@ -156,15 +156,15 @@ class ConstrainedMatrix:
     def _none_below(self, sigma: float) -> bool:
         """Whether L D L^T by fronts proves that no eigenvalue is less than -sigma.
 
-        With -eps, 1e-7, in place of the zeros all pivots of coordinates are positive and those of
-        multipliers negative where K + sigma + B^T B + B^T B / eps is positive definite: on the null
-        space of B that is K + sigma. Eigenvalues below eps may remain without proof.
+        Fronts have -eps, 1e-7, in place of the zeros. Pivots of coordinates are positive, and
+        pivots of multipliers negative, where K + sigma + B^T B + B^T B / eps is positive definite.
+        On the null space of B this is K + sigma. Eigenvalues below eps may remain without proof.
         """
         growth = self.pattern.fronts.growth(((1.0, self._symmetric(sigma)),), self.B)
         return growth is not None and _EPS * growth <= 0.5 * sigma
 
     def _symmetric(self, sigma: float) -> Array:
-        """Values of the symmetric part of K + sigma + B^T B on the pattern of all of them."""
+        """Return the symmetric part of K + sigma + B^T B, shape (nnz,) of the pattern."""
         one, other = self.pattern.pairs
         diagonal = np.full(self.pattern.K.shape[0], sigma)
         values = [0.5 * self.K, 0.5 * self.K, diagonal, self.B[one] * self.B[other]]

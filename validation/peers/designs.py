@@ -20,7 +20,7 @@ _STEPS, _STEP = 64, 2.0**-10
 
 
 def fill(report: Report, bodies: Sequence[int], designs: int, repeats: int) -> None:
-    """Add tables of set-up, chains of so many bodies, and of sweeps over so many designs."""
+    """Add a table of set-up, a row for each number of bodies, and one of sweeps."""
     report.heading("Set-up and sweeps")
     report.text(_METHOD.format(designs=designs))
     _set_up(report, bodies, repeats)

@@ -151,8 +151,8 @@ Exudyn integrates by generalised-alpha with the numerical damping of HHT at alph
 version without checks of ranges, without files, with the fastest of its linear solvers (dense,
 sparse, sparse and symmetric where the matrix is) and of full and modified Newton iteration.
 Modified Newton keeps factors from step to step; here every step has its own. Natural frequencies
-are those of the faster of Exudyn's dense and sparse solver. Gradients are those of the height of
-the end in the logarithms of variables: here direct and adjoint, there central differences at the
+come from the faster of Exudyn's dense and sparse solver. Gradients of the height of the end are
+taken in the logarithms of variables: here direct and adjoint, there central differences at the
 best change. Other codes: {packages}.
 """
 

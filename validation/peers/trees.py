@@ -34,7 +34,7 @@ class _Setting(NamedTuple):
 
 
 def fill(report: Report, bodies: Sequence[int], repeats: int) -> None:
-    """Add the table of chains of so many bodies."""
+    """Add the table, two rows for each number of bodies."""
     report.heading("Rigid trees at equal accuracy")
     report.text(_METHOD)
     rows, ratios = [], []
@@ -157,7 +157,7 @@ class _Tree:
 _METHOD = """\
 Open chains on hinges fall from the horizontal for 0.5 s. Exudyn's `ObjectKinematicTree` has one
 angle a body and no constraint; here each body has its own coordinates and each hinge its
-constraints, as in all scenes. Errors are those of the free end over the length of the chain,
+constraints, as in all scenes. Errors are distances of the free end over the length of the chain,
 against 4,096 steps of Runge and Kutta's method of order 7. The cheapest of several settings that
 meets an accuracy counts, on both sides: HHT, DOP853 that records the end alone, and Radau here,
 Runge-Kutta of orders 4 and 7 there.
