@@ -1285,7 +1285,10 @@ static PyObject *py_ldl_solve(PyObject *const *args)
         if (count != (arguments))                                                                  \
             return wrong(#name " takes " #arguments " arguments"), NULL;                           \
         (void)self;                                                                                \
-        return py_##name(args);                                                                    \
+        PyObject *found = py_##name(args);                                                         \
+        if (found && PyErr_Occurred()) /* in a function that a list calls */                       \
+            Py_CLEAR(found);                                                                       \
+        return found;                                                                              \
     }
 FUNCTION(add_scaled, 3)
 FUNCTION(finite, 1)

@@ -1,11 +1,11 @@
 /* What Python calls of formulas: a list of operations, made once, and its values. */
 
-enum { LIST_INDICES = 4 };
+enum { LIST_INDICES = 5 };
 
 /* Indices in the order of `operation_list`, and constants, real and complex. */
 typedef struct {
     PyObject_HEAD
-    PyObject *arguments;
+    PyObject *arguments; /* hold the functions */
     PyArrayObject *indices[LIST_INDICES], *constants[2];
     operation_list list;
 } OperationList;
@@ -22,28 +22,87 @@ static void list_dropped(OperationList *self)
     Py_DECREF(type);
 }
 
+/* Whether operation k is a call of a function that there is, of numbers before it. */
+static int call_fits(const operation_list *p, npy_intp k, npy_intp size)
+{
+    npy_intp at = p->a[k], own = p->n_inputs + p->n_constants + k;
+    if (at < 0 || at + 2 > size || p->b[k] < 0 || p->b[k] >= PyTuple_Size(p->functions))
+        return 0;
+    const npy_int32 *call = p->calls + at, *in = call + 2;
+    if (call[0] < 0 || call[1] < 0 || (npy_intp)call[0] + call[1] > size - at - 2)
+        return 0;
+    for (npy_intp j = 0; j < call[0]; j++)
+        if (in[j] < 0 || in[j] >= own)
+            return 0;
+    for (npy_intp j = call[0]; j < (npy_intp)call[0] + call[1]; j++) {
+        npy_intp to = in[j] - own + k;
+        if (in[j] != -1 && (to <= k || to >= p->n_operations || p->op[to] != RESULT || p->a[to] != own))
+            return 0;
+    }
+    return 1;
+}
+
 static int list_fits(const OperationList *self)
 {
     const operation_list *p = &self->list;
     PyArrayObject *const *x = self->indices;
     npy_intp ahead = p->n_inputs + p->n_constants;
-    int good = within_32(x[0], 0, OPERATIONS - 1) && PyArray_SIZE(x[1]) == p->n_operations &&
+    int good = within_32(x[0], 0, LIST_OPERATIONS - 1) && PyArray_SIZE(x[1]) == p->n_operations &&
                PyArray_SIZE(x[2]) == p->n_operations &&
                (p->n_outputs == 0 || (p->n_numbers > 0 && within_32(x[3], 0, p->n_numbers - 1)));
     for (npy_intp k = 0; good && k < p->n_operations; k++)
-        good = p->a[k] >= 0 && p->a[k] < ahead + k && p->b[k] >= 0 && p->b[k] < ahead + k;
+        good = p->op[k] == CALL ? call_fits(p, k, PyArray_SIZE(x[4]))
+                                : p->a[k] >= 0 && p->a[k] < ahead + k && p->b[k] >= 0 &&
+                                      p->b[k] < ahead + k;
     return good || wrong("these are not the indices of a list of operations");
 }
 
-/* OperationList(n_inputs, constants, op, a, b, outputs) */
+/* Calls the function of operation k, with rows of inputs, (lanes, n), for rows of its outputs. Where
+ * it raises, or something has been raised already, outputs are NaN; the caller's caller looks. */
+static void list_called(const operation_list *p, npy_intp k, npy_intp lanes, int type,
+                        void *numbers)
+{
+    const npy_int32 *call = p->calls + p->a[k], *in = call + 2, *to = in + call[0];
+    npy_intp n = call[0], m = call[1], shape[] = {lanes, n}, of_found[] = {lanes, m};
+    npy_intp size = type == NPY_DOUBLE ? sizeof(double) : 2 * sizeof(double);
+    PyArrayObject *found = NULL;
+    PyGILState_STATE state = PyGILState_Ensure(); /* marches run without it */
+    PyObject *given = PyErr_Occurred() ? NULL : PyArray_SimpleNew(2, shape, type), *result = NULL;
+    char *x = numbers, *rows = given ? PyArray_DATA((PyArrayObject *)given) : NULL;
+    if (rows) {
+        for (npy_intp j = 0; j < n; j++)
+            for (npy_intp i = 0; i < lanes; i++)
+                memcpy(rows + (i * n + j) * size, x + (in[j] * lanes + i) * size, (size_t)size);
+        PyObject *function = PyTuple_GetItem(p->functions, p->b[k]);
+        result = PyObject_CallFunctionObjArgs(function, given, NULL);
+    }
+    int good = result && taken(result, type, 2, &found) && PyArray_NDIM(found) == 2 &&
+               ends_with(found, 2, of_found);
+    if (!good && !PyErr_Occurred())
+        wrong("a function of a list returns an array of another shape");
+    for (npy_intp j = 0; j < m; j++)
+        for (npy_intp i = 0; to[j] >= 0 && i < lanes; i++) {
+            char *y = x + (to[j] * lanes + i) * size;
+            if (good)
+                memcpy(y, (char *)PyArray_DATA(found) + (i * m + j) * size, (size_t)size);
+            else
+                memset(y, 0xff, (size_t)size); /* NaN */
+        }
+    Py_XDECREF(given);
+    Py_XDECREF(result);
+    Py_XDECREF(found);
+    PyGILState_Release(state);
+}
+
+/* OperationList(n_inputs, constants, op, a, b, outputs, calls, functions) */
 static int list_filled(OperationList *self, PyObject *arguments)
 {
     PyObject *constants, *indices[LIST_INDICES];
     Py_ssize_t n_inputs;
     operation_list *p = &self->list;
-    const npy_int32 **to[] = {&p->op, &p->a, &p->b, &p->outputs};
-    if (!PyArg_ParseTuple(arguments, "nOOOOO", &n_inputs, &constants, indices, indices + 1,
-                          indices + 2, indices + 3))
+    const npy_int32 **to[] = {&p->op, &p->a, &p->b, &p->outputs, &p->calls};
+    if (!PyArg_ParseTuple(arguments, "nOOOOOOO!", &n_inputs, &constants, indices, indices + 1,
+                          indices + 2, indices + 3, indices + 4, &PyTuple_Type, &p->functions))
         return 0;
     if (n_inputs < 0 || n_inputs > NPY_MAX_INT32)
         return wrong("a number of inputs is negative or too large");

@@ -10,7 +10,8 @@ CLONES static void NAME(list_evaluated)(const operation_list *p, npy_intp lanes,
 {
     npy_intp before = p->n_inputs + p->n_constants;
     for (npy_intp k = 0; k < p->n_operations; k++) {
-        const T *a = x + p->a[k] * lanes, *b = x + p->b[k] * lanes;
+        npy_intp plain = p->op[k] < OPERATIONS; /* else a and b are no numbers */
+        const T *a = x + plain * p->a[k] * lanes, *b = x + plain * p->b[k] * lanes;
         T *restrict y = x + (before + k) * lanes, none;
         switch (p->op[k]) {
         case ADD: OF_LANES(a[i] + b[i]);
@@ -19,6 +20,10 @@ CLONES static void NAME(list_evaluated)(const operation_list *p, npy_intp lanes,
         case DIVIDE: OF_LANES(a[i] / b[i]);
         case NEGATE: OF_LANES(-a[i]);
         case SQUARE: OF_LANES(a[i] * a[i]);
+        case CALL:
+            list_called(p, k, lanes, sizeof(T) > sizeof(double) ? NPY_CDOUBLE : NPY_DOUBLE, x);
+            break;
+        case RESULT: break;
         default: OF_LANES(NAME(operation)(p->op[k], a[i], b[i], &none, &none));
         }
     }

@@ -15,9 +15,18 @@ typedef struct {
 } load_plan;
 
 /* A list of operations by itself: numbers are inputs, constants and results, as above. It is
- * evaluated at LIST_LANES time points at once. */
+ * evaluated at LIST_LANES time points at once.
+ *
+ * CALL calls the function b[k] of Python; from calls + a[k] on stand its numbers of inputs and
+ * outputs, its inputs, and its outputs, -1 for one that is not used. Each output is the number of an
+ * operation RESULT behind it, whose a[k] is the number of the call. */
+enum { CALL = OPERATIONS, RESULT, LIST_OPERATIONS };
 enum { LIST_LANES = 8 };
 typedef struct {
     npy_intp n_inputs, n_constants, n_operations, n_outputs, n_numbers;
-    const npy_int32 *op, *a, *b, *outputs;
+    const npy_int32 *op, *a, *b, *outputs, *calls;
+    PyObject *functions;
 } operation_list;
+
+static void list_called(const operation_list *p, npy_intp k, npy_intp lanes, int type,
+                        void *numbers);

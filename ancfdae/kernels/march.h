@@ -129,7 +129,7 @@ static void NAME(jacobian_at)(const NAME(plan) *p, NAME(room) *r, const T *const
 {
     const T *X[] = {q};
     if (p->listed) {
-        NAME(listed_at)(p, r, OF_JACOBIAN, *c[0], q, NULL, NULL, NULL, r->B, p->n_lam * p->n_q);
+        NAME(listed_at)(p, r, OF_JACOBIAN, *c[0], q, NULL, NULL, NULL, r->B, p->constraints->n_values);
         return;
     }
     if (r->B_known)

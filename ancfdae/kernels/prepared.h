@@ -292,7 +292,7 @@ static int kept_lists(Prepared *x, PyObject *lists, PyObject *b)
 {
     plan_real *p = &x->plan;
     listed_real *s = &x->listed;
-    npy_intp n = p->n_q, m = p->n_lam, outputs[] = {m * n, m, m, n, n * n, n * n};
+    npy_intp n = p->n_q, m = p->n_lam, outputs[] = {x->none.n_values, m, m, n, p->nnz, p->nnz};
     PyArrayObject *own = kept(x, b, NPY_DOUBLE, 1, -1);
     if (!own || !item(lists, MARCH_LISTS, 0))
         return 0;
@@ -314,7 +314,7 @@ static int kept_lists(Prepared *x, PyObject *lists, PyObject *b)
 
 enum { LIST_PLAN_ITEMS = 7 };
 
-/* What `march` takes of (lists, b, weights, inverse, B, K, velocity), with full patterns of Phi_q and K. */
+/* What `march` takes of (lists, b, weights, inverse, B, K, velocity); M has the pattern of K. */
 static PyObject *prepared_lists(PyObject *const *args)
 {
     enum { LISTS, DESIGN, WEIGHTS, INVERSE, OF_B, OF_K, VELOCITY };
@@ -335,9 +335,6 @@ static PyObject *prepared_lists(PyObject *const *args)
     p->weights = data_of(weights), p->n_lam = p->B.n, p->nnz = p->K.first[p->n_q];
     x->none.n_q = p->n_q, x->none.n_lam = p->n_lam, x->none.n_values = p->B.first[p->n_lam];
     memcpy(&p->rules, rules, sizeof p->rules);
-    if ((p->nnz != p->n_q * p->n_q || x->none.n_values != p->n_lam * p->n_q) &&
-        !wrong("patterns of lists must be full"))
-        return prepared_dropped(x), NULL;
     if (!kept_lists(x, PyTuple_GetItem(t, LISTS), PyTuple_GetItem(t, DESIGN)) ||
         !kept_layout(x, args[1]) || !given_room(x) ||
         !with_lapack(p))
