@@ -93,6 +93,7 @@ from ancfdae.model.turning_frame import TurningFrame
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.periods import StepSuggestion
 from ancfdae.modes.result import Modes, MotionKind
+from ancfdae.numerics.external import ExternalFunction
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.sensitivity.adjoint import Adjoint, Direct
 from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
@@ -216,6 +217,7 @@ __all__ = [
     "EstimatedErrors",
     "Evaluate",
     "Explicit",
+    "ExternalFunction",
     "FailedDesign",
     "FiniteDifference",
     "Fit",
