@@ -13,6 +13,7 @@ from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
 from ancfdae.model.laws.law import Law
 from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.model.sections.section import Section
+from ancfdae.numerics.external import ExternalFunction
 from ancfdae.numerics.jets import concatenate, cross, dot
 from ancfdae.numerics.patterns import SparsityPattern
 from ancfdae.numerics.quadrature import box_rule
@@ -25,6 +26,7 @@ __all__ = [
     "BeamElement",
     "BodyShape",
     "ElementIntegrals",
+    "ExternalFunction",
     "FormulaSystem",
     "InitialValueProblem",
     "Integrator",

@@ -472,8 +472,6 @@ def test_apply_needs_observables():
     "function",
     [
         lambda t, q, v, lam, b: np.abs(q[:, 0] - 10.0),
-        lambda t, q, v, lam, b: q[:, 0] * np.real(b[0]),
-        lambda t, q, v, lam, b: lam[:, 0] * np.conj(v[:, 0]),
         lambda t, q, v, lam, b: q,
         lambda t, q, v, lam, b: np.sum(q),
         lambda t, q, v, lam, b: q[:, 0] - np.mean(q[:, 0]),

@@ -1,8 +1,8 @@
 """Mechanical systems of a user, given by formulas for M, Q, Phi and the start.
 
 The formulas run once, on tracers, and become lists of operations that a kernel evaluates with all
-their derivatives (`ancfdae.equations.formulas`). M or Q that needs a number where a tracer has none
-is called in complex numbers instead: its first derivatives are complex steps.
+their derivatives (`ancfdae.equations.formulas`). M, Q or Phi that needs a number where a tracer has
+none is called by the list, in complex numbers: its first derivatives are complex steps.
 """
 
 from __future__ import annotations
@@ -12,20 +12,19 @@ import warnings
 from collections.abc import Callable
 from contextvars import ContextVar
 from dataclasses import replace
-from functools import cache, cached_property, wraps
+from functools import cached_property, wraps
 from typing import Any
 
 import numpy as np
 
-from ancfdae.equations.analytic import require_analytic
-from ancfdae.equations.complex_steps import FORGOTTEN
-from ancfdae.equations.formulas import Formulas, Value
+from ancfdae.equations.complex_steps import FORGOTTEN, at_values
+from ancfdae.equations.formulas import Formulas, Value, bare, is_bare, wrong_shape
 from ancfdae.equations.motion import StateDirection
 from ancfdae.equations.system import DesignPartials, Linearisation, ListedSystem, SystemProperties
 from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning
 from ancfdae.kernels import Csr, ListPlan, OperationList
-from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.extrapolation import scaled_derivative
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.complex_step import require_derivative
 from ancfdae.numerics.patterns import SparsityPattern
 
 # What a motion consists of.
@@ -34,6 +33,9 @@ _RATES = ("q", "v", "a", "j")
 _TRACING: ContextVar[frozenset[type]] = ContextVar("_TRACING", default=frozenset())
 # Formulas of the system whose `with_values` runs.
 _HANDED: ContextVar[Formulas | None] = ContextVar("_HANDED", default=None)
+# Distances of trial states from the start, relative to its size: beside it, where every system is
+# defined, and beyond it on both sides, where velocities have either sign.
+_BESIDE, _BEYOND = 1e-2, (0.4, -0.4)
 # Largest difference between values of a list and of the functions, relative to the largest value.
 _SAME = 1e-9
 
@@ -45,9 +47,10 @@ class FormulaSystem(ListedSystem):
     `position_constraint`, `start` and `with_values`, and call ``super().__init__(b)`` at the end
     of their own constructor. The first three are smooth functions of q, v, t and ``self.b`` in
     functions of NumPy. They are called once, with arrays of symbols in place of numbers, and
-    become lists of operations that are evaluated at compiled speed. If M or Q needs a number (`if`,
-    a table, `np.linalg.solve`), a warning (`NotTracedWarning`) names the line, and it is called
-    with complex numbers at each evaluation: a run takes some hundred times as long. `start` is
+    become lists of operations that are evaluated at compiled speed. If one of them needs a number
+    (`if`, a table, `np.linalg.solve`), a warning (`NotTracedWarning`) names the line, and it is
+    called with complex numbers at each evaluation: a run takes some hundred times as long. An
+    `ExternalFunction` in it, such as a table with its derivative, is called by itself. `start` is
     called with complex ``self.b``. Any partial may be overridden by a formula of the user;
     `check_system` compares.
 
@@ -89,19 +92,18 @@ class FormulaSystem(ListedSystem):
 
     def __init__(self, b: Array | tuple[complex, ...]) -> None:
         self.b, where = np.asarray(b), type(self).__name__
-        if self.b.dtype == object:
-            return  # Its formulas are being traced.
+        if self.b.dtype == object or is_bare():
+            return  # Its formulas are being traced, or called by a list.
         self.b = self.b * 1.0
         if self.b.shape != (self.n_b,):
             rule = f"must have shape ({self.n_b},)"
             raise InvalidInputError(f"{where}.b", rule, self.b.shape, "Name all in `design_names`.")
-        self.pattern = _full(self.n_q, self.n_q)
-        self.constraint_pattern = _full(self.n_lam, self.n_q)
         handed = _HANDED.get()
         if handed is not None and handed.kind is type(self):
             self._formulas = handed
         else:
             self._trace()
+        self.pattern, self.constraint_pattern = self._formulas.patterns
         self.traits = self._found()
         # In place of the method of the same name, which is the formula.
         vars(self)["force"] = self._force
@@ -120,21 +122,20 @@ class FormulaSystem(ListedSystem):
             self._formulas = Formulas(self)
         finally:
             _TRACING.reset(token)
-        require_analytic(self, ["start"])
-        self._require_the_same()
         called = self._formulas.called
-        if not called:
-            return
         message = (
             f"{kind.__name__}: each evaluation calls {' and '.join(called)}, which takes a hundred "
-            f"times as long as a list of operations: {' '.join(called.values())}"
+            f"times as long as a list of operations: {' '.join(dict.fromkeys(called.values()))} "
+            "Call only what needs numbers, as an ExternalFunction (docs/own-systems.md)."
         )
         try:
-            require_analytic(self, called)
+            self._require_the_same()
         except InvalidInputError as error:
-            error.add_note(message)
+            if called:
+                error.add_note(message)
             raise
-        warnings.warn(message, NotTracedWarning, stacklevel=4)
+        if called:
+            warnings.warn(message, NotTracedWarning, stacklevel=4)
 
     # -- what a user writes ----------------------------------------------------------------------
 
@@ -149,23 +150,29 @@ class FormulaSystem(ListedSystem):
     def coordinate_weights(self) -> Array:
         """Return `weights`; by default the diagonal of M at the start."""
         M = np.asarray(self.mass_matrix(self.start()[0]))
-        if M.shape != (self.n_q, self.n_q):
-            where, rule = f"{type(self).__name__}.mass_matrix", f"must have shape {(self.n_q,) * 2}"
-            raise InvalidInputError(where, rule, M.shape, "Return it as an array, (n_q, n_q).")
+        if M.shape != (shape := (self.n_q, self.n_q)):
+            raise wrong_shape(f"{type(self).__name__}.mass_matrix", shape, M.shape)
         return np.diagonal(M).real.astype(float)
 
     def _require_the_same(self) -> None:
-        """Refuse a function that returns other values than its list, at the start and beside it.
+        """Refuse a function whose list has other values, or whose derivatives are not its own.
 
-        At the start alone Phi is round-off.
+        At the start and beside it; at the start alone Phi is round-off.
         """
-        (q, v), kind, n = self.start(), type(self), np.arange(1.0, self.n_q + 1)
+        q, v = self._declared_start()
+        kind, n, of_M = type(self), np.arange(1.0, self.n_q + 1), self._formulas.patterns[0]
+        on = of_M.rows, of_M.columns
         shares = np.array([0.0, 1e-2, -1e-2])
-        Q = q + np.outer(shares, np.cos(n) * (np.max(np.abs(q), initial=0.0) or 1.0))
-        V = v + np.outer(shares, np.sin(n) * (np.max(np.abs(v), initial=0.0) or 1.0))
+        dq, dv = np.cos(n) * _size(q), np.sin(n) * _size(v)
+        Q, V = q + np.outer(shares, dq), v + np.outer(shares, dv)
         states = list(zip(shares.tolist(), Q, V, strict=True))
+        db = np.where(self.b == 0, 1.0, self.b.real) * np.cos(0.5 + np.arange(self.n_b))
         functions: dict[str, tuple[Value, tuple[int, ...], Callable[..., Any]]] = {
-            "mass_matrix": (Formulas.mass, (), lambda t, x, u: self.mass_matrix(x)),
+            "mass_matrix": (
+                Formulas.mass,
+                (),
+                lambda t, x, u: np.asarray(self.mass_matrix(x))[*on],
+            ),
             "force": (Formulas.force, (), lambda t, x, u: kind.force(self, t, x, u)),
             "position_constraint": (
                 Formulas.constraint,
@@ -173,8 +180,12 @@ class FormulaSystem(ListedSystem):
                 lambda t, x, u: self.position_constraint(t, x),
             ),
         }
-        for name in functions.keys() - self._formulas.called.keys():
-            of, which, function = functions[name]
+        for name, (of, which, function) in functions.items():
+            where = f"{kind.__name__}.{name}"
+            if self._formulas.calls(of, *which):
+                self._require_derivatives(where, of, which, (q, v), (dq, dv, db))
+            if name in self._formulas.called:
+                continue
             with np.errstate(all="ignore"):
                 called = np.array([np.ravel(function(*state)) for state in states])
             listed = self._values(of, *which, rows=len(Q), t=shares[:, None], q=Q, v=V)[0]
@@ -182,23 +193,63 @@ class FormulaSystem(ListedSystem):
             gap = np.max(np.abs(listed.reshape(called.shape) - called)[known], initial=0.0)
             if not gap <= _SAME * np.max(np.abs(called[known]), initial=0.0):
                 raise InvalidInputError(
-                    f"{kind.__name__}.{name}",
+                    where,
                     "must return values that follow from t, q, v and b alone",
                     f"other values for numbers than for symbols, by {gap:.1e}",
                     "Keep no state in the system, and convert no arguments.",
                 )
 
+    def _declared_start(self) -> tuple[Array, Array]:
+        """Return the start; refuse one of another shape, or that is not analytic in b."""
+        where, shape = f"{type(self).__name__}.start", (self.n_q,)
+        q, v = (np.asarray(x) for x in self.start())
+        for x in (q, v):
+            if x.shape != shape:
+                raise wrong_shape(where, shape, x.shape)
+        if self.n_b:
+            b = self.b.real
+            db = np.where(b == 0, 1.0, b) * np.cos(0.5 + np.arange(self.n_b))
+
+            def start(b: Array) -> Array:
+                with bare():
+                    return np.concatenate(at_values(self, b).start())
+
+            require_derivative(where, start, [b], [db])
+        return q.real, v.real
+
+    def _require_derivatives(
+        self,
+        where: str,
+        of: Value,
+        which: tuple[int, ...],
+        start: tuple[Array, Array],
+        changes: tuple[Array, ...],
+    ) -> None:
+        """Refuse functions that are called and whose complex steps are not their derivatives."""
+
+        def value(t: Array, q: Array, v: Array, b: Array) -> Array:
+            return self._formulas.values(of, *which, t=t, q=q, v=v, b=b)[0].ravel()
+
+        for away in (_BESIDE, *_BEYOND):
+            q, v = (x + away * dx for x, dx in zip(start, changes, strict=False))
+            x = np.array([0.01]), q, v, self.b.real
+            try:
+                value(*x)
+            except (ArithmeticError, ValueError):
+                if away == _BESIDE:
+                    raise
+                continue  # It is not defined there.
+            require_derivative(where, value, x, [np.ones(1), *changes])
+
     def _found(self) -> SystemProperties:
         """Return the traits with what the formulas show."""
-        traits, depends, called = self.traits, self._formulas.depends, self._formulas.called
+        traits, depends = self.traits, self._formulas.depends
         linear = traits.linear_constraints or not depends(Formulas.constraint_q, 0, on="q")
         return replace(
             traits,
-            constant_mass=traits.constant_mass
-            or not ("mass_matrix" in called or depends(Formulas.mass, on="q")),
+            constant_mass=traits.constant_mass or not depends(Formulas.mass, on="q"),
             linear_constraints=linear,
-            velocity_forces=traits.velocity_forces
-            and ("force" in called or depends(Formulas.force, on="v")),
+            velocity_forces=traits.velocity_forces and depends(Formulas.force, on="v"),
         )
 
     # -- members of the protocol -----------------------------------------------------------------
@@ -212,14 +263,14 @@ class FormulaSystem(ListedSystem):
         return {f"{sign}{name}": x for name, x in zip(_RATES, motion, strict=False)}
 
     @property
-    def index_1(self) -> tuple[OperationList, ...] | None:
-        """The lists from which a kernel finds accelerations; None where functions are called."""
-        return None if self._formulas.called else self._formulas.index_1
+    def index_1(self) -> tuple[OperationList, ...]:
+        """The lists from which a kernel finds accelerations."""
+        return self._formulas.index_1
 
     @cached_property
     def list_plan(self) -> ListPlan | None:
-        """The lists that a kernel integrates; None where functions are called, or b is complex."""
-        if self._formulas.called or np.iscomplexobj(self.b):
+        """The lists that a kernel integrates; None where b is complex."""
+        if np.iscomplexobj(self.b):
             return None
         velocity = self.traits.velocity_forces
         B, K = (_csr(pattern) for pattern in (self.constraint_pattern, self.pattern))
@@ -227,59 +278,23 @@ class FormulaSystem(ListedSystem):
         return ListPlan(self._formulas.march(velocity), self.b, *weights, B, K, velocity)
 
     def mass(self, q: Array) -> Array:
-        """Return the entries of M row by row."""
-        if "mass_matrix" in self._formulas.called:
-            return np.asarray(self.mass_matrix(q)).ravel()
-        return self._values(Formulas.mass, q=q)[0].ravel()
+        """Return the entries of M on its pattern."""
+        return self._values(Formulas.mass, q=q)[0]
 
     def mass_along(self, q: Array, dq: Array) -> Array:
         """Differentiate M along dq."""
-        if "mass_matrix" not in self._formulas.called:
-            return self._values(Formulas.mass_along, q=q, dq=dq)[0].ravel()
-        return self._called_along(lambda system, x: system.mass(x), (q, dq))
+        return self._values(Formulas.mass_along, q=q, dq=dq)[0]
 
     def _force(self, t: float, q: Array, v: Array) -> Array:
-        if "force" in self._formulas.called:
-            return np.asarray(type(self).force(self, t, q, v))
         return self._values(Formulas.force, t=[t], q=q, v=v)[0]
 
     def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
         """Differentiate Q along a direction."""
         dt, dq, dv = direction
-        if "force" not in self._formulas.called:
-            return self._values(Formulas.force_along, t=[t], q=q, v=v, dt=[dt], dq=dq, dv=dv)[0]
-        instant = np.array([t]), np.array([dt])
-        return self._called_along(
-            lambda system, s, x, u: system.force(s[0], x, u), instant, (q, dq), (v, dv)
-        )
-
-    def _called_along(self, value: Callable[..., Array], *pairs: tuple[Array, Array]) -> Array:
-        """Differentiate a function that is called, along changes of its arguments.
-
-        Derivatives are linear in the changes, each part of which is a complex step. What is
-        imaginary in b or an argument x, a perturbation, adds the difference of its own derivative.
-        """
-        moving = any(np.iscomplexobj(x) for x in (self.b, *(x for x, _ in pairs)))
-        base = self.with_values(self.b.real.copy()) if np.iscomplexobj(self.b) else self
-
-        def step(part: Callable[[Array], Array]) -> Array:
-            moved = (np.real(x) + 1j * STEP * part(dx) for x, dx in pairs)
-            return np.asarray(np.imag(value(base, *moved)) / STEP)
-
-        along = step(np.real)
-        if any(np.iscomplexobj(dx) for _, dx in pairs):
-            along = along + 1j * step(np.imag)
-        if not moving:
-            return along
-        changes = scaled_derivative(
-            lambda s: np.imag(value(self, *(x + s * np.real(dx) for x, dx in pairs)))
-        )
-        return np.asarray(along + 1j * changes)
+        return self._values(Formulas.force_along, t=[t], q=q, v=v, dt=[dt], dq=dq, dv=dv)[0]
 
     def force_and_total(self, t: float, q_rows: Array, v_rows: Array) -> Array:
         """Return Q above its total derivatives with respect to the design."""
-        if "force" in self._formulas.called:
-            return super().force_and_total(t, q_rows, v_rows)
         q, v = q_rows[0], v_rows[0]
         moved = {"dq": q_rows[1:], "dv": v_rows[1:], "db": np.eye(self.n_b)}
         of = Formulas.force_total
@@ -294,12 +309,11 @@ class FormulaSystem(ListedSystem):
     def constraint_q(self, t: float, *motion: Array) -> Array:
         """Return Phi_q or its time derivative."""
         at = self._motion(motion)
-        return self._values(Formulas.constraint_q, len(motion) - 1, t=[t], **at)[0].ravel()
+        return self._values(Formulas.constraint_q, len(motion) - 1, t=[t], **at)[0]
 
     def constraints_q(self, t: Array, q: Array) -> Array:
-        """Return Phi_q at k time points, shape (k, n_lam n_q)."""
-        k = len(t)
-        return self._values(Formulas.constraint_q, 0, rows=k, t=t[:, None], q=q)[0].reshape(k, -1)
+        """Return Phi_q at k time points on its pattern, shape (k, nnz)."""
+        return self._values(Formulas.constraint_q, 0, rows=len(t), t=t[:, None], q=q)[0]
 
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
@@ -315,13 +329,11 @@ class FormulaSystem(ListedSystem):
 
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
         """Return the Jacobians of f and Phi at k time points."""
-        if self._formulas.called:
-            return super().linearise(t, q, v, a, lam)
         with_v = v is not None and self.traits.velocity_forces
         at = {"q": q, "a": a, "lam": lam} | ({} if v is None else {"v": v})
-        of, k = Formulas.linearised, len(t)
-        found = self._values(of, v is not None, with_v, rows=k, t=t[:, None], **at)
-        M, f_q, *f_v, Phi_q = (x.reshape(k, -1) for x in found)
+        of = Formulas.linearised
+        found = self._values(of, v is not None, with_v, rows=len(t), t=t[:, None], **at)
+        M, f_q, *f_v, Phi_q = found
         M = M[:1] if self.traits.constant_mass else M
         return Linearisation(M, f_q, f_v[0] if with_v else None, Phi_q)
 
@@ -329,20 +341,15 @@ class FormulaSystem(ListedSystem):
         self, t: Array, q: Array, v: Array | None, a: Array, lam: Array
     ) -> DesignPartials:
         """Return the partials of f and Phi with respect to the design at k time points."""
-        if self._formulas.called:
-            return super().design_partials(t, q, v, a, lam)
         at = {"q": q, "a": a, "lam": lam} | ({} if v is None else {"v": v})
         of = Formulas.partials
         return DesignPartials(*self._values(of, v is not None, rows=len(t), t=t[:, None], **at))
 
 
-@cache
-def _full(rows: int, columns: int) -> SparsityPattern:
-    return SparsityPattern.full((rows, columns))
+def _size(x: Array) -> float:
+    return float(np.max(np.abs(x), initial=0.0)) or 1.0
 
 
 def _csr(pattern: SparsityPattern) -> Csr:
-    """Return the places of a full pattern, with values of one."""
-    rows, columns = pattern.shape
-    first = np.arange(rows + 1, dtype=np.int32) * np.int32(columns)
-    return first, pattern.columns.astype(np.int32), np.ones(pattern.size)
+    """Return the places of a pattern, with values of one."""
+    return *pattern.places, np.ones(pattern.size)

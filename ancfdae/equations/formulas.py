@@ -10,13 +10,17 @@ D for the derivative along a direction, which `Operations.along` writes as more 
     totals                   D along changes of everything that a value depends on
 
 Each list is compiled when its values are first asked for. Lists take real and complex numbers, so
-that what the protocol derives from values by complex steps is exact to round-off as well.
+that what the protocol derives from values by complex steps is exact to round-off as well. M, Q or
+Phi that cannot be traced is one operation, a call (`ancfdae.numerics.external`).
 """
 
 from __future__ import annotations
 
+import copy
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -28,14 +32,75 @@ from ancfdae.equations.complex_steps import FORGOTTEN
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import OperationList, list_values
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.complex_step import FAILURES
+from ancfdae.numerics.external import Called
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
+from ancfdae.numerics.patterns import SparsityPattern
 
 # A method of `Formulas` that returns numbers of the list of operations.
 Value: TypeAlias = Callable[..., tuple[Array, ...]]
 # What ends a trace.
-_FAILURES = (NotTraceable, TypeError, ValueError, AttributeError, ArithmeticError, IndexError)
+_FAILURES = (NotTraceable, *FAILURES)
+# Up to so many unknowns matrices are full.
+_FULL = 64
 # What a motion consists of: each is the rate of the one before.
 _MOTION = ("q", "v", "a", "j")
+
+
+# Whether constructors keep b and make no lists.
+_BARE: ContextVar[bool] = ContextVar("_BARE", default=False)
+
+
+@contextmanager
+def bare() -> Iterator[None]:
+    """Make systems that hold their b, and no lists."""
+    token = _BARE.set(True)
+    try:
+        yield
+    finally:
+        _BARE.reset(token)
+
+
+def is_bare() -> bool:
+    """Whether systems are made without lists."""
+    return _BARE.get()
+
+
+@final
+class _Method:
+    """A method of a system as a function of a row of the numbers that it takes, b last."""
+
+    def __init__(self, system: Any, name: str, inputs: str, shape: tuple[int, ...]) -> None:
+        self._system, self._method, self._shape = copy.copy(system), name, shape
+        self.name = f"{type(system).__name__}.{name}"
+        sizes = {"t": 1, "q": system.n_q, "v": system.n_q, "b": system.n_b}
+        self._inputs, self._ends = inputs, np.cumsum([sizes[x] for x in inputs])
+        self._at: tuple[bytes, Any] = b"", None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_at": (b"", None)}
+
+    def __call__(self, x: Array) -> Array:
+        *given, b = np.split(x.copy(), self._ends[:-1])
+        if self._at[0] != (key := b.tobytes()):
+            with bare():
+                self._at = key, self._system.with_values(b)
+        method = getattr(self._at[1], self._method)
+        found = np.asarray(method(*_arguments(self._inputs, given)))
+        if found.shape != self._shape:
+            raise wrong_shape(self.name, self._shape, found.shape)
+        return found.ravel()
+
+
+def _arguments(inputs: str, parts: Sequence[Array]) -> list[Any]:
+    """Return what a method takes: t is a number."""
+    return [x.item() if name == "t" else x for name, x in zip(inputs, parts, strict=False)]
+
+
+def wrong_shape(where: str, shape: tuple[int, ...], got: tuple[int, ...]) -> InvalidInputError:
+    """Return the error for a method that returns an array of another shape."""
+    rule = f"must have shape {shape}"
+    return InvalidInputError(where, rule, got, f"Return an array of the shape {shape}.")
 
 
 class _List(NamedTuple):
@@ -60,7 +125,7 @@ class Formulas:
     """
 
     def __init__(self, system: Any) -> None:
-        n = system.n_q
+        n, m = system.n_q, system.n_lam
         sizes = {"t": 1, **dict.fromkeys(_MOTION, n), "lam": system.n_lam, "b": system.n_b}
         sizes |= {f"d{name}": size for name, size in sizes.items()}
         ends = np.cumsum([0, *sizes.values()]).tolist()
@@ -70,44 +135,40 @@ class Formulas:
         self._made: dict[tuple[str, int], Array] = {}
         self._lists: dict[tuple[Any, ...], _List] = {}
         self.kind, self.called = type(system), dict[str, str]()
-        where = f"{self.kind.__name__}.with_values"
-        (t,), q, v, b = (Traced.array(operations, self._at[x]) for x in ("t", "q", "v", "b"))
-        moved = self._traced_or_refused(where, lambda: system.with_values(b))
-        if not np.array_equal(Traced.numbers(operations, moved.b), self._at["b"]):
-            raise InvalidInputError(where, *FORGOTTEN)
-        self._M = self._or_called("mass_matrix", (n, n), lambda: moved.mass_matrix(q.copy()))
-        self._Q = self._or_called("force", (n,), lambda: moved.force(t, q.copy(), v.copy()))
-        where = f"{self.kind.__name__}.position_constraint"
-        Phi = self._traced_or_refused(where, lambda: moved.position_constraint(t, q.copy()))
-        self._Phi = self._numbers("position_constraint", Phi, (system.n_lam,))
-
-    def _or_called(self, name: str, shape: tuple[int, ...], value: Callable[[], Any]) -> Array:
-        """Return numbers of a value; NaN in their place, and why, if it cannot be traced."""
+        b = Traced.array(operations, self._at["b"])
         try:
-            return self._numbers(name, value(), shape)
+            moved, why = system.with_values(b), ""
+        except InvalidInputError:
+            raise
         except _FAILURES as error:
-            if isinstance(error, InvalidInputError):
-                raise
-            self.called[name] = told(error)
-            return np.full(shape, self._operations.constant(np.nan))
+            moved, why = None, told(error)
+        if not (why or np.array_equal(Traced.numbers(operations, moved.b), self._at["b"])):
+            raise InvalidInputError(f"{self.kind.__name__}.with_values", *FORGOTTEN)
+        self._M = self._traced_or_called(system, moved, why, "mass_matrix", "q", (n, n))
+        self._Q = self._traced_or_called(system, moved, why, "force", "tqv", (n,))
+        self._Phi = self._traced_or_called(system, moved, why, "position_constraint", "tq", (m,))
 
-    def _traced_or_refused(self, where: str, value: Callable[[], Any]) -> Any:
+    def _traced_or_called(
+        self, system: Any, moved: Any, why: str, name: str, inputs: str, shape: tuple[int, ...]
+    ) -> Array:
+        """Return numbers of a value, which is a call if it, or all as `why` says, has no trace."""
+        operations, where = self._operations, f"{self.kind.__name__}.{name}"
+        given = _arguments(inputs, [Traced.array(operations, self._at[x]) for x in inputs])
         try:
-            return value()
+            if why:
+                raise NotTraceable(why)
+            numbers = Traced.numbers(operations, getattr(moved, name)(*given))
+        except InvalidInputError:
+            raise
         except _FAILURES as error:
-            if isinstance(error, InvalidInputError):
-                raise
-            repair = "Write it so, or write all values by formulas (MechanicalSystem)."
-            rule = "must be made of functions of NumPy that take symbols"
-            raise InvalidInputError(where, rule, told(error), repair) from error
-
-    def _numbers(self, name: str, value: Any, shape: tuple[int, ...]) -> Array:
-        numbers = Traced.numbers(self._operations, value)
+            if not shape[0]:
+                return np.zeros(shape, np.int64)
+            self.called[name] = why or told(error)
+            method = _Method(system, name, f"{inputs}b", shape)
+            at = [x for part in f"{inputs}b" for x in self._at[part].tolist()]
+            return operations.call(Called(method, int(np.prod(shape))), at).reshape(shape)
         if numbers.shape != shape:
-            where, rule = f"{self.kind.__name__}.{name}", f"must have shape {shape}"
-            raise InvalidInputError(
-                where, rule, numbers.shape, f"Return an array of the shape {shape}."
-            )
+            raise wrong_shape(where, shape, numbers.shape)
         return numbers
 
     def values(self, of: Value, *which: Any, rows: int | None = None, **at: Any) -> list[Array]:
@@ -143,11 +204,32 @@ class Formulas:
         used = self._operations.inputs(np.concatenate([x.ravel() for x in of(self, *which)]))
         return not used.isdisjoint(self._at[on].tolist())
 
+    def calls(self, of: Value, *which: Any) -> bool:
+        """Whether values need a function that is called."""
+        return self._operations.calls(np.concatenate([x.ravel() for x in of(self, *which)]))
+
+    @cached_property
+    def patterns(self) -> tuple[SparsityPattern, SparsityPattern]:
+        """Patterns of M with f_q and f_v, which is symmetric, and of Phi_q.
+
+        Of few unknowns they are full, else the entries that are not zero in all states.
+        """
+        shapes = (self._M.shape, (len(self._Phi), len(self._M)))
+        if sum(shapes[1]) <= _FULL:
+            full, of_Phi = (SparsityPattern.full(shape) for shape in shapes)
+            return full, of_Phi
+        zero, f = self._operations.constant(0.0), self._residual(True)
+        found = (zero != self._M) | (self._by(f, "q") != zero) | (self._by(f, "v") != zero)
+        found |= found.T | np.eye(len(found), dtype=bool)
+        parts = zip(shapes, (found, self._jacobian != zero), strict=True)
+        of_M, of_Phi = (SparsityPattern(shape, *np.nonzero(x)) for shape, x in parts)
+        return of_M, of_Phi
+
     # -- what is evaluated -----------------------------------------------------------------------
 
     def mass(self) -> tuple[Array, ...]:
-        """M."""
-        return (self._M,)
+        """M on its pattern."""
+        return (self._on(0, self._M),)
 
     def force(self) -> tuple[Array, ...]:
         """Q."""
@@ -155,7 +237,7 @@ class Formulas:
 
     def mass_along(self) -> tuple[Array, ...]:
         """M_q dq."""
-        return (self._along(self._M, q="dq"),)
+        return (self._along(*self.mass(), q="dq"),)
 
     def force_along(self) -> tuple[Array, ...]:
         """Q_t dt + Q_q dq + Q_v dv."""
@@ -170,8 +252,8 @@ class Formulas:
         return (self._rate(order, "constraint", lambda: self._Phi),)
 
     def constraint_q(self, order: int) -> tuple[Array, ...]:
-        """Phi_q or its time derivative of an order."""
-        return (self._rate(order, "constraint_q", lambda: self._by(self._Phi, "q")),)
+        """Phi_q or its time derivative of an order, on its pattern."""
+        return (self._on(1, self._rate(order, "constraint_q", lambda: self._jacobian)),)
 
     def constraint_total(self, order: int) -> tuple[Array, ...]:
         """Return D of `constraint` along changes of the motion and of b."""
@@ -181,8 +263,8 @@ class Formulas:
     def linearised(self, forces: bool, velocities: bool) -> tuple[Array, ...]:
         """M, f_q, f_v if asked for, and Phi_q; f without Q unless `forces`."""
         f = self._residual(forces)
-        f_v = (self._by(f, "v"),) if velocities else ()
-        return (self._M, self._by(f, "q"), *f_v, *self.constraint_q(0))
+        tangents = (self._on(0, self._by(f, x)) for x in "qv"[: 1 + velocities])
+        return (*self.mass(), *tangents, *self.constraint_q(0))
 
     def partials(self, forces: bool) -> tuple[Array, ...]:
         """f_b and Phi_b; f without Q unless `forces`."""
@@ -199,7 +281,7 @@ class Formulas:
         gamma, *sides = (Traced.numbers(self._operations, -self._traced(x)) for x in right)
         state, changes = ("t", "q", "v"), ("b", "dq", "dv", "db")
         return (
-            self._list([self._M, *self.constraint_q(0), self._Q, gamma], *state, "b"),
+            self._list([self._M, self._jacobian, self._Q, gamma], *state, "b"),
             self._list(sides, *state, "a", "lam", *changes),
             self._list([Phi], *state, "b"),
             self._list([rate], *state, "b"),
@@ -209,10 +291,9 @@ class Formulas:
 
     def march(self, velocity: bool) -> tuple[OperationList, ...]:
         """Return the lists of a `ListPlan`."""
-        f = self._residual(True)
-        tangents = [self._by(f, "q"), *([self._by(f, "v")] if velocity else [])]
+        _, *tangents, Phi_q = self.linearised(True, velocity)
         Phi, rate = (self.constraint(order)[0] for order in range(2))
-        values = ([*self.constraint_q(0)], [Phi], [rate], [self._Q], [self._M], tangents)
+        values = ([Phi_q], [Phi], [rate], [self._Q], [*self.mass()], tangents)
         return tuple(self._list(outputs, "t", "q", "v", "a", "lam", "b") for outputs in values)
 
     def _list(self, outputs: Sequence[Array], *inputs: str) -> OperationList:
@@ -222,14 +303,28 @@ class Formulas:
         return self._operations.compiled(flat, numbers)
 
     def _residual(self, forces: bool) -> Array:
-        """M a + Phi_q^T lam - Q."""
+        """M a + Phi_q^T lam - Q, or without Q."""
+        key = "residual", int(forces)
+        if key in self._made:
+            return self._made[key]
         M, Q, a, lam = (self._traced(x) for x in (self._M, self._Q, self._at["a"], self._at["lam"]))
-        Phi_q = self._traced(self.constraint_q(0)[0])
+        Phi_q = self._traced(self._jacobian)
         f = M @ a + lam @ Phi_q - (Q if forces else 0.0)
-        return Traced.numbers(self._operations, f)
+        self._made[key] = Traced.numbers(self._operations, f)
+        return self._made[key]
 
     def _traced(self, numbers: Array) -> Array:
         return Traced.array(self._operations, numbers)
+
+    @cached_property
+    def _jacobian(self) -> Array:
+        """Phi_q, shape (n_lam, n_q)."""
+        return self._by(self._Phi, "q")
+
+    def _on(self, which: int, matrix: Array) -> Array:
+        """Return the entries of a matrix on one of the patterns."""
+        pattern = self.patterns[which]
+        return matrix[pattern.rows, pattern.columns]
 
     # -- derivatives -----------------------------------------------------------------------------
 

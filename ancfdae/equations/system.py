@@ -442,13 +442,13 @@ class ListedSystem(MechanicalSystem):
 
     @property
     @abc.abstractmethod
-    def index_1(self) -> tuple[OperationList, ...] | None:
-        """The lists of `kernels/index_1.h`; None where functions are called."""
+    def index_1(self) -> tuple[OperationList, ...]:
+        """The lists of `kernels/index_1.h`."""
 
     @property
     @abc.abstractmethod
     def list_plan(self) -> ListPlan | None:
-        """The lists that a kernel integrates; None where functions are called, or b is complex."""
+        """The lists that a kernel integrates; None where b is complex."""
 
 
 def planned(system: MechanicalSystem) -> Plan | ListPlan | None:

@@ -198,7 +198,7 @@ class ListedAccelerations(Accelerations):
 
 def accelerations(system: MechanicalSystem, matrices: SaddlePoint) -> Accelerations:
     """Return what solves for the accelerations of a system."""
-    if isinstance(system, ListedSystem) and system.index_1 is not None:
+    if isinstance(system, ListedSystem):
         return ListedAccelerations(system, matrices, system.index_1)
     return Accelerations(system, matrices)
 

@@ -209,7 +209,8 @@ class ListPlan(NamedTuple):
     """A system of lists of operations, for `Model`.
 
     Lists take t, q, v, A, lam and b, and return Phi_q, Phi, dPhi/dt, Q, M, and f_q with f_v behind
-    it if forces use velocities. B and K are the full patterns of Phi_q and M.
+    it if forces use velocities. Values of matrices stand on the patterns B of Phi_q and K of all
+    others.
     """
 
     lists: tuple[OperationList, ...]

@@ -4,6 +4,7 @@ States are rows, (..., n_q), leading axes are instants. Relative node vectors Y 
 shape (..., n, n_y, d), packed matrices (..., n, n_g).
 """
 
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from ancfdae.kernels import Array, Block, FrontArrays, ListPlan, MatrixLayout, Plan
@@ -151,7 +152,8 @@ class LoadPlan:
 class OperationList:
     """A list of operations on inputs and constants; `load_plan.h` has the codes of operations.
 
-    Operation k is op[k] of numbers a[k] and b[k]. Numbers are inputs, constants, and results.
+    Operation k is op[k] of numbers a[k] and b[k]. Numbers are inputs, constants, and results. What
+    `functions` return, (k, size), of rows of inputs, follows `calls`.
     """
 
     def __init__(
@@ -162,6 +164,8 @@ class OperationList:
         a: Array,
         b: Array,
         outputs: Array,
+        calls: Array,
+        functions: tuple[Callable[[Array], Array], ...],
         /,
     ) -> None: ...
 

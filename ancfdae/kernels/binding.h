@@ -344,11 +344,15 @@ template <class R, class... A, R (*f)(A...)> struct Bound<f> {
     {
         std::tuple<std::decay_t<A>...> all{Argument<std::decay_t<A>>::at(args, I, count)...};
         auto apply = [](auto &...x) -> R { return f(std::forward<A>(x)...); };
-        if constexpr (std::is_void<R>::value) {
-            std::apply(apply, all);
-            return Py_NewRef(Py_None);
-        } else
-            return given(std::apply(apply, all));
+        PyObject *found;
+        if constexpr (std::is_void<R>::value)
+            std::apply(apply, all), found = Py_NewRef(Py_None);
+        else
+            found = given(std::apply(apply, all));
+        Ref kept(found);
+        if (PyErr_Occurred()) /* in a function that a list calls */
+            throw Failed();
+        return kept.release();
     }
     static PyObject *call(PyObject *, PyObject *const *args, Py_ssize_t count)
     {

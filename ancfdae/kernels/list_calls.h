@@ -1,28 +1,94 @@
 /* What Python calls of formulas: a list of operations, made once, and its values. */
 
-/* (n_inputs, constants, op, a, b, outputs) */
+/* Call the function of operation k with rows of inputs, (lanes, n), for rows of its outputs. Where it
+ * raises, or something has been raised already, outputs are NaN; `Bound` raises the error. */
+void list_called(const Operations *p, Size k, Size lanes, int parts, void *numbers)
+{
+    const int32_t *call = p->calls + p->a[k], *in = call + 2, *to = in + call[0];
+    Size n = call[0], m = call[1];
+    double *x = (double *)numbers;
+    PyGILState_STATE state = PyGILState_Ensure(); /* marches run without it */
+    auto run = [&](auto scalar) -> PyObject * {
+        using T = decltype(scalar);
+        if (PyErr_Occurred())
+            throw Failed();
+        auto given = zeros<T>({lanes, n});
+        for (Size i = 0; i < lanes; i++)
+            for (Size j = 0; j < n; j++)
+                given.data[i * n + j] = ((T *)numbers)[in[j] * lanes + i];
+        Ref function(Py_NewRef(PyTuple_GetItem((PyObject *)p->functions, p->b[k])));
+        Ref rows(given.release());
+        Array<T, 2> found(
+            made(PyObject_CallFunctionObjArgs(function.get(), rows.get(), nullptr)).get());
+        must(found.has({lanes, m}), "a function of a list returns an array of another shape");
+        for (Size j = 0; j < m; j++)
+            for (Size i = 0; to[j] >= 0 && i < lanes; i++)
+                ((T *)numbers)[to[j] * lanes + i] = found.data[i * m + j];
+        return Py_None;
+    };
+    if (!guarded([&] { return parts == 1 ? run(0.0) : run(Complex(0)); }))
+        for (Size j = 0; j < m; j++)
+            for (Size i = 0; to[j] >= 0 && i < parts * lanes; i++)
+                x[parts * to[j] * lanes + i] = NAN;
+    PyGILState_Release(state);
+}
+
+/* Whether operation k is a call of one of `count` functions, of numbers before it; the array of calls
+ * has `size` numbers. */
+bool call_fits(const Operations *p, Size k, Size size, Size count)
+{
+    Size at = p->a[k], own = p->n_inputs + p->n_constants + k;
+    if (at < 0 || at + 2 > size || p->b[k] < 0 || p->b[k] >= count)
+        return false;
+    const int32_t *call = p->calls + at, *in = call + 2;
+    if (call[0] < 0 || call[1] < 0 || (Size)call[0] + call[1] > size - at - 2)
+        return false;
+    for (Size j = 0; j < call[0]; j++)
+        if (in[j] < 0 || in[j] >= own)
+            return false;
+    for (Size j = call[0]; j < (Size)call[0] + call[1]; j++) {
+        Size to = in[j] - own + k;
+        if (in[j] != -1 &&
+            (to <= k || to >= p->n_operations || p->op[to] != RESULT || p->a[to] != own))
+            return false;
+    }
+    return true;
+}
+
+/* (n_inputs, constants, op, a, b, outputs, calls, functions) */
 struct OperationList {
     static constexpr const char *NAME = "ancfdae.kernels._kernels.OperationList";
     static constexpr const char *MISSING = "plans of lists must have lists of operations";
     using Indices = Array<int32_t, 1>;
-    using Arguments = std::tuple<Size, Numbers, Indices, Indices, Indices, Indices>;
+    using Arguments =
+        std::tuple<Size, Numbers, Indices, Indices, Indices, Indices, Indices, std::vector<Ref>>;
     Arguments of;
+    Ref functions;
     Operations list;
 
     explicit OperationList(Arguments arguments) : of(std::move(arguments))
     {
-        auto &[n_inputs, constants, op, a, b, outputs] = of;
+        auto &[n_inputs, constants, op, a, b, outputs, calls, all_functions] = of;
         must(n_inputs <= NPY_MAX_INT32, "a number of inputs is negative or too large");
         must((bool)constants.in_real, "constants must be real");
         Size ahead = n_inputs + constants.in_real->size, all = ahead + op.size;
-        list = {n_inputs,    constants.in_real->size,
-                op.size,     outputs.size,
-                all,         op.data,
-                a.data,      b.data,
-                outputs.data};
-        must(in_order(ahead, op, a, b) &&
-                 (outputs.size == 0 || (all > 0 && within(outputs, 0, all - 1))),
-             "these are not the indices of a list of operations");
+        Size count = (Size)all_functions.size();
+        functions = made(PyTuple_New(count));
+        for (Size i = 0; i < count; i++)
+            PyTuple_SetItem(functions.get(), i, all_functions[(size_t)i].release());
+        list = {n_inputs,     constants.in_real->size,
+                op.size,      outputs.size,
+                all,          op.data,
+                a.data,       b.data,
+                outputs.data, calls.data,
+                list_called,  functions.get()};
+        bool good = within(op, 0, LIST_OPERATIONS - 1) && a.size == op.size && b.size == op.size &&
+                    (outputs.size == 0 || (all > 0 && within(outputs, 0, all - 1)));
+        for (Size k = 0; good && k < op.size; k++)
+            good = op.data[k] == CALL ? call_fits(&list, k, calls.size, count)
+                                      : a.data[k] >= 0 && a.data[k] < ahead + k && b.data[k] >= 0 &&
+                                            b.data[k] < ahead + k;
+        must(good, "these are not the indices of a list of operations");
     }
 
     template <class T> const T *constants() const

@@ -10,7 +10,8 @@ template <class T> INLINE void list_evaluated_(const Operations *p, Size lanes, 
 {
     Size before = p->n_inputs + p->n_constants;
     for (Size k = 0; k < p->n_operations; k++) {
-        const T *a = x + p->a[k] * lanes, *b = x + p->b[k] * lanes;
+        Size plain = p->op[k] < OPERATIONS; /* else a and b are no numbers */
+        const T *a = x + plain * p->a[k] * lanes, *b = x + plain * p->b[k] * lanes;
         T *__restrict y = x + (before + k) * lanes, none;
         switch (p->op[k]) {
         case ADD: OF_LANES(a[i] + b[i]);
@@ -19,6 +20,8 @@ template <class T> INLINE void list_evaluated_(const Operations *p, Size lanes, 
         case DIVIDE: OF_LANES(a[i] / b[i]);
         case NEGATE: OF_LANES(-a[i]);
         case SQUARE: OF_LANES(a[i] * a[i]);
+        case CALL: p->called(p, k, lanes, sizeof(T) / sizeof(double), x); break;
+        case RESULT: break;
         default: OF_LANES(operation<T>(p->op[k], a[i], b[i], &none, &none));
         }
     }

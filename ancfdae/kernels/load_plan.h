@@ -2,8 +2,26 @@
 
 /* Operations of one or two numbers; `numerics/jets.py` has the same in NumPy. */
 enum {
-    ADD, SUBTRACT, MULTIPLY, DIVIDE, ANGLE, POWER, NEGATE, SQRT, EXP, LOG, SIN, COS, TAN, SINH, COSH,
-    TANH, ARCTAN, SQUARE, RECIPROCAL, OPERATIONS
+    ADD,
+    SUBTRACT,
+    MULTIPLY,
+    DIVIDE,
+    ANGLE,
+    POWER,
+    NEGATE,
+    SQRT,
+    EXP,
+    LOG,
+    SIN,
+    COS,
+    TAN,
+    SINH,
+    COSH,
+    TANH,
+    ARCTAN,
+    SQUARE,
+    RECIPROCAL,
+    OPERATIONS
 };
 
 /* Numbers are those of U, of V, constants, and results one by one: operation k is op[k] of numbers
@@ -15,9 +33,17 @@ struct LoadTable {
 };
 
 /* A list of operations by itself: numbers are inputs, constants and results, as above. It is
- * evaluated at LIST_LANES time points at once. */
+ * evaluated at LIST_LANES time points at once.
+ *
+ * CALL calls the function b[k] of Python; from calls + a[k] on stand its numbers of inputs and
+ * outputs, its inputs, and its outputs, -1 for one that is not used. Each output is the number of an
+ * operation RESULT behind it, whose a[k] is the number of the call. `called` runs operation k on
+ * numbers of one or, where they are complex, two `parts`; `functions` is for its use. */
+enum { CALL = OPERATIONS, RESULT, LIST_OPERATIONS };
 const Size LIST_LANES = 8;
 struct Operations {
     Size n_inputs, n_constants, n_operations, n_outputs, n_numbers;
-    const int32_t *op, *a, *b, *outputs;
+    const int32_t *op, *a, *b, *outputs, *calls;
+    void (*called)(const Operations *p, Size k, Size lanes, int parts, void *numbers);
+    void *functions;
 };

@@ -155,7 +155,7 @@ template <class T> void jacobian_at(const Plan<T> *p, Room<T> *r, const T *const
     const T *X[] = {q};
     if (p->listed) {
         listed_at<T>(p, r, OF_JACOBIAN, *c[0], q, nullptr, nullptr, nullptr, r->B,
-                     p->n_lam * p->n_q);
+                     p->constraints->n_values);
         return;
     }
     if (r->B_known)

@@ -113,7 +113,6 @@ struct Model {
         p->n_lam = p->B.n, p->nnz = p->K.first[n];
         sizes.n_q = n, sizes.n_lam = p->n_lam, sizes.n_values = p->B.first[p->n_lam];
         p->constraints = &sizes, p->n_factors = sizes.n_parts = 1;
-        must(p->nnz == n * n && sizes.n_values == p->n_lam * n, "patterns of lists must be full");
         Size outputs[] = {
             sizes.n_values, p->n_lam, p->n_lam, n, p->nnz, (velocity ? 2 : 1) * p->nnz};
         must(own.size() == MARCH_LISTS, "a plan must have six lists of operations");

@@ -1,5 +1,6 @@
 """Functions of a user that are differentiated by complex steps: which ones, and which are none."""
 
+import warnings
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -24,8 +25,10 @@ def require_derivative(
         return np.asarray(function(*(a + s * da for a, da in zip(x, dx, strict=True))))
 
     try:
-        base, slope = along(0.0), along(1j * STEP).imag / STEP
-    except FAILURES as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)
+            base, slope = along(0.0), along(1j * STEP).imag / STEP
+    except (*FAILURES, np.exceptions.ComplexWarning) as error:
         raise _unsafe(where, f"{type(error).__name__}: {error}") from error
     judged, agreed = np.zeros(base.shape, bool), np.zeros(base.shape, bool)
     with np.errstate(all="ignore"):
@@ -49,5 +52,6 @@ def _unsafe(where: str, got: str) -> InvalidInputError:
         where,
         "must be differentiable by a complex step",
         got,
-        "Write it without abs, real, conj, maximum, comparisons or arctan2, with NumPy functions.",
+        "Write it without abs, real, conj, maximum, comparisons or arctan2, and without arrays of "
+        "floats that are filled in, or pass a table and its derivative as an ExternalFunction.",
     )

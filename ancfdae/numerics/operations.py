@@ -12,7 +12,8 @@ for what the direction does not move. What it returns can be differentiated agai
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NoReturn, final
+from itertools import chain
+from typing import Any, NoReturn, Protocol, final
 
 import numpy as np
 
@@ -28,9 +29,28 @@ _CODES: dict[Any, int] = {
     function: code
     for code, function in enumerate((*_OF_TWO, *_OF_ONE, np.arctan, np.square, np.reciprocal))
 }
+# Calls of functions that are no operations, and their results.
+_CALL, _RESULT = "call", "result"
+_CODES |= {_CALL: len(_CODES), _RESULT: len(_CODES) + 1}
 # Whole exponents up to this are written as products: a complex step through `power` would lose its
 # imaginary part at negative numbers.
 _PRODUCTS = 64
+
+
+class Callee(Protocol):
+    """A function that a list calls: rows of inputs, (k, n), give rows of values, (k, size)."""
+
+    @property
+    def size(self) -> int:
+        """How many numbers it returns."""
+
+    def __call__(self, rows: Array, /) -> Array:
+        """Return the values of rows of inputs."""
+
+    def rates(
+        self, operations: Operations, numbers: Sequence[int], rates: Mapping[int, int]
+    ) -> Array | None:
+        """Return numbers of the derivatives from rates of the inputs; None if nothing moves."""
 
 
 @final
@@ -45,6 +65,7 @@ class Operations:
         self._constants: list[Any] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._list: list[tuple[Any, int, int]] = []
+        self._calls: list[tuple[Callee, tuple[int, ...]]] = []
 
     def constant(self, value: Any) -> int:
         """Return the number of a constant."""
@@ -74,6 +95,25 @@ class Operations:
         self._known[key] = self._n_inputs + len(self._list) - 1
         return self._known[key]
 
+    def call(self, function: Callee, numbers: Sequence[int]) -> Array:
+        """Return the numbers of what a function returns, (size,)."""
+        key = _CALL, id(function), *numbers
+        at = self._known.get(key)
+        if at is None:
+            at = self._known[key] = self._n_inputs + len(self._list)
+            index = len(self._calls)
+            self._calls.append((function, tuple(numbers)))
+            self._list.append((_CALL, index, index))
+            self._list += [(_RESULT, at, i) for i in range(function.size)]
+        return np.arange(at + 1, at + 1 + function.size)
+
+    def _operands(self, k: int) -> Sequence[int]:
+        """Return the numbers that operation k takes."""
+        function, x, y = self._list[k]
+        if function == _CALL:
+            return self._calls[x][1]
+        return (x,) if function == _RESULT else (x, y)
+
     def along(self, outputs: Array, *directions: Mapping[int, int]) -> list[Array]:
         """Return numbers of the derivatives of outputs along each direction.
 
@@ -85,7 +125,13 @@ class Operations:
             rates = dict(direction)
             for k in needed:
                 function, x, y = self._list[k]
-                if x not in rates and y not in rates:
+                if function == _CALL:
+                    callee, numbers = self._calls[x]
+                    moved = callee.rates(self, numbers, rates)
+                    flat = [] if moved is None else moved.tolist()
+                    rates |= {before + k + 1 + i: y for i, y in enumerate(flat) if y != zero}
+                    continue
+                if function == _RESULT or (x not in rates and y not in rates):
                     continue
                 dx, dy = rates.get(x, zero), rates.get(y, zero)
                 rate = self._rate(function, (x, y, before + k), dx, dy)
@@ -94,6 +140,31 @@ class Operations:
             flat = [rates.get(x, zero) for x in outputs.ravel().tolist()]
             found.append(np.array(flat, dtype=np.int64).reshape(outputs.shape))
         return found
+
+    def partials(self, output: int) -> dict[int, int]:
+        """Return the numbers of the partials of one output, by the inputs that it follows from.
+
+        Written from the output back to the inputs: a few times as many operations as the output
+        has, for any number of inputs. Where the list calls functions, along one input after the
+        other.
+        """
+        one, zero, outputs = self.constant(1.0), self.constant(0.0), np.array([output])
+        if self.calls(outputs):
+            used = sorted(self.inputs(outputs))
+            columns = self.along(outputs, *({x: one} for x in used))
+            return {x: int(y[0]) for x, y in zip(used, columns, strict=True)}
+        weights = {output: one}
+        for k in reversed(self._needed(outputs)):
+            z = self._n_inputs + k
+            function, x, y = self._list[k]
+            weight = weights.pop(z, None)
+            both = ((x, one, zero), (y, zero, one))
+            for operand, dx, dy in both if function in _OF_TWO else both[:1]:
+                if weight is not None and operand >= 0:
+                    slope = self._rate(function, (x, y, z), dx, dy)
+                    term = self.apply(np.multiply, weight, slope)
+                    weights[operand] = self.apply(np.add, weights.get(operand, zero), term)
+        return weights
 
     def _rate(self, function: Any, numbers: tuple[int, int, int], dx: int, dy: int) -> int:
         """Return the derivative of z = f(x, y) from those of x and y."""
@@ -107,9 +178,13 @@ class Operations:
 
     def inputs(self, outputs: Array) -> set[int]:
         """Return the inputs that outputs follow from."""
-        rows = (self._list[k] for k in self._needed(outputs))
-        used = {x for row in rows for x in row[1:]}.union(outputs.ravel().tolist())
+        operands = chain.from_iterable(map(self._operands, self._needed(outputs)))
+        used = {*operands, *outputs.ravel().tolist()}
         return {x for x in used if 0 <= x < self._n_inputs}
+
+    def calls(self, outputs: Array) -> bool:
+        """Whether outputs follow from a call."""
+        return any(self._list[k][0] == _CALL for k in self._needed(outputs))
 
     def _needed(self, outputs: Array) -> list[int]:
         """Return the operations that outputs follow from, in their order."""
@@ -118,33 +193,51 @@ class Operations:
             k = waiting.pop() - n
             if k >= 0 and k not in found:
                 found.add(k)
-                waiting.update(self._list[k][1:])
+                waiting.update(self._operands(k))
         return sorted(found)
 
     def arrays(
         self, results: Array, inputs: Sequence[int] | None = None
     ) -> tuple[Array, Array, Array, Array, Array]:
-        """Return constants, operations with both their numbers, and results.
+        """Return constants, operations with both their numbers, and results; of formulas of loads.
 
         Numbers are counted in the order of inputs, constants and results of operations. Inputs are
         all, or those given; what results do not follow from is left out.
         """
+        return self._placed(results, inputs)[:-2]
+
+    def _placed(
+        self, results: Array, inputs: Sequence[int] | None
+    ) -> tuple[Array, Array, Array, Array, Array, Array, tuple[Callee, ...]]:
+        """Return `arrays`, and calls with their functions (`kernels/load_plan.h`)."""
         needed, flat = self._needed(results), results.ravel().tolist()
-        rows = [self._list[k] for k in needed]
-        used = {x for row in rows for x in row[1:]} | set(flat)
+        used = {*chain.from_iterable(map(self._operands, needed)), *flat}
         kept = sorted((x for x in used if x < 0), reverse=True)
         ahead = range(self._n_inputs) if inputs is None else inputs
         numbers = [*ahead, *kept, *(self._n_inputs + k for k in needed)]
         place = {number: i for i, number in enumerate(numbers)}
-        triples = [(_CODES[function], place[x], place[y]) for function, x, y in rows]
+        triples, calls, functions = list[tuple[int, int, int]](), list[int](), list[Callee]()
+        for k in needed:
+            function, x, y = self._list[k]
+            if function == _CALL:
+                callee, given = self._calls[x]
+                triples.append((_CODES[_CALL], len(calls), len(functions)))
+                functions.append(callee)
+                first = self._n_inputs + k + 1
+                to = (place.get(i, -1) for i in range(first, first + callee.size))
+                calls += [len(given), callee.size, *(place[i] for i in given), *to]
+            else:
+                triples.append((_CODES[function], place[x], place[x if function == _RESULT else y]))
         op, a, b = np.array(triples, dtype=np.int32).reshape(-1, 3).T
         constants = np.array([self._constants[-x - 1] for x in kept] or np.zeros(0))
-        return constants, op, a, b, np.array([place[x] for x in flat], dtype=np.int32)
+        outputs, of_calls = (np.array(x, dtype=np.int32) for x in ([place[x] for x in flat], calls))
+        return constants, op, a, b, outputs, of_calls, tuple(functions)
 
     def compiled(self, outputs: Array, inputs: Sequence[int]) -> OperationList:
         """Return what evaluates real outputs at given inputs; outputs follow from no other."""
-        constants, *indices = self.arrays(outputs, inputs)
-        return OperationList(len(inputs), constants.astype(float), *indices)
+        constants, op, a, b, to, calls, functions = self._placed(outputs, inputs)
+        n = len(inputs)
+        return OperationList(n, constants.astype(float), op, a, b, to, calls, functions)
 
 
 _NOTHING = -1
@@ -247,24 +340,24 @@ class NotTraceable(Exception):
 
 @final
 class Traced:
-    """A number whose operations are listed; arrays of NumPy of dtype object hold such numbers.
+    """A number whose operations are listed; `Symbols` are arrays of such numbers.
 
     NumPy calls methods of the names of its functions on the entries of such arrays.
     """
 
-    __slots__ = ("_operations", "at")
+    __slots__ = ("at", "operations")
     #: Kind of the arrays that hold it, so that `np.result_type` knows.
     dtype = np.dtype(object)
 
     def __init__(self, operations: Operations, at: int) -> None:
-        self._operations, self.at = operations, at
+        self.operations, self.at = operations, at
 
     @staticmethod
     def array(operations: Operations, at: Array) -> Array:
         """Return an array of tracers of numbers of the list."""
         out = np.empty(at.shape, dtype=object)
         out.ravel()[:] = [Traced(operations, x) for x in at.ravel().tolist()]
-        return out
+        return out.view(Symbols)
 
     @staticmethod
     def numbers(operations: Operations, values: Any) -> Array:
@@ -276,14 +369,14 @@ class Traced:
     def _of(self, function: Any, *others: Any) -> Any:
         if isinstance(others[0], np.ndarray) or isinstance(others[-1], np.ndarray):
             return NotImplemented  # Arrays take their entries one by one.
-        operations = self._operations
+        operations = self.operations
         numbers = (_number(operations, x) for x in others)
         return Traced(operations, operations.apply(function, *numbers))
 
     @property
     def value(self) -> float:
         """The value of a constant."""
-        return self._operations.value(self.at)
+        return self.operations.value(self.at)
 
     # Arithmetic.
 
@@ -330,13 +423,17 @@ class Traced:
         if n < 0:
             return 1.0 / self ** (-n)
         if n < 2:
-            return self if n == 1 else Traced(self._operations, self._operations.constant(1.0))
+            return self if n == 1 else Traced(self.operations, self.operations.constant(1.0))
         half = self ** (n // 2)
         whole = half._of(np.square, half)
         return whole * self if n % 2 else whole
 
     def __rpow__(self, base: Any) -> Any:
         return (self * np.log(float(base))).exp()
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        """Apply a function of NumPy to this number and others, which may be plain."""
+        return _applied(ufunc, method, inputs, kwargs)
 
     # Functions.
 
@@ -420,6 +517,36 @@ class Traced:
 
     __le__ = __gt__ = __ge__ = __eq__ = __ne__ = __lt__
     __hash__ = None  # type: ignore[assignment]
+
+
+class Symbols(np.ndarray):
+    """An array of dtype object with entries that are `Traced` or plain numbers."""
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        """Apply a function of NumPy to this array and others, which may hold plain numbers."""
+        return _applied(ufunc, method, inputs, kwargs)
+
+
+# Functions that NumPy looks for among the methods of entries, which plain numbers do not have.
+_METHODS = frozenset(f for f in _CODES if isinstance(f, np.ufunc) and hasattr(Traced, f.__name__))
+_METHODS |= {np.arctan2, np.arcsin, np.arccos, np.hypot}
+
+
+def _applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], kwargs: dict[str, Any]) -> Any:
+    """Return a function of NumPy of arrays of symbols."""
+    if ufunc in _METHODS:
+        operations = next(
+            y.operations
+            for x in inputs
+            for y in np.asarray(x).ravel().tolist()
+            if isinstance(y, Traced)
+        )
+        inputs = [Traced.array(operations, Traced.numbers(operations, x)) for x in inputs]
+    plain = [np.asarray(x).view(np.ndarray) for x in inputs]
+    if "out" in kwargs:
+        kwargs["out"] = tuple(x.view(np.ndarray) for x in kwargs["out"])
+    found = getattr(ufunc, method)(*plain, **kwargs)
+    return found.view(Symbols) if isinstance(found, np.ndarray) else found
 
 
 def _refuse(what: str) -> NoReturn:

@@ -1,7 +1,10 @@
 """Functions that a user brings: of observables, or of the bare states."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, final
 
 import numpy as np
@@ -9,8 +12,10 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_function, require_kind
 from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.kernels import OperationList, list_values
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.complex_step import require_derivative
+from ancfdae.numerics.complex_step import FAILURES, require_derivative
+from ancfdae.numerics.operations import NotTraceable, Operations, Traced
 from ancfdae.sensitivity.observables.functions import Function, require_vectorised
 from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import Named, States, known_system
@@ -53,8 +58,10 @@ def custom(function: Callable[..., Array], name: str = "custom") -> Observable:
     """Return a function H(t, q, v, lam, b) of your own, for any mechanical system.
 
     It takes t (k,), q (k, n_q), v (k, n_q), lam (k, n_lam) and b (n_b,) and returns an array (k,),
-    instant by instant and with operations that accept complex numbers. Its partials take one
-    evaluation per coordinate, velocity, multiplier and design variable. Messages use the name.
+    instant by instant and with operations that accept complex numbers. Its partials follow from the
+    operations of NumPy in it, at compiled speed, if it runs on symbols as the formulas of a
+    `FormulaSystem` do. Else they are complex steps, which take one evaluation per coordinate,
+    velocity, multiplier and design variable. Messages use the name.
     """
     require_function("custom, function", function)
     require_kind("custom, name", name, (str,), "Messages name the function by it.")
@@ -85,15 +92,24 @@ class Custom(Leaf):
         )
         with np.errstate(all="ignore"):
             require_vectorised(self.name, lambda rows: self._call(states.rows(rows), system.b), 3)
-        self._require_derivative(states, system.b.real)
+        self._require_derivative(system, states, system.b.real)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Return the values H of the function, shape (n_t,)."""
-        return np.asarray(self._call(states, known_system(self.name, system).b))
+        system = known_system(self.name, system)
+        if any(np.iscomplexobj(x) for x in (states.q, states.v, states.lam, system.b)):
+            traced = _traced(self.function, system.n_q, system.n_lam, system.n_b)
+            if traced is not None:
+                return traced.values(states, system.b)[:, 0]
+        return np.asarray(self._call(states, system.b))
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Differentiate H by a complex step in one column after the other."""
-        self._require_derivative(states.rows([0, len(states.t) // 2, -1]), system.b)
+        """Differentiate H by its operations, or by a complex step in one column after another."""
+        traced = self._require_derivative(
+            system, states.rows([0, len(states.t) // 2, -1]), system.b
+        )
+        if traced is not None:
+            return traced.gradient(states, system.b)
         q, v, lam = (x.astype(complex) for x in (states.q, states.v, states.lam))
         complex_states = States(states.t, q, v, lam, states.degree)
         b = system.b.astype(complex)
@@ -111,7 +127,13 @@ class Custom(Leaf):
     def _call(self, states: States, b: Array) -> Array:
         return self.function(states.t, states.q, states.v, states.lam, b)
 
-    def _require_derivative(self, states: States, b: Array) -> None:
+    def _require_derivative(
+        self, system: MechanicalSystem, states: States, b: Array
+    ) -> _Formula | None:
+        """Return a list with the values of the function; else refuse wrong complex steps."""
+        traced = _traced(self.function, system.n_q, system.n_lam, system.n_b)
+        if traced is not None and traced.agrees(states, b, self._call(states, b)):
+            return traced
         x = (states.q, states.v, states.lam, b)
         # A direction without symmetry, of the size of the arguments.
         dx = [
@@ -119,3 +141,66 @@ class Custom(Leaf):
             for j, a in enumerate(x)
         ]
         require_derivative(self.name, lambda *moved: self.function(states.t, *moved), x, dx)
+        return None
+
+
+# Largest difference between values of a list and of the function, relative to the largest value.
+_SAME = 1e-9
+
+
+@final
+@dataclass(frozen=True)
+class _Formula:
+    """A user's function as a list of operations: its value and its partials.
+
+    `columns` are those that it depends on, of t, q, v, lam and b.
+    """
+
+    operations: OperationList
+    columns: tuple[Array, ...]
+
+    def values(self, states: States, b: Array) -> Array:
+        """Return the value and the partials in the columns, shape (n_t, 1 + ...)."""
+        parts = (states.t[:, None], states.q, states.v, states.lam, b[None])
+        pairs = zip(parts, self.columns, strict=True)
+        x = np.concatenate(
+            [np.broadcast_to(x[:, at], (len(states.t), len(at))) for x, at in pairs], axis=1
+        )
+        return list_values(self.operations, x)
+
+    def agrees(self, states: States, b: Array, values: Array) -> bool:
+        """Whether the list has the values that the function has, finite ones."""
+        gap = np.max(np.abs(self.values(states, b)[:, 0] - values))
+        return bool(gap <= _SAME * np.max(np.abs(values)))
+
+    def gradient(self, states: States, b: Array) -> LeafGradient:
+        """Return the partials in states and design."""
+        partials = self.values(states, b)[:, 1:]
+        ends = np.cumsum([len(at) for at in self.columns])
+        _, *rows, on_b = np.split(partials, ends[:-1], axis=1)
+        q, v, lam = (Columns(at, x) for at, x in zip(self.columns[1:4], rows, strict=True))
+        of_b = np.zeros((len(states.t), len(b)))
+        of_b[:, self.columns[4]] = on_b
+        return LeafGradient(q, v, lam, of_b)
+
+
+@lru_cache(maxsize=32)
+def _traced(function: Callable[..., Array], n_q: int, n_lam: int, n_b: int) -> _Formula | None:
+    """Return the function as a list of operations; None if it needs numbers."""
+    ends = np.cumsum([1, n_q, n_q, n_lam, n_b])
+    parts = np.split(np.arange(ends[-1]), ends[:-1])
+    operations = Operations(int(ends[-1]))
+    t, q, v, lam, b = (Traced.array(operations, x) for x in parts)
+    try:
+        value = np.asarray(function(t, q[None], v[None], lam[None], b))
+        (output,) = Traced.numbers(operations, value).tolist()
+    except (NotTraceable, InvalidInputError, *FAILURES):
+        return None
+    partials = operations.partials(output)
+    columns = tuple(
+        np.array([i for i, x in enumerate(part.tolist()) if x in partials], dtype=int)
+        for part in parts
+    )
+    used = [x for part, at in zip(parts, columns, strict=True) for x in part[at].tolist()]
+    outputs = np.array([output, *(partials[x] for x in used)])
+    return _Formula(operations.compiled(outputs, used), columns)
