@@ -387,6 +387,43 @@ def test_what_a_system_is_constant_in_is_found():
     assert not Swing().traits.linear_constraints or Swing.n_lam == 0
 
 
+class Sliding(SwingInSpace):
+    """Linear constraints with a constant, a design variable or time as their right side."""
+
+    side = staticmethod(lambda t, b: 0.3)
+
+    def start(self):
+        return np.stack([0.2, 0.1, 0.3 + 0 * self.b[0]]), np.zeros(3)
+
+    def position_constraint(self, t, q):
+        return np.array([q[0] + 2 * q[1] - 0.4, q[2] - self.side(t, self.b)])
+
+
+class SlidingInTime(Sliding):
+    side = staticmethod(lambda t, b: 0.3 + t**2)
+
+
+class SlidingByDesign(Sliding):
+    side = staticmethod(lambda t, b: 0.375 * b[0])
+
+    def start(self):
+        return np.stack([0.2, 0.1, 0.375 * self.b[0]]), np.zeros(3)
+
+
+def test_constraints_that_stay_are_found():
+    kinds = (Sliding, SlidingInTime, SlidingByDesign)
+    assert [x().traits.constant_constraints for x in kinds] == [True, False, False]
+    assert all(x().traits.linear_constraints for x in kinds)
+    # (x, y) slides down a line of slope -1/2: a tangential acceleration of g/sqrt 5.
+    for kind in kinds[::2]:
+        for method in (HHT(2.0**-6), Radau(2.0**-5), Explicit(1e-9)):
+            run = differentiate(kind(), 0.5, method)
+            y = 0.1 - 9.81 / 5 * 0.5**2 / 2
+            np.testing.assert_allclose(run.q[-1], [0.4 - 2 * y, y, 0.3], rtol=1e-9)
+            exact = [0, 0, 0.375 * (kind is SlidingByDesign)]
+            np.testing.assert_allclose(run.sensitivities.q_b[-1][:, 0], exact, atol=1e-10)
+
+
 def test_formulas_run_once():
     calls = []
 
