@@ -46,17 +46,11 @@ class ExternalFunction:
     size : int, optional
         Length of the array that the function returns; by default it returns a number.
 
-    Examples
-    --------
-    A force from a table, by a spline of SciPy:
-
-    >>> import numpy as np
-    >>> from ancfdae import ExternalFunction
-    >>> from scipy.interpolate import CubicSpline
-    >>> s = CubicSpline(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9) ** 3)
-    >>> pull = ExternalFunction(s, ExternalFunction(s.derivative(), s.derivative(2)))
-    >>> round(float(pull(0.5)), 12)
-    0.125
+    Raises
+    ------
+    InvalidInput
+        If the function is not callable, or later, if it or its derivative returns another number of
+        values, or if it comes without a derivative and refuses complex numbers.
     """
 
     def __init__(
