@@ -75,10 +75,10 @@ class _Method:
         self.name = f"{type(system).__name__}.{name}"
         sizes = {"t": 1, "q": system.n_q, "v": system.n_q, "b": system.n_b}
         self._inputs, self._ends = inputs, np.cumsum([sizes[x] for x in inputs])
-        self._at: tuple[bytes, Any] = b"", None
+        self._at: tuple[bytes | None, Any] = None, None
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_at": (b"", None)}
+        return vars(self) | {"_at": (None, None)}
 
     def __call__(self, x: Array) -> Array:
         *given, b = np.split(x.copy(), self._ends[:-1])
