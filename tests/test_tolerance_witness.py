@@ -11,28 +11,24 @@ import pytest
 import scipy
 
 from ancfdae import (
+    DOP853,
     HHT,
-    Explicit,
     Integral,
     Pin,
     PointForce,
     PointOnLine,
     RigidBody,
     Scene,
-    SlideFriction,
     SpringDamper,
-    StabilityWarning,
     Terminal,
-    ToleranceMissed,
-    UserLaw,
+    TranslationalFriction,
     assemble,
-    custom,
     gradient,
-    observe,
-    position,
     simulate,
-    velocity,
 )
+from ancfdae.errors import StabilityWarning, ToleranceWarning
+from ancfdae.laws import UserLaw
+from ancfdae.observables import custom, observe, position, velocity
 from ancfdae.studies.tolerance.bars import Estimate, spread
 from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.gradients import _wanted
@@ -78,7 +74,7 @@ def test_a_wave_that_numerical_damping_eats_is_not_forgotten(tolerance):
     scene, b = ringing()
     t_end, h, design = 0.05, 1e-5, ["s.stiffness", "m.stiffness"]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ToleranceMissed)
+        warnings.simplefilter("ignore", ToleranceWarning)
         found = gradient(
             scene, Terminal(position(b.at(0), 0)), t_end, tolerance=tolerance, design=design
         )
@@ -255,7 +251,7 @@ def test_slow_laws_have_no_features_and_pulses_have_stops():
 
 
 def test_a_long_run_of_a_pendulum_keeps_the_tolerance():
-    """Explicit errs by hundreds of its tolerances after 40 s; SciPy has one coordinate."""
+    """DOP853 errs by hundreds of its tolerances after 40 s; SciPy has one coordinate."""
     length, t_end, tolerance = 1.0, 40.0, 1e-4
     bar = RigidBody("a", (length / 2, 0), mass=1.0, inertia=1 / 12)
     scene = Scene([], [Pin(bar.at(-length / 2))], (0, -9.81), bodies=[bar])
@@ -294,7 +290,7 @@ def rubbing(coulomb, smooth_speed):
     """A kilogram on a spring, let go half a metre from rest, against dry friction."""
     a = RigidBody("a", (0.0, 0), mass=1.0, inertia=1.0)
     spring = SpringDamper(a.at(0), RUB, 0.0, 1 + STRETCHED, ground=(-1.0, 0.0), name="s")
-    dry = SlideFriction(a.at(0), (1, 0), coulomb, smooth_speed, name="f")
+    dry = TranslationalFriction(a.at(0), (1, 0), coulomb, smooth_speed, name="f")
     return Scene([], [PointOnLine(a.at(0), direction=(1, 0))], loads=[spring, dry], bodies=[a]), a
 
 
@@ -316,7 +312,7 @@ def of_rubbing(coulomb, smooth_speed, at):
     return x, x_k * RUB, x_c * coulomb
 
 
-# Steps of HHT that see no transition agree at 64 to 512; so do loose tolerances of Explicit; the
+# Steps of HHT that see no transition agree at 64 to 512; so do loose tolerances of DOP853; the
 # third sticks.
 @pytest.mark.parametrize(
     ("coulomb", "smooth_speed", "tolerance"),
@@ -510,7 +506,7 @@ def test_no_random_scene_errs_without_a_word(family, seed, tolerance):
     given = case(family, seed)
     exact = gradient(given.told, given.objective, given.t_end, given.reference)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ToleranceMissed)
+        warnings.simplefilter("ignore", ToleranceWarning)
         found = gradient(given.system, given.objective, given.t_end, tolerance=tolerance)
     scale = np.where(given.system.b == 0, 1.0, np.abs(given.system.b))
     size = np.linalg.norm(exact.gradient * scale)
@@ -527,16 +523,16 @@ def test_no_random_scene_errs_without_a_word(family, seed, tolerance):
     [("rod", 1001, 1e-3), ("rod", 1002, 1e-3), ("ringing", 1000, 1e-2)],
 )
 def test_bars_over_time_hold_at_single_instants(family, seed, tolerance):
-    """Undamped rods whose velocity and reaction swing; Explicit knows them. 23 to 34 % were out."""
+    """Undamped rods whose velocity and reaction swing; DOP853 knows them. 23 to 34 % were out."""
     draft = FAMILIES[family](np.random.default_rng([seed, *map(ord, family)]))
     system = assemble(draft.scene, draft.design)
     axis = 0 if draft.straight else 1
     seen = [position(draft.point, axis), velocity(draft.point, 0), *draft.others]
     at = np.linspace(0, draft.t_end, 65)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ToleranceMissed)
+        warnings.simplefilter("ignore", ToleranceWarning)
         found = observed_within(system, seen, at, draft.t_end, tolerance, False)
-    run = simulate(system, draft.t_end, Explicit(1e-10, intervals=64))
+    run = simulate(system, draft.t_end, DOP853(1e-10, intervals=64))
     exact = np.stack([observe(x, run, system)[::8] for x in seen], axis=1)
     off = np.abs(found.values - exact) > found.bars + 1e-12 * np.abs(exact).max(axis=0)
     assert off.mean(axis=0).max() <= 0.05
@@ -553,7 +549,7 @@ def test_two_time_scales_are_answered_within_a_few_runs():
     # Central differences err by (omega t h)^2 / 6 = 2e-6.
     assert found.accuracy.reached
     assert found.gradient[0] * STIFF == pytest.approx(slope, rel=1e-2)
-    # Runs of HHT follow the waves with 4,000 steps, those of Explicit with 108 to 400.
+    # Runs of HHT follow the waves with 4,000 steps, those of DOP853 with 108 to 400.
     assert sum(trial.steps for trial in found.accuracy.trials) < 12_000
 
 

@@ -11,27 +11,24 @@ from scipy.linalg import expm
 
 import ancfdae.integrators.radau.newton as radau_newton
 from ancfdae import (
+    DOP853,
     HHT,
     Adjoint,
     ComplexStep,
-    Direct,
-    Explicit,
-    FormulaSystem,
+    DirectDifferentiation,
     Integral,
-    InvalidInput,
-    NotTraced,
     Radau,
     Terminal,
-    Traits,
     check_system,
-    custom,
     differentiate,
     gradient,
     simulate,
 )
-from ancfdae.equations.motion import Direction
+from ancfdae.equations.motion import StateDirection
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors import InvalidInputError, NotTracedWarning
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.extend import FormulaSystem, SystemProperties
 from ancfdae.integrators.hht import compiled
 from ancfdae.integrators.index_1 import Accelerations, ListedAccelerations, accelerations
 from ancfdae.kernels import (
@@ -49,6 +46,7 @@ from ancfdae.kernels import (
 )
 from ancfdae.numerics.extrapolation import scaled_derivative
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
+from ancfdae.observables import custom
 from ancfdae.sensitivity.observables import user_functions
 
 # ---- single rules, by means over circles -------------------------------------------------------
@@ -363,14 +361,12 @@ def test_redundant_coordinates_move_like_the_angle():
     ends = []
     for kind, height in HEIGHTS.items():
         system = kind()
-        found = gradient(system, height, 1.0, Explicit(1e-11))
+        found = gradient(system, height, 1.0, DOP853(1e-11))
         ends.append([found.value, *found.gradient])
         for i in range(3):
             step = 1e-4 * np.eye(3)[i]
             pair = (
-                gradient(
-                    system.with_values(system.b + s * step), height, 1.0, Explicit(1e-12)
-                ).value
+                gradient(system.with_values(system.b + s * step), height, 1.0, DOP853(1e-12)).value
                 for s in (1, -1)
             )
             difference = np.subtract(*pair) / 2e-4
@@ -417,7 +413,7 @@ def test_constraints_that_stay_are_found():
     assert all(x().traits.linear_constraints for x in kinds)
     # (x, y) slides down a line of slope -1/2: a tangential acceleration of g/sqrt 5.
     for kind in kinds[::2]:
-        for method in (HHT(2.0**-6), Radau(2.0**-5), Explicit(1e-9)):
+        for method in (HHT(2.0**-6), Radau(2.0**-5), DOP853(1e-9)):
             run = differentiate(kind(), 0.5, method)
             y = 0.1 - 9.81 / 5 * 0.5**2 / 2
             np.testing.assert_allclose(run.q[-1], [0.4 - 2 * y, y, 0.3], rtol=1e-9)
@@ -456,7 +452,7 @@ class Iterated(Swing):
 
 def test_a_warning_names_the_line_and_what_it_costs():
     with pytest.warns(
-        NotTraced,
+        NotTracedWarning,
         match=r"calls mass_matrix, .*hundred times as long.*M\[0, 0\]\.real < 0\.6",
     ):
         system = Iterated()
@@ -489,12 +485,14 @@ class Floats(Swing):
 
 
 def test_formulas_that_are_none_are_refused():
-    with pytest.raises(InvalidInput, match=r"with_values: must return the system at the values b"):
+    with pytest.raises(
+        InvalidInputError, match=r"with_values: must return the system at the values b"
+    ):
         Forgetting()
-    with pytest.raises(InvalidInput, match=r"Floats\.force") as told:
+    with pytest.raises(InvalidInputError, match=r"Floats\.force") as told:
         Floats()
     assert any("np.zeros(n, dtype=q.dtype)" in note for note in told.value.__notes__)
-    with pytest.raises(InvalidInput, match=r"Remembering\.force"):
+    with pytest.raises(InvalidInputError, match=r"Remembering\.force"):
         Remembering()
 
 
@@ -524,14 +522,14 @@ def test_round_off_of_constraints_at_the_start_is_no_other_value():
 class Corner(Swing):
     """A force that is not defined at rest: v / |v|."""
 
-    traits = Traits(constant_mass=True)
+    traits = SystemProperties(constant_mass=True)
 
     def force(self, t, q, v):
         return [-q[0] - 0.1 * v[0] / np.sqrt(v[0] ** 2)]
 
 
 def test_a_division_by_zero_at_the_start_is_told():
-    with pytest.raises(InvalidInput, match="must be finite"):
+    with pytest.raises(InvalidInputError, match="must be finite"):
         simulate(Corner(), 0.1, HHT(0.01))
 
 
@@ -655,7 +653,7 @@ class SwingInPython(InPython, Swing):
 class SymmetricSwing(SwingInSpace):
     """A pendulum whose matrices are stored as an envelope."""
 
-    traits = Traits(symmetric=True)
+    traits = SystemProperties(symmetric=True)
 
 
 class SymmetricSwingInPython(InPython, SymmetricSwing):
@@ -834,7 +832,7 @@ def test_patterns_hold_what_couples_and_nothing_else():
     top = np.concatenate([np.zeros((70, 70)), np.eye(70)], axis=1)
     below = np.concatenate([-np.linalg.solve(M, A), -np.linalg.solve(M, B)], axis=1)
     exact = (expm(np.concatenate([top, below])) @ np.append(*system.start()))[:70]
-    for method in (Radau(2.0**-4), Explicit(1e-9)):
+    for method in (Radau(2.0**-4), DOP853(1e-9)):
         np.testing.assert_allclose(simulate(system, 1.0, method).q[-1], exact, atol=1e-7)
 
 
@@ -853,7 +851,7 @@ def stepped(t, q, v, lam, b):
     return np.exp(-t) * angle * v[:, 2] + b[3] * size - lam[:, 0] * t**2
 
 
-@pytest.mark.parametrize("method", [Direct(), Adjoint()], ids=["direct", "adjoint"])
+@pytest.mark.parametrize("method", [DirectDifferentiation(), Adjoint()], ids=["direct", "adjoint"])
 def test_partials_of_an_observable_are_those_of_its_complex_steps(method):
     system = Elbow()
     system.traits = replace(system.traits, project_start=True)
@@ -871,7 +869,7 @@ def test_a_real_part_in_an_observable_is_traced_and_takes_complex_steps_all_the_
     end = Terminal(custom(lambda t, q, v, lam, b: np.real(q[:, 0]) * np.conj(b[0]) + v[:, 0].real))
     ours, exact = (
         gradient(Swing(), end, 0.25, HHT(2.0**-6), method=x).gradient
-        for x in (Direct(), ComplexStep())
+        for x in (DirectDifferentiation(), ComplexStep())
     )
     assert np.all(np.abs(ours[:2]) > 1e-3)
     np.testing.assert_allclose(ours, exact, rtol=1e-11)
@@ -919,7 +917,7 @@ class CalledElbow(Elbow):
 
 @pytest.fixture
 def called_elbow():
-    with pytest.warns(NotTraced, match="calls mass_matrix and force,"):
+    with pytest.warns(NotTracedWarning, match="calls mass_matrix and force,"):
         return CalledElbow()
 
 
@@ -934,7 +932,7 @@ def test_derivatives_of_called_functions_are_those_of_lists(called_elbow):
     lam, t, step = rng.uniform(-1, 1, 2), 0.3, 1e-40
     b = listed.b + 1j * step * rng.uniform(-1, 1, 10)
     moved = [x.with_values(b) for x in (called_elbow, listed)]
-    direction = Direction(0.7, v + 1j * step * a, a - 1j * step * q)
+    direction = StateDirection(0.7, v + 1j * step * a, a - 1j * step * q)
     for name, arguments in {
         "force_along": (t, q + 1j * step * v, v - 1j * step * a, direction),
         "mass_along": (q + 1j * step * v, a - 1j * step * q),
@@ -951,7 +949,7 @@ def test_derivatives_of_called_functions_are_those_of_lists(called_elbow):
             np.testing.assert_allclose(ours[part], exact[part], rtol=1e-12, atol=1e-13)
 
 
-@pytest.mark.parametrize("method", [HHT(2.0**-5), Radau(2.0**-4), Explicit(1e-8)])
+@pytest.mark.parametrize("method", [HHT(2.0**-5), Radau(2.0**-4), DOP853(1e-8)])
 def test_runs_of_called_functions_are_those_of_lists(called_elbow, method):
     ends = []
     for system in (called_elbow, Elbow()):
@@ -986,7 +984,9 @@ def test_a_table_without_derivatives_is_refused():
         def position_constraint(self, t, q):
             return np.array([np.interp(q[0], [0.0, 1.0], [0.0, 1.0])])
 
-    with pytest.raises(InvalidInput, match=r"Table\.position_constraint: .*ExternalFunc") as told:
+    with pytest.raises(
+        InvalidInputError, match=r"Table\.position_constraint: .*ExternalFunc"
+    ) as told:
         Table()
     assert "np.interp(q[0]" in told.value.__notes__[-1]
 
@@ -996,7 +996,7 @@ def test_a_table_without_derivatives_is_refused():
                 raise ValueError
             super().__init__(b)
 
-    with pytest.warns(NotTraced, match=r"mass_matrix and force.*b\[0\]\) <= 0.*comparison"):
+    with pytest.warns(NotTracedWarning, match=r"mass_matrix and force.*b\[0\]\) <= 0.*comparison"):
         system = Checked()
     run, exact = (simulate(x, 0.2, HHT(0.01)).q for x in (system, Swing()))
     np.testing.assert_allclose(run, exact, rtol=1e-12)

@@ -19,13 +19,13 @@ import numpy as np
 
 from ancfdae.equations.complex_steps import FORGOTTEN, at_values
 from ancfdae.equations.formulas import Formulas, Value, bare, is_bare, wrong_shape
-from ancfdae.equations.motion import Direction
-from ancfdae.equations.system import DesignPartials, Linearisation, ListedSystem, Traits
-from ancfdae.errors import InvalidInput, NotTraced
+from ancfdae.equations.motion import StateDirection
+from ancfdae.equations.system import DesignPartials, Linearisation, ListedSystem, SystemProperties
+from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning
 from ancfdae.kernels import Csr, ListPlan, OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import require_derivative
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 # What a motion consists of.
 _RATES = ("q", "v", "a", "j")
@@ -48,8 +48,8 @@ class FormulaSystem(ListedSystem):
     of their own constructor. The first three are smooth functions of q, v, t and ``self.b`` in
     functions of NumPy. They are called once, with arrays of symbols in place of numbers, and
     become lists of operations that are evaluated at compiled speed. If one of them needs a number
-    (`if`, a table, `np.linalg.solve`), a warning (`NotTraced`) names the line, and it is called
-    with complex numbers at each evaluation: a run takes some hundred times as long. An
+    (`if`, a table, `np.linalg.solve`), a warning (`NotTracedWarning`) names the line, and it is
+    called with complex numbers at each evaluation: a run takes some hundred times as long. An
     `ExternalFunction` in it, such as a table with its derivative, is called by itself. `start` is
     called with complex ``self.b``. Any partial may be overridden by a formula of the user;
     `check_system` compares.
@@ -64,7 +64,7 @@ class FormulaSystem(ListedSystem):
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If a method returns another shape, if a method that is called with complex numbers does not
         accept them or drops an imaginary part, or if a weight is not positive.
     """
@@ -97,7 +97,7 @@ class FormulaSystem(ListedSystem):
         self.b = self.b * 1.0
         if self.b.shape != (self.n_b,):
             rule = f"must have shape ({self.n_b},)"
-            raise InvalidInput(f"{where}.b", rule, self.b.shape, "Name all in `design_names`.")
+            raise InvalidInputError(f"{where}.b", rule, self.b.shape, "Name all in `design_names`.")
         handed = _HANDED.get()
         if handed is not None and handed.kind is type(self):
             self._formulas = handed
@@ -110,13 +110,13 @@ class FormulaSystem(ListedSystem):
         self.weights = self.coordinate_weights()
         if not np.all(self.weights > 0):
             repair = "Override `coordinate_weights`."
-            raise InvalidInput(f"{where}.weights", "must be positive", self.weights, repair)
+            raise InvalidInputError(f"{where}.weights", "must be positive", self.weights, repair)
 
     def _trace(self) -> None:
         """Trace the formulas; those that need numbers are tried with complex ones."""
         kind, tracing = type(self), _TRACING.get()
         if kind in tracing:
-            raise InvalidInput(f"{kind.__name__}.with_values", *FORGOTTEN)
+            raise InvalidInputError(f"{kind.__name__}.with_values", *FORGOTTEN)
         token = _TRACING.set(tracing | {kind})
         try:
             self._formulas = Formulas(self)
@@ -130,12 +130,12 @@ class FormulaSystem(ListedSystem):
         )
         try:
             self._require_the_same()
-        except InvalidInput as error:
+        except InvalidInputError as error:
             if called:
                 error.add_note(message)
             raise
         if called:
-            warnings.warn(message, NotTraced, stacklevel=4)
+            warnings.warn(message, NotTracedWarning, stacklevel=4)
 
     # -- what a user writes ----------------------------------------------------------------------
 
@@ -192,7 +192,7 @@ class FormulaSystem(ListedSystem):
             known = np.isfinite(called)
             gap = np.max(np.abs(listed.reshape(called.shape) - called)[known], initial=0.0)
             if not gap <= _SAME * np.max(np.abs(called[known]), initial=0.0):
-                raise InvalidInput(
+                raise InvalidInputError(
                     where,
                     "must return values that follow from t, q, v and b alone",
                     f"other values for numbers than for symbols, by {gap:.1e}",
@@ -241,7 +241,7 @@ class FormulaSystem(ListedSystem):
                 continue  # It is not defined there.
             require_derivative(where, value, x, [np.ones(1), *changes])
 
-    def _found(self) -> Traits:
+    def _found(self) -> SystemProperties:
         """Return the traits with what the formulas show."""
         traits, depends = self.traits, self._formulas.depends
         linear = traits.linear_constraints or not depends(Formulas.constraint_q, 0, on="q")
@@ -290,7 +290,7 @@ class FormulaSystem(ListedSystem):
     def _force(self, t: float, q: Array, v: Array) -> Array:
         return self._values(Formulas.force, t=[t], q=q, v=v)[0]
 
-    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+    def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
         """Differentiate Q along a direction."""
         dt, dq, dv = direction
         return self._values(Formulas.force_along, t=[t], q=q, v=v, dt=[dt], dq=dq, dv=dv)[0]
@@ -352,6 +352,6 @@ def _size(x: Array) -> float:
     return float(np.max(np.abs(x), initial=0.0)) or 1.0
 
 
-def _csr(pattern: Pattern) -> Csr:
+def _csr(pattern: SparsityPattern) -> Csr:
     """Return the places of a pattern, with values of one."""
     return *pattern.places, np.ones(pattern.size)

@@ -29,13 +29,13 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations.complex_steps import FORGOTTEN
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import OperationList, list_values
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import FAILURES
 from ancfdae.numerics.external import Called
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 # A method of `Formulas` that returns numbers of the list of operations.
 Value: TypeAlias = Callable[..., tuple[Array, ...]]
@@ -97,10 +97,10 @@ def _arguments(inputs: str, parts: Sequence[Array]) -> list[Any]:
     return [x.item() if name == "t" else x for name, x in zip(inputs, parts, strict=False)]
 
 
-def wrong_shape(where: str, shape: tuple[int, ...], got: tuple[int, ...]) -> InvalidInput:
+def wrong_shape(where: str, shape: tuple[int, ...], got: tuple[int, ...]) -> InvalidInputError:
     """Return the error for a method that returns an array of another shape."""
     rule = f"must have shape {shape}"
-    return InvalidInput(where, rule, got, f"Return an array of the shape {shape}.")
+    return InvalidInputError(where, rule, got, f"Return an array of the shape {shape}.")
 
 
 class _List(NamedTuple):
@@ -138,12 +138,12 @@ class Formulas:
         b = Traced.array(operations, self._at["b"])
         try:
             moved, why = system.with_values(b), ""
-        except InvalidInput:
+        except InvalidInputError:
             raise
         except _FAILURES as error:
             moved, why = None, told(error)
         if not (why or np.array_equal(Traced.numbers(operations, moved.b), self._at["b"])):
-            raise InvalidInput(f"{self.kind.__name__}.with_values", *FORGOTTEN)
+            raise InvalidInputError(f"{self.kind.__name__}.with_values", *FORGOTTEN)
         self._M = self._traced_or_called(system, moved, why, "mass_matrix", "q", (n, n))
         self._Q = self._traced_or_called(system, moved, why, "force", "tqv", (n,))
         self._Phi = self._traced_or_called(system, moved, why, "position_constraint", "tq", (m,))
@@ -161,7 +161,7 @@ class Formulas:
             if why:
                 raise NotTraceable(why)
             numbers = Traced.numbers(operations, getattr(moved, name)(*given))
-        except InvalidInput:
+        except InvalidInputError:
             raise
         except _FAILURES as error:
             if not shape[0]:
@@ -212,20 +212,20 @@ class Formulas:
         return self._operations.calls(np.concatenate([x.ravel() for x in of(self, *which)]))
 
     @cached_property
-    def patterns(self) -> tuple[Pattern, Pattern]:
+    def patterns(self) -> tuple[SparsityPattern, SparsityPattern]:
         """Patterns of M with f_q and f_v, which is symmetric, and of Phi_q.
 
         Of few unknowns they are full, else the entries that are not zero in all states.
         """
         shapes = (self._M.shape, (len(self._Phi), len(self._M)))
         if sum(shapes[1]) <= _FULL:
-            full, of_Phi = (Pattern.full(shape) for shape in shapes)
+            full, of_Phi = (SparsityPattern.full(shape) for shape in shapes)
             return full, of_Phi
         zero, f = self._operations.constant(0.0), self._residual(True)
         found = (zero != self._M) | (self._by(f, "q") != zero) | (self._by(f, "v") != zero)
         found |= found.T | np.eye(len(found), dtype=bool)
         parts = zip(shapes, (found, self._jacobian != zero), strict=True)
-        of_M, of_Phi = (Pattern(shape, *np.nonzero(x)) for shape, x in parts)
+        of_M, of_Phi = (SparsityPattern(shape, *np.nonzero(x)) for shape, x in parts)
         return of_M, of_Phi
 
     # -- what is evaluated -----------------------------------------------------------------------

@@ -21,7 +21,8 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_count, require_function
+from ancfdae.errors.checks import require_count, require_function
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.circles import coefficient
 from ancfdae.numerics.complex_step import FAILURES
@@ -48,7 +49,7 @@ class ExternalFunction:
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If the function is not callable, or later, if it or its derivative returns another number of
         values, or if it comes without a derivative and refuses complex numbers.
     """
@@ -86,7 +87,7 @@ class ExternalFunction:
         found = np.asarray(self.derivative(*x))
         if found.size != (self.size or 1) * n:
             where, shape = _name(self.derivative), (self.size or 1, n)
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"{where}, derivative",
                 f"must return partials of shape {shape}",
                 found.shape,
@@ -116,7 +117,7 @@ class _Rows:
     def __call__(self, x: Array) -> Array:
         found = np.asarray(self.of.function(*x))
         if found.size != (self.of.size or 1):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"ExternalFunction({_name(self.of.function)})",
                 f"must return {self.of.size or 'one'} number(s), as `size` says",
                 found.shape,
@@ -210,7 +211,7 @@ class Called:
         symbols = Traced.array(operations, np.array(x))
         try:
             return np.asarray(self._external.partials(len(x), symbols), dtype=object)
-        except InvalidInput:
+        except InvalidInputError:
             raise
         except (NotTraceable, *FAILURES):
             called = self._symbols(operations, self._of_partials, x, [])
@@ -248,7 +249,7 @@ class Called:
                 *others, d = along
                 size = _size(x, d)
                 return scaled_derivative(lambda s: self._at(x + s * size * d, others)) / size
-            raise InvalidInput(
+            raise InvalidInputError(
                 str(getattr(self.function, "name", "a function that formulas call")),
                 "must accept complex numbers if it comes without derivatives",
                 f"{type(error).__name__}: {error}",

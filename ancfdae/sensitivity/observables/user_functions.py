@@ -10,7 +10,8 @@ from typing import ClassVar, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import InvalidInput, require_function, require_kind
+from ancfdae.errors.checks import require_function, require_kind
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import OperationList, list_values
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import FAILURES, require_derivative
@@ -33,7 +34,7 @@ def apply(function: Callable[..., Array], *observables: Observable) -> Observabl
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If the function mixes instants, fails on complex numbers, or its complex step disagrees
         with finite differences. It is tried on a few numbers now and on a few instants of every
         run that is differentiated.
@@ -41,7 +42,7 @@ def apply(function: Callable[..., Array], *observables: Observable) -> Observabl
     require_function("apply, function", function)
     name = getattr(function, "__name__", repr(function))
     if not observables or not all(isinstance(x, Observable) for x in observables):
-        raise InvalidInput(
+        raise InvalidInputError(
             f"apply({name})", "needs observables", observables, "Pass one or more, and no numbers."
         )
     checked = Function(name, function, edged=True, by_user=True)
@@ -193,7 +194,7 @@ def _traced(function: Callable[..., Array], n_q: int, n_lam: int, n_b: int) -> _
     try:
         value = np.asarray(function(t, q[None], v[None], lam[None], b))
         (output,) = Traced.numbers(operations, value).tolist()
-    except (NotTraceable, InvalidInput, *FAILURES):
+    except (NotTraceable, InvalidInputError, *FAILURES):
         return None
     partials = operations.partials(output)
     columns = tuple(

@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import EstimatedErrors, MechanicalSystem, PlannedSystem, Solution
+from ancfdae.equations import ErrorEstimates, MechanicalSystem, PlannedSystem, Solution
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import Estimate
@@ -33,7 +33,7 @@ class Sample(NamedTuple):
     """
 
     vectors: list[Array]
-    estimated: EstimatedErrors | None
+    estimated: ErrorEstimates | None
     steps: int
     result: object
     run: Solution

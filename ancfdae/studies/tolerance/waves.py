@@ -27,7 +27,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.errors import AncfdaeError
+from ancfdae.errors.kinds import AncfdaeError
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.states import States, states_of
 
