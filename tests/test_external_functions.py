@@ -12,7 +12,6 @@ from ancfdae import (
     HHT,
     Adjoint,
     DirectDifferentiation,
-    ExternalFunction,
     Radau,
     Terminal,
     check_system,
@@ -20,7 +19,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.errors import InvalidInputError, NotTracedWarning
-from ancfdae.extend import FormulaSystem
+from ancfdae.extend import ExternalFunction, FormulaSystem
 from ancfdae.kernels import list_values
 from ancfdae.numerics.operations import Operations, Traced
 from ancfdae.observables import custom
@@ -58,7 +57,7 @@ class Bead(FormulaSystem):
         return np.diag(np.array([1.0, 1.0, self.inertia(q[2])]))
 
     def force(self, t, q, v):
-        # The rotor keeps I(q) v^2 / 2, and has no part in the bead's motion but for the spring.
+        # The rotor keeps I(q) v^2 / 2, and does not act on the bead.
         spin = 0.5 * self.slope(q[2]) * v[2] ** 2
         pull = self.spring(q[0])
         return np.array([-pull - self.b[1] * v[0], -9.81 - self.b[1] * v[1], -spin])
@@ -106,7 +105,7 @@ def test_a_bead_on_a_measured_wire_moves_like_its_minimal_coordinate(method, tol
         slope = np.dot((1, -8, 8, -1), list(ends)) / 12e-3
         assert abs(slope) > 1e-3
         assert found.gradient[i] == pytest.approx(slope, abs=10 * tolerance)
-        # The gradient is that of the very call.
+        # Finite differences of the very call.
         ends = (gradient(Bead(system.b + s * step), END, 0.5, method).value for s in (1, -1))
         difference = np.subtract(*ends) / 2e-3
         assert found.gradient[i] == pytest.approx(difference, rel=1e-4)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 import ancfdae.integrators.radau.newton as radau_newton
 from ancfdae import (
@@ -378,6 +379,43 @@ def test_what_a_system_is_constant_in_is_found():
     assert not found.linear_constraints
     assert not found.velocity_forces
     assert not Swing().traits.linear_constraints or Swing.n_lam == 0
+
+
+class Sliding(SwingInSpace):
+    """Linear constraints with a constant, a design variable or time as their right side."""
+
+    side = staticmethod(lambda t, b: 0.3)
+
+    def start(self):
+        return np.stack([0.2, 0.1, 0.3 + 0 * self.b[0]]), np.zeros(3)
+
+    def position_constraint(self, t, q):
+        return np.array([q[0] + 2 * q[1] - 0.4, q[2] - self.side(t, self.b)])
+
+
+class SlidingInTime(Sliding):
+    side = staticmethod(lambda t, b: 0.3 + t**2)
+
+
+class SlidingByDesign(Sliding):
+    side = staticmethod(lambda t, b: 0.375 * b[0])
+
+    def start(self):
+        return np.stack([0.2, 0.1, 0.375 * self.b[0]]), np.zeros(3)
+
+
+def test_constraints_that_stay_are_found():
+    kinds = (Sliding, SlidingInTime, SlidingByDesign)
+    assert [x().traits.constant_constraints for x in kinds] == [True, False, False]
+    assert all(x().traits.linear_constraints for x in kinds)
+    # (x, y) slides down a line of slope -1/2: a tangential acceleration of g/sqrt 5.
+    for kind in kinds[::2]:
+        for method in (HHT(2.0**-6), Radau(2.0**-5), DOP853(1e-9)):
+            run = differentiate(kind(), 0.5, method)
+            y = 0.1 - 9.81 / 5 * 0.5**2 / 2
+            np.testing.assert_allclose(run.q[-1], [0.4 - 2 * y, y, 0.3], rtol=1e-9)
+            exact = [0, 0, 0.375 * (kind is SlidingByDesign)]
+            np.testing.assert_allclose(run.sensitivities.q_b[-1][:, 0], exact, atol=1e-10)
 
 
 def test_formulas_run_once():
@@ -761,6 +799,45 @@ def test_a_long_chain_marches_on_its_sparse_pattern(monkeypatch):
     assert pair[0].gradient[1] == pytest.approx(np.subtract(*ends) / 2e-3, rel=1e-4)
 
 
+class Coupled(Chain):
+    """Masses without rods that pull one another, each pair in one way alone."""
+
+    n_q, n_lam = 70, 0
+
+    def start(self):
+        return np.cos(np.arange(70.0)), np.zeros(70)
+
+    def mass_matrix(self, q):
+        M = np.diag(2.0 + 0 * q)
+        M[0, 9] = M[9, 0] = 0.5
+        return M
+
+    def force(self, t, q, v):
+        Q = -q
+        Q[3] -= 0.3 * q[20]
+        Q[4] -= 0.2 * v[30]
+        return Q
+
+    def position_constraint(self, t, q):
+        return []
+
+
+def test_patterns_hold_what_couples_and_nothing_else():
+    system = Coupled()
+    pairs = set(zip(system.pattern.rows.tolist(), system.pattern.columns.tolist(), strict=True))
+    coupled = {(0, 9), (3, 20), (4, 30)}
+    assert pairs == {(i, i) for i in range(70)} | coupled | {(j, i) for i, j in coupled}
+    # Closed form: q'' = -A q - B q' is linear with constant matrices.
+    A, B, M = np.eye(70), np.zeros((70, 70)), 2 * np.eye(70)
+    A[3, 20], B[4, 30] = 0.3, 0.2
+    M[0, 9] = M[9, 0] = 0.5
+    top = np.concatenate([np.zeros((70, 70)), np.eye(70)], axis=1)
+    below = np.concatenate([-np.linalg.solve(M, A), -np.linalg.solve(M, B)], axis=1)
+    exact = (expm(np.concatenate([top, below])) @ np.append(*system.start()))[:70]
+    for method in (Radau(2.0**-4), DOP853(1e-9)):
+        np.testing.assert_allclose(simulate(system, 1.0, method).q[-1], exact, atol=1e-7)
+
+
 # ---- observables -------------------------------------------------------------------------------
 
 
@@ -955,3 +1032,39 @@ def test_plans_of_lists_that_do_not_fit_are_refused(field):
     # What needs a scene does not take lists.
     with pytest.raises(ValueError, match="only march"):
         model.rest((), (), (), rules)
+
+
+CALL, RESULT = 19, 20
+
+
+def doubled(rows):
+    return 2.0 * rows[:, :1]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"calls": [1, 1, 3, 3]}, "list of operations"),
+        ({"calls": [1, 1, 0, 2]}, "list of operations"),
+        ({"calls": [1, 1, 0, 4]}, "list of operations"),
+        ({"calls": [1, 9, 0, 3]}, "list of operations"),
+        ({"calls": [-1, 1, 0, 3]}, "list of operations"),
+        ({"calls": []}, "list of operations"),
+        ({"a": [7, 2]}, "list of operations"),
+        ({"a": [0, 3]}, "list of operations"),
+        ({"b": [1, 2]}, "list of operations"),
+        ({"op": [CALL, 0]}, "list of operations"),
+        ({"functions": (lambda rows: rows[:2],)}, "another shape"),
+        ({"functions": (lambda rows: None,)}, "missing"),
+    ],
+)
+def test_calls_of_lists_that_do_not_fit_are_refused(change, told):
+    given = {"op": [CALL, RESULT], "a": [0, 2], "b": [0, 2], "to": [3], "calls": [1, 1, 0, 3]}
+
+    def values(functions=(doubled,), **changed):
+        indices = [np.array(x, np.int32) for x in (given | changed).values()]
+        return list_values(OperationList(2, np.zeros(0), *indices, functions), np.ones((19, 2)))
+
+    np.testing.assert_array_equal(values(), 2.0)
+    with pytest.raises(ValueError, match=told):
+        values(**change)

@@ -54,8 +54,8 @@ class FormulaSystem(ListedSystem):
     called with complex ``self.b``. Any partial may be overridden by a formula of the user;
     `check_system` compares.
 
-    Whether M is constant, Phi linear and Q independent of v is found from the formulas and added
-    to `traits`.
+    Whether M is constant, Phi linear, and the same at all times and designs, and Q independent of v
+    is found from the formulas and added to `traits`.
 
     Parameters
     ----------
@@ -245,10 +245,12 @@ class FormulaSystem(ListedSystem):
         """Return the traits with what the formulas show."""
         traits, depends = self.traits, self._formulas.depends
         linear = traits.linear_constraints or not depends(Formulas.constraint_q, 0, on="q")
+        moved = any(depends(Formulas.constraint, 0, on=x) for x in "tb")
         return replace(
             traits,
             constant_mass=traits.constant_mass or not depends(Formulas.mass, on="q"),
             linear_constraints=linear,
+            constant_constraints=traits.constant_constraints or (linear and not moved),
             velocity_forces=traits.velocity_forces and depends(Formulas.force, on="v"),
         )
 
@@ -278,7 +280,7 @@ class FormulaSystem(ListedSystem):
         return ListPlan(self._formulas.march(velocity), self.b, *weights, B, K, velocity)
 
     def mass(self, q: Array) -> Array:
-        """Return the entries of M on its pattern."""
+        """Return the entries of M on its pattern, shape (nnz,)."""
         return self._values(Formulas.mass, q=q)[0]
 
     def mass_along(self, q: Array, dq: Array) -> Array:

@@ -41,7 +41,7 @@ from ancfdae.numerics.patterns import SparsityPattern
 Value: TypeAlias = Callable[..., tuple[Array, ...]]
 # What ends a trace.
 _FAILURES = (NotTraceable, *FAILURES)
-# Up to so many unknowns matrices are full.
+# Matrices of at most _FULL unknowns are full.
 _FULL = 64
 # What a motion consists of: each is the rate of the one before.
 _MOTION = ("q", "v", "a", "j")
@@ -75,10 +75,10 @@ class _Method:
         self.name = f"{type(system).__name__}.{name}"
         sizes = {"t": 1, "q": system.n_q, "v": system.n_q, "b": system.n_b}
         self._inputs, self._ends = inputs, np.cumsum([sizes[x] for x in inputs])
-        self._at: tuple[bytes, Any] = b"", None
+        self._at: tuple[bytes | None, Any] = None, None
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_at": (b"", None)}
+        return vars(self) | {"_at": (None, None)}
 
     def __call__(self, x: Array) -> Array:
         *given, b = np.split(x.copy(), self._ends[:-1])
@@ -93,7 +93,7 @@ class _Method:
 
 
 def _arguments(inputs: str, parts: Sequence[Array]) -> list[Any]:
-    """Return what a method takes: t is a number."""
+    """Return the arguments of a method, in which t is a number."""
     return [x.item() if name == "t" else x for name, x in zip(inputs, parts, strict=False)]
 
 
@@ -151,7 +151,10 @@ class Formulas:
     def _traced_or_called(
         self, system: Any, moved: Any, why: str, name: str, inputs: str, shape: tuple[int, ...]
     ) -> Array:
-        """Return numbers of a value, which is a call if it, or all as `why` says, has no trace."""
+        """Return numbers of a value, of the given shape; of a call if it cannot be traced.
+
+        `why` says that nothing can, or is empty.
+        """
         operations, where = self._operations, f"{self.kind.__name__}.{name}"
         given = _arguments(inputs, [Traced.array(operations, self._at[x]) for x in inputs])
         try:
@@ -303,7 +306,7 @@ class Formulas:
         return self._operations.compiled(flat, numbers)
 
     def _residual(self, forces: bool) -> Array:
-        """M a + Phi_q^T lam - Q, or without Q."""
+        """Return M a + Phi_q^T lam - Q, or without Q, shape (n_q,)."""
         key = "residual", int(forces)
         if key in self._made:
             return self._made[key]
@@ -322,7 +325,7 @@ class Formulas:
         return self._by(self._Phi, "q")
 
     def _on(self, which: int, matrix: Array) -> Array:
-        """Return the entries of a matrix on one of the patterns."""
+        """Return the entries of a matrix on one of the patterns, shape (nnz,)."""
         pattern = self.patterns[which]
         return matrix[pattern.rows, pattern.columns]
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 
-# Points of a circle, and those of its upper half: f(conj z) = conj f(z).
+# Points of a circle, and the upper half of them: f(conj z) = conj f(z).
 _POINTS = 16
 _UPPER = np.exp(2j * np.pi * np.arange(_POINTS // 2 + 1) / _POINTS)
 # First radius, for functions that vary over arguments of the order of one; the factor between
@@ -23,9 +23,9 @@ _SMALL = 1e-7
 
 
 def coefficient(f: Callable[[complex], Array], order: int) -> Array:
-    """Return f^(r)(0) / r! of a function that is real at real numbers, up to r = 4.
+    """Return f^(r)(0) / r!, of the shape of f, for a function that is real at real numbers; r <= 4.
 
-    Where f is analytic on none of the circles tried, that of the smallest middle coefficient.
+    If f is analytic on no circle tried, the circle with the smallest middle coefficient is taken.
     """
     best, error, least, radius = np.zeros(()), np.array(np.inf), np.inf, _RADIUS
     with np.errstate(all="ignore"):

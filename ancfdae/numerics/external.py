@@ -47,17 +47,11 @@ class ExternalFunction:
     size : int, optional
         Length of the array that the function returns; by default it returns a number.
 
-    Examples
-    --------
-    A force from a table, by a spline of SciPy:
-
-    >>> import numpy as np
-    >>> from ancfdae import ExternalFunction
-    >>> from scipy.interpolate import CubicSpline
-    >>> s = CubicSpline(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9) ** 3)
-    >>> pull = ExternalFunction(s, ExternalFunction(s.derivative(), s.derivative(2)))
-    >>> round(float(pull(0.5)), 12)
-    0.125
+    Raises
+    ------
+    InvalidInputError
+        If the function is not callable, or later, if it or its derivative returns another number of
+        values, or if it comes without a derivative and refuses complex numbers.
     """
 
     def __init__(
@@ -230,7 +224,7 @@ class Called:
     # -- as numbers ------------------------------------------------------------------------------
 
     def __call__(self, rows: Array) -> Array:
-        """Return the values of rows, real or complex."""
+        """Return the values of rows, real or complex, shape (k, size)."""
         values = np.empty((len(rows), self.size), dtype=rows.dtype)
         for value, row in zip(values, rows, strict=True):
             x, *along = self._parts(row)
@@ -263,7 +257,7 @@ class Called:
             ) from error
 
     def _on_circles(self, x: Array, along: list[Array]) -> Array:
-        """Return a derivative along r directions from those along their sums and differences.
+        """Return a derivative along r directions by their sums and differences, shape (size,).
 
         The part of f that is linear in each direction is the mean of s_2 ... s_r c_r over all signs
         s, where c_r is the coefficient of z^r in f(x + z (d_1 + s_2 d_2 + ... + s_r d_r)).
@@ -282,7 +276,7 @@ class Called:
         return self.function(x + z * d)
 
     def _perturbed(self, x: Array, along: list[Array]) -> Array:
-        """Return the value at complex numbers, whose imaginary parts are perturbations."""
+        """Return the value at complex numbers with perturbations as imaginary parts, (size,)."""
         real, *directions = (y.real for y in (x, *along))
         value = self._at(real, directions)
         if self._by_partials:

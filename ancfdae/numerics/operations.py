@@ -45,7 +45,7 @@ class Callee(Protocol):
         """How many numbers it returns."""
 
     def __call__(self, rows: Array, /) -> Array:
-        """Return the values of rows of inputs."""
+        """Return the values of rows of inputs, shape (k, size)."""
 
     def rates(
         self, operations: Operations, numbers: Sequence[int], rates: Mapping[int, int]
