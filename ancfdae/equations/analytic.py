@@ -1,7 +1,7 @@
 """Check that functions of a user are analytic, as complex steps need."""
 
 import warnings
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -48,6 +48,27 @@ def require_analytic(system: MechanicalSystem, names: Collection[str]) -> None:
                 raise _unsafe(where, "a complex step that differs from the finite difference")
 
 
+def require_analytic_at(
+    system: MechanicalSystem,
+    names: Collection[str],
+    states: Iterable[tuple[float, Array, Array]],
+) -> None:
+    """Compare complex steps of methods with differences at states (t, q, v).
+
+    InvalidInputError, which names the time, if one differs.
+    """
+    for t, q, v in states:
+        for name, along, _ in _probes_at(system, t, q.astype(complex), v.astype(complex)):
+            if name not in names:
+                continue
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore", np.exceptions.ComplexWarning)
+                agreed = _agrees(along, np.asarray(along(0.0)), np.asarray(along(1j * STEP)))
+            if not agreed:
+                where, got = f"{type(system).__name__}.{name}", "a complex step that differs from"
+                raise _unsafe(where, f"{got} the finite difference at t = {t:.6g} s of the run")
+
+
 def _agrees(along: Callable[[complex], Array], value: Array, moved: Array) -> bool:
     """Whether the complex step is the finite difference, entry by entry.
 
@@ -72,17 +93,29 @@ def _probes(
     system: MechanicalSystem, away: float
 ) -> list[tuple[str, Callable[[complex], Array], tuple[int, ...]]]:
     """Names, functions of a number that moves all arguments at once, and shapes."""
-    n_q, n_b = system.n_q, system.n_b
     q, v = (np.asarray(x, dtype=complex) for x in _start(system))
-    # Not at the start, where velocities may be zero; no two directions alike.
-    dq, dv = np.cos(np.arange(1.0, n_q + 1)), np.sin(np.arange(2.0, n_q + 2))
-    dq, dv = dq * (np.max(np.abs(q)) or 1.0), dv * (np.max(np.abs(v)) or 1.0)
+    # Not at the start, where velocities may be zero.
+    dq, dv = _directions(q, v)
+    return _probes_at(system, 0.01, q + away * dq, v + away * dv)
+
+
+def _directions(q: Array, v: Array) -> tuple[Array, Array]:
+    """Return directions of the size of q and v, no two entries alike."""
+    n = np.arange(1.0, len(q) + 1)
+    return np.cos(n) * (np.max(np.abs(q)) or 1.0), np.sin(n + 1) * (np.max(np.abs(v)) or 1.0)
+
+
+def _probes_at(
+    system: MechanicalSystem, t: float, q: Array, v: Array
+) -> list[tuple[str, Callable[[complex], Array], tuple[int, ...]]]:
+    """As `_probes`, at a given state."""
+    n_q, n_b = system.n_q, system.n_b
+    dq, dv = _directions(q, v)
     b, db = system.b.astype(complex), np.where(system.b == 0, 1.0, system.b)
     db = db * np.cos(0.5 + np.arange(n_b))
-    q, v = q + away * dq, v + away * dv
 
     def at(s: complex) -> tuple[Any, Array, Array, complex]:
-        return at_values(system, b + s * db), q + s * dq, v + s * dv, 0.01 + s
+        return at_values(system, b + s * db), q + s * dq, v + s * dv, t + s
 
     def along(value: Callable[..., Array]) -> Callable[[complex], Array]:
         return lambda s: value(*at(s))

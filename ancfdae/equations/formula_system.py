@@ -22,7 +22,7 @@ from ancfdae.equations.complex_steps import FORGOTTEN
 from ancfdae.equations.formulas import Formulas, Value
 from ancfdae.equations.motion import StateDirection
 from ancfdae.equations.system import DesignPartials, Linearisation, ListedSystem, SystemProperties
-from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning
+from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning, StabilityWarning
 from ancfdae.kernels import Csr, ListPlan, OperationList
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.extrapolation import scaled_derivative
@@ -36,6 +36,9 @@ _TRACING: ContextVar[frozenset[type]] = ContextVar("_TRACING", default=frozenset
 _HANDED: ContextVar[Formulas | None] = ContextVar("_HANDED", default=None)
 # Largest difference between values of a list and of the functions, relative to the largest value.
 _SAME = 1e-9
+# Relative steps at which second differences over the step are compared: of a function with a
+# derivative they fall by more than the factor; what is below that round-off has one.
+_KINK_STEPS, _FALLING, _ROUND_OFF = (1e-5, 1e-8), 0.2, 1e-14
 
 
 class FormulaSystem(ListedSystem):
@@ -102,6 +105,8 @@ class FormulaSystem(ListedSystem):
             self._formulas = handed
         else:
             self._trace()
+            self._require_declared()
+        self.called_functions = tuple(self._formulas.called)
         self.traits = self._found()
         # In place of the method of the same name, which is the formula.
         vars(self)["force"] = self._force
@@ -122,6 +127,7 @@ class FormulaSystem(ListedSystem):
             _TRACING.reset(token)
         require_analytic(self, ["start"])
         self._require_the_same()
+        self._warn_of_kinks()
         called = self._formulas.called
         if not called:
             return
@@ -159,11 +165,8 @@ class FormulaSystem(ListedSystem):
 
         At the start alone Phi is round-off.
         """
-        (q, v), kind, n = self.start(), type(self), np.arange(1.0, self.n_q + 1)
-        shares = np.array([0.0, 1e-2, -1e-2])
-        Q = q + np.outer(shares, np.cos(n) * (np.max(np.abs(q), initial=0.0) or 1.0))
-        V = v + np.outer(shares, np.sin(n) * (np.max(np.abs(v), initial=0.0) or 1.0))
-        states = list(zip(shares.tolist(), Q, V, strict=True))
+        kind, (times, Q, V) = type(self), self._samples()
+        states = list(zip(times.tolist(), Q, V, strict=True))
         functions: dict[str, tuple[Value, tuple[int, ...], Callable[..., Any]]] = {
             "mass_matrix": (Formulas.mass, (), lambda t, x, u: self.mass_matrix(x)),
             "force": (Formulas.force, (), lambda t, x, u: kind.force(self, t, x, u)),
@@ -177,7 +180,7 @@ class FormulaSystem(ListedSystem):
             of, which, function = functions[name]
             with np.errstate(all="ignore"):
                 called = np.array([np.ravel(function(*state)) for state in states])
-            listed = self._values(of, *which, rows=len(Q), t=shares[:, None], q=Q, v=V)[0]
+            listed = self._values(of, *which, rows=len(Q), t=times[:, None], q=Q, v=V)[0]
             known = np.isfinite(called)
             gap = np.max(np.abs(listed.reshape(called.shape) - called)[known], initial=0.0)
             if not gap <= _SAME * np.max(np.abs(called[known]), initial=0.0):
@@ -186,6 +189,93 @@ class FormulaSystem(ListedSystem):
                     "must return values that follow from t, q, v and b alone",
                     f"other values for numbers than for symbols, by {gap:.1e}",
                     "Keep no state in the system, and convert no arguments.",
+                )
+
+    def _samples(self) -> tuple[Array, Array, Array]:
+        """Return times, coordinates and velocities of three states: the start, and two beside it.
+
+        Shapes (3,), (3, n_q) and (3, n_q).
+        """
+        (q, v), n = self.start(), np.arange(1.0, self.n_q + 1)
+        shares = np.array([0.0, 1e-2, -1e-2])
+        Q = q + np.outer(shares, np.cos(n) * (np.max(np.abs(q), initial=0.0) or 1.0))
+        V = v + np.outer(shares, np.sin(n) * (np.max(np.abs(v), initial=0.0) or 1.0))
+        return shares, Q, V
+
+    def _warn_of_kinks(self) -> None:
+        """Warn where a root vanishes at the start and leaves M, Q or Phi without a derivative.
+
+        Where f has a derivative, (f(s) - 2 f(0) + f(-s)) / s vanishes with s; |s| has 2 there.
+        """
+        formulas, (q, v) = self._formulas, self.start()
+        if not formulas.root_lines:
+            return
+        roots = self._values(Formulas.roots, t=[0.0], q=q, v=v)[0]
+        if not np.any(roots == 0):
+            return
+        n, steps = np.arange(1.0, self.n_q + 1), np.array(_KINK_STEPS)
+        s = np.concatenate([[0.0], steps, -steps])
+        Q = q + np.outer(s, np.cos(n) * (np.max(np.abs(q), initial=0.0) or 1.0))
+        V = v + np.outer(s, np.sin(n) * (np.max(np.abs(v), initial=0.0) or 1.0))
+        for name, of, which in (
+            ("mass_matrix", Formulas.mass, ()),
+            ("force", Formulas.force, ()),
+            ("position_constraint", Formulas.constraint, (0,)),
+        ):
+            if name in formulas.called:
+                continue
+            with np.errstate(all="ignore"):
+                f = self._values(of, *which, rows=len(s), t=s[:, None], q=Q, v=V)[0]
+            f = f.reshape(len(s), -1)
+            bends = np.max(np.abs(f[1:3] - 2 * f[0] + f[3:]), axis=1, initial=0.0) / steps
+            round_off = _ROUND_OFF * np.max(np.abs(f[0]), initial=0.0) / steps[1]
+            if not bends[1] <= max(_FALLING * bends[0], round_off):
+                lines = [x for x, z in zip(formulas.root_lines, roots, strict=True) if z == 0]
+                warnings.warn(
+                    f"{type(self).__name__}.{name} has no derivative at the start, where a root is "
+                    f"zero: {'; '.join(lines)}. Derivatives at that state take zero for that of "
+                    "the root, the mean of both sides. Write it smooth, for example "
+                    "sqrt(x @ x + eps**2) for the norm of x.",
+                    StabilityWarning,
+                    stacklevel=5,
+                )
+
+    def _require_declared(self) -> None:
+        """Refuse declared properties that values at the sample states contradict."""
+        traits, (times, Q, V) = self.traits, self._samples()
+        constant = traits.constant_constraints
+        other = self.with_values(self.b * 1.01 + 1e-3 * (self.b == 0)) if constant else self
+        states = list(zip(times.tolist(), Q, V, strict=True))
+        declared: list[tuple[bool, str, str, Callable[[], list[Array]]]] = [
+            (traits.constant_mass, "constant_mass=True", "M changes with q", lambda: [
+                self.mass(x) for x in Q
+            ]),
+            (traits.linear_constraints or constant, "linear_constraints=True",
+             "Phi_q changes with q", lambda: [self.constraint_q(0.0, x) for x in Q]),
+            (constant, "constant_constraints=True", "Phi_q changes with t, q or b", lambda: [
+                *(self.constraint_q(t, x) for t, x, _ in states), other.constraint_q(0.0, Q[0])
+            ]),
+            (constant, "constant_constraints=True", "dPhi/dt at v = 0 is not zero", lambda: [
+                np.ones(self.n_lam), *(1 + self.constraint(t, x, 0 * x) for t, x, _ in states)
+            ]),
+            (not traits.velocity_forces, "velocity_forces=False", "Q changes with v", lambda: [
+                self._force(0.0, Q[0], x) for x in V
+            ]),
+        ]  # fmt: skip
+        for claimed, what, contradiction, values in declared:
+            if not claimed:
+                continue
+            with np.errstate(all="ignore"):
+                first, *others = values()
+                sizes = [np.max(np.abs(x)[np.isfinite(x)], initial=0.0) for x in (first, *others)]
+                changes = [(x - first)[np.isfinite(x - first)] for x in others]
+            most = max(np.max(np.abs(x), initial=0.0) for x in changes)
+            if most > _SAME * max(sizes):
+                raise InvalidInputError(
+                    f"{type(self).__name__}.traits, {what}",
+                    "must hold for the formulas",
+                    f"formulas for which {contradiction}, by {most:.1e}",
+                    "Remove the declaration: what holds is found from the formulas.",
                 )
 
     def _found(self) -> SystemProperties:

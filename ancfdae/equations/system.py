@@ -144,6 +144,8 @@ class MechanicalSystem(ComplexSteps):
     #: Components of a vector: every `vector_size` coordinates in a row are those of one vector in
     #: space, and tolerances of a step are relative to its size. One where there are no vectors.
     vector_size: int = 1
+    #: Names of functions of a user that are called with complex numbers at each evaluation.
+    called_functions: tuple[str, ...] = ()
 
     @cached_property
     def pattern(self) -> SparsityPattern:

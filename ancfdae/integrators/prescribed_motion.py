@@ -141,6 +141,25 @@ class Branch:
         return changed
 
 
+def singular_position(system: MechanicalSystem, rows: Rows) -> float | None:
+    """Return the first time at which Phi_q loses rank between rows; None if it keeps its rank.
+
+    A step that changes Phi_q much is followed along the cubic through its ends: it ends early only
+    where parts of 1e-9 of the step still change Phi_q by more than itself.
+    """
+    branch, last = Branch(system), len(rows.t) - 1
+    for first in range(0, last, _MOST_ROWS):
+        block = Rows(*(x[first : first + _MOST_ROWS + 1] for x in rows))
+        for k in np.flatnonzero(branch._changed(block)):
+            step = Rows(*(x[k : k + 2] for x in block))
+            t, end = step.t.tolist()
+            q = closed(system, t, step.q[0])
+            reached, _ = followed(system, t, q, end, _cubic(step))
+            if reached < end:
+                return reached
+    return None
+
+
 def half_a_turn_off(system: MechanicalSystem, begin: float, t: Array, q: Array) -> str:
     """Return in words that a step from `begin`, with these instants, left the root of a drive."""
     found = system.off_root(t, q)
