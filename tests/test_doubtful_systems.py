@@ -6,6 +6,7 @@ References are runs of SciPy's DOP853 in minimal coordinates, and their differen
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 
 from ancfdae import (
     DOP853,
@@ -19,9 +20,11 @@ from ancfdae import (
     Integral,
     Radau,
     Responses,
+    RigidBody,
     check_system,
     differentiate,
     gradient,
+    modes,
 )
 from ancfdae.errors import (
     InconsistentStartError,
@@ -31,6 +34,7 @@ from ancfdae.errors import (
     StabilityWarning,
 )
 from ancfdae.extend import FormulaSystem, SystemProperties
+from ancfdae.modes.precise import NoModes
 from ancfdae.observables import custom
 
 FIRST = Integral(custom(lambda t, q, v, lam, b: q[:, 0]))
@@ -434,3 +438,74 @@ def test_declarations_that_hold_are_taken_and_moving_constraints_are_not_constan
     assert Round().traits.constant_mass
     with pytest.raises(InvalidInputError, match="dPhi/dt at v = 0 is not zero"):
         Moving()
+
+
+# ---- tables, modes and points ------------------------------------------------------------------
+
+
+class Pushed(Plain):
+    """A force that is a table of time, as docs/own-systems.md writes it."""
+
+    knots = np.linspace(0.0, 1.0, 6)
+    pieces = CubicSpline(knots, [0.0, 0.3, 0.8, 0.9, 0.4, 0.0])
+    traits = SystemProperties(breakpoints=tuple(knots[1:-1]))
+
+    def table(self, t):
+        k = np.clip(np.searchsorted(self.knots, np.real(t)) - 1, 0, len(self.knots) - 2)
+        return np.polyval(self.pieces.c[:, k], t - self.knots[k])
+
+    def force(self, t, q, v):
+        return -self.b[0] * q - self.b[1] * self.table(t) * np.array([1.0, 2.0])
+
+
+def test_a_table_is_a_spline_whose_pieces_take_complex_numbers():
+    def value(b):
+        def rate(t, y):
+            push = b[1] * Pushed.pieces(t) * np.array([1.0, 2.0])
+            return [*y[2:4], *(-b[0] * y[:2] - push), y[0]]
+
+        start = [0.7, -0.4, 0.0, 0.0, 0.0]
+        return solve_ivp(rate, (0, 1), start, rtol=1e-11, atol=1e-12, max_step=0.02).y[-1, -1]
+
+    with pytest.warns(NotTracedWarning):
+        system = Pushed()
+    found = gradient(system, FIRST, 1.0, Radau(2**-5), method=Adjoint()).gradient
+    assert found == pytest.approx(differences(value, np.array([3.0, 0.2])), rel=1e-5)
+
+
+class Linear(Plain):
+    """q'' + D q' + k K q = 0."""
+
+    D, K = np.zeros((2, 2)), np.eye(2)
+
+    def start(self):
+        return np.zeros(2) + 0 * self.b[0], np.zeros(2) + 0 * self.b[0]
+
+    def force(self, t, q, v):
+        return -self.b[0] / 3.0 * (self.K @ q) - self.D @ v
+
+
+class Gyroscope(Linear):
+    """At the speed at which it just stands: +-i are double roots with one shape."""
+
+    D, K = np.array([[0.0, 2.0], [-2.0, 0.0]]), -np.eye(2)
+
+
+class Follower(Linear):
+    """At the boundary of flutter: one double root of K, with one shape."""
+
+    K = np.array([[3.0, -1.0], [1.0, 1.0]])
+
+
+@pytest.mark.parametrize("kind", [Gyroscope, Follower])
+def test_double_roots_of_a_system_without_beams_are_told_without_beams(kind):
+    with pytest.raises(NoModes, match="a millionth of itself") as caught:
+        modes(kind(), 2)
+    for word in ("element", "thick", "creep", "pivot"):
+        assert word not in str(caught.value)
+
+
+def test_points_of_rigid_bodies_take_their_coordinates_one_by_one():
+    body = RigidBody("wheel", (0.0, 0.0, 0.0), mass=1.0, inertia=(0.4, 0.5, 0.6))
+    with pytest.raises(InvalidInputError, match=r"one by one; got \(0, 0, 0\)"):
+        body.at((0, 0, 0))
