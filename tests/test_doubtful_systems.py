@@ -507,5 +507,5 @@ def test_double_roots_of_a_system_without_beams_are_told_without_beams(kind):
 
 def test_points_of_rigid_bodies_take_their_coordinates_one_by_one():
     body = RigidBody("wheel", (0.0, 0.0, 0.0), mass=1.0, inertia=(0.4, 0.5, 0.6))
-    with pytest.raises(InvalidInputError, match=r"one by one; got \(0, 0, 0\)"):
+    with pytest.raises(InvalidInputError, match=r"given one by one; got \(0, 0, 0\)"):
         body.at((0, 0, 0))

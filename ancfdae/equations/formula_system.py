@@ -233,8 +233,8 @@ class FormulaSystem(ListedSystem):
                 lines = [x for x, z in zip(formulas.root_lines, roots, strict=True) if z == 0]
                 warnings.warn(
                     f"{type(self).__name__}.{name} has no derivative at the start, where a root is "
-                    f"zero: {'; '.join(lines)}. Derivatives at that state take zero for that of "
-                    "the root, the mean of both sides. Write it smooth, for example "
+                    f"zero: {'; '.join(lines)}. There the derivative of the root is taken as "
+                    "zero, the mean of both sides. Write it smooth, for example "
                     "sqrt(x @ x + eps**2) for the norm of x.",
                     StabilityWarning,
                     stacklevel=5,

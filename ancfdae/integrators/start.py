@@ -122,8 +122,8 @@ def _refuse_inconsistent_derivatives(
 ) -> None:
     """Refuse a start that satisfies its constraints at this design only.
 
-    Its derivatives miss Phi_q q_b + Phi_b = 0, or that of the velocities, by what projection
-    changes. Both are measured in the norm of the weights, against the larger of the two and the
+    Its derivatives miss Phi_q q_b + Phi_b = 0, or the same of velocities, by the change that
+    projection makes. Both are measured in the norm of the weights, against the larger of the two and the
     size of the motion per relative change of the variable. Scenes, which close their joints, write
     their own derivatives and are not asked.
     """

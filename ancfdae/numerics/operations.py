@@ -34,7 +34,7 @@ _CODES: dict[Any, int] = {
 # Whole exponents up to this are written as products: a complex step through `power` would lose its
 # imaginary part at negative numbers.
 _PRODUCTS = 64
-# Added to a root, and to what is raised to a negative power, in derivatives: 0/0 becomes 0, and
+# Added to a root, and to the base of a negative power, in derivatives: 0/0 becomes 0, and
 # numbers above 1e-134 (1e-184) stay as they are. The derivative of |v| v at v = 0 is then 0.
 _ROOT, _RAISED = 1e-150, 1e-200
 # Folders whose lines are not a user's.
