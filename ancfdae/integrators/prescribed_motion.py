@@ -49,7 +49,7 @@ _MIRRORED = (
 # least, and at most.
 _ROWS, _MOST_ROWS = 4, 128
 # Rows of a run, at least, that are searched for singular positions, and the largest stride.
-_FEW, _MOST_STRIDE = 128, 8
+_FEW, _MOST_STRIDE = 64, 16
 # Entries of matrices n_lam x n_lam that take as long as the calls that compute with them.
 _NUMBERS = 10_000
 
@@ -147,8 +147,9 @@ def singular_position(system: MechanicalSystem, rows: Rows) -> float | None:
     """Return the first time at which Phi_q loses rank between rows; None if it keeps its rank.
 
     A step that changes Phi_q much is followed along the cubic through its ends: it ends early only
-    where parts of 1e-9 of the step still change Phi_q by more than itself. Of long runs every
-    eighth row is seen first: a rank that is lost between two of them turns a row of Phi_q round.
+    where parts of 1e-9 of the step still change Phi_q by more than itself. In long runs the
+    search begins with every 16th row: a rank that is lost between two of these turns a row of
+    Phi_q round.
     """
     last = len(rows.t) - 1
     stride = min(max(last // _FEW, 1), _MOST_STRIDE)
