@@ -123,9 +123,9 @@ def _refuse_inconsistent_derivatives(
     """Refuse a start that satisfies its constraints at this design only.
 
     Its derivatives miss Phi_q q_b + Phi_b = 0, or the same of velocities, by the change that
-    projection makes. Both are measured in the norm of the weights, against the larger of the two and the
-    size of the motion per relative change of the variable. Scenes, which close their joints, write
-    their own derivatives and are not asked.
+    projection makes. Both are measured in the norm of the weights, against the larger of the two
+    and the size of the motion per relative change of the variable. Scenes, which close their
+    joints, write their own derivatives and are not asked.
     """
     if system.traits.project_start or not system.n_lam:
         return
@@ -138,14 +138,13 @@ def _refuse_inconsistent_derivatives(
     ):
         for j, name in enumerate(system.design_names):
             gap = norm(moved[:, j] - declared[:, j], w)
-            least = _CONSISTENT * size / b[j]
-            if gap > _SAME_RATE * max(norm(declared[:, j], w), norm(moved[:, j], w)) + least:
+            larger = max(norm(declared[:, j], w), norm(moved[:, j], w))
+            if gap > _SAME_RATE * larger + _CONSISTENT * size / b[j]:
                 raise InconsistentStartError(
                     f"start, design variable {name!r}",
                     f"the {what} must satisfy the constraints at every design",
-                    f"a derivative with respect to {name!r} that violates theirs, by "
-                    f"{gap / norm(moved[:, j], w) if norm(moved[:, j], w) else 1.0:.1e} of its "
-                    "consistent value",
+                    f"a derivative with respect to {name!r} that misses theirs by "
+                    f"{gap / larger:.1e} of itself",
                     _REPAIR,
                 )
 

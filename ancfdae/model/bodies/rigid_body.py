@@ -204,8 +204,9 @@ class RigidBody(Placed, Designable):
     def at(self, x: float, y: float = 0.0, z: float = 0.0) -> MaterialPoint:
         """Return the point with coordinates x, y and z, one by one, in the axes of the body; m."""
         if np.ndim(x):
-            where, rule = f"point of {self.name!r}", "coordinates x, y and z must be given one by one"
-            raise InvalidInputError(where, rule, x, "For example body.at(0.1, 0.0, 0.2).")
+            rule = "coordinates x, y and z must be given one by one"
+            repair = "For example body.at(0.1, 0.0, 0.2)."
+            raise InvalidInputError(f"point of {self.name!r}", rule, x, repair)
         return MaterialPoint(self.name, x=x, y=y, z=z)
 
     def directions(self) -> Array:
