@@ -35,6 +35,7 @@ _UNDETERMINED = frozenset(
         "mirrored",
         "off_root",
         "over_time",
+        "require_derivatives_at",
         "strained",
         "stress_force",
         "turn_rate",

@@ -21,7 +21,7 @@ from ancfdae.equations.complex_steps import FORGOTTEN, at_values
 from ancfdae.equations.formulas import Formulas, Value, bare, is_bare, wrong_shape
 from ancfdae.equations.motion import StateDirection
 from ancfdae.equations.system import DesignPartials, Linearisation, ListedSystem, SystemProperties
-from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning
+from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning, StabilityWarning
 from ancfdae.kernels import Csr, ListPlan, OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import require_derivative
@@ -38,6 +38,15 @@ _HANDED: ContextVar[Formulas | None] = ContextVar("_HANDED", default=None)
 _BESIDE, _BEYOND = 1e-2, (0.4, -0.4)
 # Largest difference between values of a list and of the functions, relative to the largest value.
 _SAME = 1e-9
+# Relative steps at which second differences over the step are compared: of a function with a
+# derivative they fall by more than the factor; what is below that round-off has one.
+_KINK_STEPS, _FALLING, _ROUND_OFF = (1e-5, 1e-8), 0.2, 1e-14
+# The formulas of a user, and what they are among `Formulas`.
+_FORMULAS: tuple[tuple[str, Value, tuple[int, ...]], ...] = (
+    ("mass_matrix", Formulas.mass, ()),
+    ("force", Formulas.force, ()),
+    ("position_constraint", Formulas.constraint, (0,)),
+)
 
 
 class FormulaSystem(ListedSystem):
@@ -104,6 +113,9 @@ class FormulaSystem(ListedSystem):
         else:
             self._trace()
         self.pattern, self.constraint_pattern = self._formulas.patterns
+        if self._formulas is not handed:
+            self._require_declared()
+        self.called_functions = tuple(self._formulas.called)
         self.traits = self._found()
         # In place of the method of the same name, which is the formula.
         vars(self)["force"] = self._force
@@ -134,6 +146,7 @@ class FormulaSystem(ListedSystem):
             if called:
                 error.add_note(message)
             raise
+        self._warn_of_kinks()
         if called:
             warnings.warn(message, NotTracedWarning, stacklevel=4)
 
@@ -159,14 +172,11 @@ class FormulaSystem(ListedSystem):
 
         At the start and beside it; at the start alone Phi is round-off.
         """
-        q, v = self._declared_start()
-        kind, n, of_M = type(self), np.arange(1.0, self.n_q + 1), self._formulas.patterns[0]
+        (q, v), (times, Q, V) = self._declared_start(), self._samples()
+        kind, of_M = type(self), self._formulas.patterns[0]
         on = of_M.rows, of_M.columns
-        shares = np.array([0.0, 1e-2, -1e-2])
-        dq, dv = np.cos(n) * _size(q), np.sin(n) * _size(v)
-        Q, V = q + np.outer(shares, dq), v + np.outer(shares, dv)
-        states = list(zip(shares.tolist(), Q, V, strict=True))
-        db = np.where(self.b == 0, 1.0, self.b.real) * np.cos(0.5 + np.arange(self.n_b))
+        states = list(zip(times.tolist(), Q, V, strict=True))
+        changes = self._changes(q, v)
         functions: dict[str, tuple[Value, tuple[int, ...], Callable[..., Any]]] = {
             "mass_matrix": (
                 Formulas.mass,
@@ -183,12 +193,12 @@ class FormulaSystem(ListedSystem):
         for name, (of, which, function) in functions.items():
             where = f"{kind.__name__}.{name}"
             if self._formulas.calls(of, *which):
-                self._require_derivatives(where, of, which, (q, v), (dq, dv, db))
+                self._require_derivatives(where, of, which, (q, v), changes)
             if name in self._formulas.called:
                 continue
             with np.errstate(all="ignore"):
                 called = np.array([np.ravel(function(*state)) for state in states])
-            listed = self._values(of, *which, rows=len(Q), t=shares[:, None], q=Q, v=V)[0]
+            listed = self._values(of, *which, rows=len(Q), t=times[:, None], q=Q, v=V)[0]
             known = np.isfinite(called)
             gap = np.max(np.abs(listed.reshape(called.shape) - called)[known], initial=0.0)
             if not gap <= _SAME * np.max(np.abs(called[known]), initial=0.0):
@@ -208,7 +218,7 @@ class FormulaSystem(ListedSystem):
                 raise wrong_shape(where, shape, x.shape)
         if self.n_b:
             b = self.b.real
-            db = np.where(b == 0, 1.0, b) * np.cos(0.5 + np.arange(self.n_b))
+            *_, db = self._changes(q.real, v.real)
 
             def start(b: Array) -> Array:
                 with bare():
@@ -240,6 +250,112 @@ class FormulaSystem(ListedSystem):
                     raise
                 continue  # It is not defined there.
             require_derivative(where, value, x, [np.ones(1), *changes])
+
+    def require_derivatives_at(self, t: float, q: Array, v: Array) -> None:
+        """Refuse called functions whose complex steps at a state are not their derivatives."""
+        changes = self._changes(q, v)
+        for name, of, which in _FORMULAS:
+            if self._formulas.calls(of, *which):
+
+                def value(
+                    t: Array,
+                    q: Array,
+                    v: Array,
+                    b: Array,
+                    of: Value = of,
+                    which: tuple[int, ...] = which,
+                ) -> Array:
+                    return self._formulas.values(of, *which, t=t, q=q, v=v, b=b)[0].ravel()
+
+                where = f"{type(self).__name__}.{name}, at t = {t:.6g} s of the run"
+                x = np.array([t]), q, v, self.b.real
+                require_derivative(where, value, x, [np.ones(1), *changes])
+
+    def _samples(self) -> tuple[Array, Array, Array]:
+        """Return times, coordinates and velocities of three states: the start, and two beside it.
+
+        Shapes (3,), (3, n_q) and (3, n_q).
+        """
+        shares, (q, v) = np.array([0.0, 1e-2, -1e-2]), (x.real for x in self.start())
+        dq, dv, _ = self._changes(q, v)
+        return shares, q + np.outer(shares, dq), v + np.outer(shares, dv)
+
+    def _changes(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Return changes of q, v and b of their own size, no two entries alike."""
+        n, b = np.arange(1.0, self.n_q + 1), self.b.real
+        db = np.where(b == 0, 1.0, b) * np.cos(0.5 + np.arange(self.n_b))
+        return np.cos(n) * _size(q), np.sin(n) * _size(v), db
+
+    def _warn_of_kinks(self) -> None:
+        """Warn where a root vanishes at the start and leaves M, Q or Phi without a derivative.
+
+        Where f has a derivative, (f(s) - 2 f(0) + f(-s)) / s vanishes with s; |s| has 2 there.
+        """
+        formulas, (q, v) = self._formulas, self.start()
+        if not formulas.root_lines:
+            return
+        roots = self._values(Formulas.roots, t=[0.0], q=q, v=v)[0]
+        if not np.any(roots == 0):
+            return
+        steps, (dq, dv, _) = np.array(_KINK_STEPS), self._changes(q, v)
+        s = np.concatenate([[0.0], steps, -steps])
+        Q, V = q + np.outer(s, dq), v + np.outer(s, dv)
+        for name, of, which in _FORMULAS:
+            if name in formulas.called:
+                continue
+            with np.errstate(all="ignore"):
+                f = self._values(of, *which, rows=len(s), t=s[:, None], q=Q, v=V)[0]
+            f = f.reshape(len(s), -1)
+            bends = np.max(np.abs(f[1:3] - 2 * f[0] + f[3:]), axis=1, initial=0.0) / steps
+            round_off = _ROUND_OFF * np.max(np.abs(f[0]), initial=0.0) / steps[1]
+            if not bends[1] <= max(_FALLING * bends[0], round_off):
+                lines = [x for x, z in zip(formulas.root_lines, roots, strict=True) if z == 0]
+                warnings.warn(
+                    f"{type(self).__name__}.{name} has no derivative at the start, where a root is "
+                    f"zero: {'; '.join(lines)}. There the derivative of the root is taken as "
+                    "zero, the mean of both sides. Write it smooth, for example "
+                    "sqrt(x @ x + eps**2) for the norm of x.",
+                    StabilityWarning,
+                    stacklevel=5,
+                )
+
+    def _require_declared(self) -> None:
+        """Refuse declared properties that values at the sample states contradict."""
+        traits, (times, Q, V) = self.traits, self._samples()
+        constant = traits.constant_constraints
+        other = self.with_values(self.b * 1.01 + 1e-3 * (self.b == 0)) if constant else self
+        states = list(zip(times.tolist(), Q, V, strict=True))
+        declared: list[tuple[bool, str, str, Callable[[], list[Array]]]] = [
+            (traits.constant_mass, "constant_mass=True", "M changes with q", lambda: [
+                self.mass(x) for x in Q
+            ]),
+            (traits.linear_constraints or constant, "linear_constraints=True",
+             "Phi_q changes with q", lambda: [self.constraint_q(0.0, x) for x in Q]),
+            (constant, "constant_constraints=True", "Phi_q changes with t, q or b", lambda: [
+                *(self.constraint_q(t, x) for t, x, _ in states), other.constraint_q(0.0, Q[0])
+            ]),
+            (constant, "constant_constraints=True", "dPhi/dt at v = 0 is not zero", lambda: [
+                np.ones(self.n_lam), *(1 + self.constraint(t, x, 0 * x) for t, x, _ in states)
+            ]),
+            (not traits.velocity_forces, "velocity_forces=False", "Q changes with v", lambda: [
+                self._force(0.0, Q[0], x) for x in V
+            ]),
+        ]  # fmt: skip
+        for claimed, what, contradiction, values in declared:
+            if not claimed:
+                continue
+            with np.errstate(all="ignore"):
+                first, *others = values()
+                sizes = [np.max(np.abs(x)[np.isfinite(x)], initial=0.0) for x in (first, *others)]
+                changes = [(x - first)[np.isfinite(x - first)] for x in others]
+            most = max(np.max(np.abs(x), initial=0.0) for x in changes)
+            if most > _SAME * max(sizes):
+                raise InvalidInputError(
+                    f"{type(self).__name__}.traits, {what}",
+                    "must hold for the formulas",
+                    f"formulas for which {contradiction}, by {most:.1e}",
+                    "Remove the declaration: what holds is found from the formulas.",
+                )
 
     def _found(self) -> SystemProperties:
         """Return the traits with what the formulas show."""

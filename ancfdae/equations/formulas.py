@@ -238,6 +238,15 @@ class Formulas:
         """Q."""
         return (self._Q,)
 
+    def roots(self) -> tuple[Array, ...]:
+        """Roots that the formulas take, in the order of `root_lines`."""
+        return (np.array(list(self._operations.roots), dtype=np.int64),)
+
+    @property
+    def root_lines(self) -> tuple[str, ...]:
+        """Lines of the user's code that take the roots."""
+        return tuple(self._operations.roots.values())
+
     def mass_along(self) -> tuple[Array, ...]:
         """M_q dq."""
         return (self._along(*self.mass(), q="dq"),)

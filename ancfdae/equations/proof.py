@@ -118,6 +118,18 @@ def start(add: Add, p: Probe) -> None:
         size = norm(x, s.weights) or 1e-3 * norm(q, s.weights) / p.time or 1.0
         ratio = np.max(np.abs(phi) / lengths, initial=0.0) / size
         add(f"start, {what} on the constraints", ratio, _CONSISTENT)
+    # The same at neighbouring designs. A term that is nearly zero is compared with the state.
+    (q_b, v_b), b = s.start_b(), np.where(s.b == 0, 1.0, np.abs(s.b))
+    still = np.zeros_like(q_b)
+    for what, motion, motion_b in (("q", (q,), (q_b,)), ("v", (q, v), (q_b, v_b))):
+        held = s.constraint_total(0.0, motion, (still, still)[: len(motion)])
+        total = s.constraint_total(0.0, motion, motion_b)
+        motion_size = norm(q, s.weights) * (1.0 if what == "q" else 1.0 / p.time)
+        least = _SMALL * motion_size * lengths[:, None] / b
+        sizes = np.maximum(np.abs(held), np.abs(total - held)) + least
+        gaps = np.abs(total) / np.where(sizes > 0, sizes, 1.0)
+        name = f"start, {what}_b on the constraints"
+        add(name, np.max(gaps, initial=0.0), _DIFFERENCES)
 
 
 def other_values(add: Add, p: Probe) -> None:

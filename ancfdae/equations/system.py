@@ -144,6 +144,8 @@ class MechanicalSystem(ComplexSteps):
     #: Components of a vector: every `vector_size` coordinates in a row are those of one vector in
     #: space, and tolerances of a step are relative to its size. One where there are no vectors.
     vector_size: int = 1
+    #: Names of functions of a user that are called with complex numbers at each evaluation.
+    called_functions: tuple[str, ...] = ()
 
     @cached_property
     def pattern(self) -> SparsityPattern:
@@ -236,6 +238,9 @@ class MechanicalSystem(ComplexSteps):
         states = ((x[0], x[1:].T) for x in (q_rows, v_rows))
         total = self._total(lambda system, q, v: system.force(t, q, v), *states)
         return np.concatenate([self.force(t, q_rows[0], v_rows[0])[None], total.T])
+
+    def require_derivatives_at(self, t: float, q: Array, v: Array) -> None:
+        """Refuse functions of a user that have no complex derivative at a state; by default none."""
 
     def breakpoints(self, t_end: float) -> tuple[float, ...]:
         """Return the times, in s, at which steps under error control end in a run to `t_end`.

@@ -46,6 +46,8 @@ _TOGETHER = 64
 # Rows of Phi_q that are compared with one place at once: twice as many as were near before, but at
 # least, and at most.
 _ROWS, _MOST_ROWS = 4, 128
+# Rows of a run, at least, that are searched for singular positions, and the largest stride.
+_FEW, _MOST_STRIDE = 64, 16
 # Entries of matrices n_lam x n_lam that take as long as the calls that compute with them.
 _NUMBERS = 10_000
 
@@ -150,6 +152,39 @@ class Watch:
                 k += 1
             self._place = None
         return changed
+
+
+def singular_position(system: MechanicalSystem, rows: Rows) -> float | None:
+    """Return the first time at which Phi_q loses rank between rows; None if it keeps its rank.
+
+    A step that changes Phi_q much is followed along the cubic through its ends: it ends early only
+    where parts of 1e-9 of the step still change Phi_q by more than itself. In long runs the
+    search begins with every 16th row: a rank that is lost between two of these turns a row of
+    Phi_q round.
+    """
+    last = len(rows.t) - 1
+    stride = min(max(last // _FEW, 1), _MOST_STRIDE)
+    some = np.append(np.arange(0, last, stride), last)
+    branch = Branch(system)
+    for first in range(0, len(some) - 1, _MOST_ROWS):
+        block = some[first : first + _MOST_ROWS + 1]
+        for k in np.flatnonzero(branch._changed(Rows(*(x[block] for x in rows)))):
+            within = Rows(*(x[block[k] : block[k + 1] + 1] for x in rows))
+            time = _singular_within(system, within)
+            if time is not None:
+                return time
+    return None
+
+
+def _singular_within(system: MechanicalSystem, rows: Rows) -> float | None:
+    """Return the first time at which Phi_q loses rank between a few rows, all of which are seen."""
+    for k in np.flatnonzero(Branch(system)._changed(rows)):
+        step = Rows(*(x[k : k + 2] for x in rows))
+        t, end = step.t.tolist()
+        reached, _ = followed(system, t, closed(system, t, step.q[0]), end, _cubic(step))
+        if reached < end:
+            return reached
+    return None
 
 
 def half_a_turn_off(system: MechanicalSystem, begin: float, t: Array, q: Array) -> str:

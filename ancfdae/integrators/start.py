@@ -35,6 +35,9 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 # Relative violation of a constraint up to which a declared start counts as consistent: far
 # above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.
 _CONSISTENT = 1e-8
+_REPAIR = "Let `start` follow self.b, or set project_start=True to move it onto the constraints."
+# Relative violation that the derivatives of a declared start may have: complex steps are exact.
+_SAME_RATE = 1e-6
 _PROJECTION_ITERATIONS = 50
 # Corrections of the positions below this part of them end the projection.
 _CLOSED = 1e-12
@@ -108,7 +111,46 @@ def start_sensitivity(
     right = right - held_total(system, t, q, still, sigma_q, np.zeros_like(q_sb))
     q_b, _ = solve(moving, right, -system.constraint_total(t, (q,)))
     # 2. and 3.
-    return InitialSensitivity(q_b, *completion.total(0, q_b, v_sb))
+    derivatives = InitialSensitivity(q_b, *completion.total(0, q_b, v_sb))
+    if type(system).start_pull_back is MechanicalSystem.start_pull_back:
+        _refuse_inconsistent_derivatives(system, state, q_sb, v_sb, derivatives)
+    return derivatives
+
+
+def _refuse_inconsistent_derivatives(
+    system: MechanicalSystem,
+    state: InitialState,
+    q_b: Array,
+    v_b: Array,
+    projected: InitialSensitivity,
+) -> None:
+    """Refuse a start that satisfies its constraints at this design only.
+
+    Its derivatives miss Phi_q q_b + Phi_b = 0, or the same of velocities, by the change that
+    projection makes. Both are measured in the norm of the weights, against the larger of the two
+    and the size of the motion per relative change of the variable. Scenes, which close their
+    joints, write their own derivatives and are not asked.
+    """
+    if system.traits.project_start or not system.n_lam:
+        return
+    w, b = system.weights, np.where(system.b.real == 0, 1.0, np.abs(system.b.real))
+    place = norm(state.q, w)
+    speed = max(norm(state.v, w), float(np.sqrt(place * norm(state.a, w))))
+    for what, declared, moved, size in (
+        ("positions", q_b, projected.q_b, place),
+        ("velocities", v_b, projected.v_b, speed),
+    ):
+        for j, name in enumerate(system.design_names):
+            gap = norm(moved[:, j] - declared[:, j], w)
+            larger = max(norm(declared[:, j], w), norm(moved[:, j], w))
+            if gap > _SAME_RATE * larger + _CONSISTENT * size / b[j]:
+                raise InconsistentStartError(
+                    f"start, design variable {name!r}",
+                    f"the {what} must satisfy the constraints at every design",
+                    f"a derivative with respect to {name!r} that misses theirs by "
+                    f"{gap / larger:.1e} of itself",
+                    _REPAIR,
+                )
 
 
 def _projections(
@@ -195,6 +237,9 @@ def pull_back_start(
     The transpose of `start_sensitivity`, in reverse order: one transposed solve for each of 3, 2
     and 1, independent of the number of design variables.
     """
+    if type(system).start_pull_back is MechanicalSystem.start_pull_back:
+        # The transpose below takes as many complex steps.
+        start_sensitivity(system, matrices, state)
     t, q, _, _, lam = state
     q_start, _ = system.start()
     sigma_q, moving, completion = _projections(system, matrices, state)
@@ -327,4 +372,19 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
                 f"the {what} must satisfy the joint",
                 f"a violation of {float(np.abs(phi[worst])):.3g}",
                 "Correct the start, or set project_start=True to move it onto the joints.",
+            )
+        derived = type(system).start_pull_back is MechanicalSystem.start_pull_back
+        if not (derived and np.iscomplexobj(system.b) and np.iscomplexobj(phi)):
+            continue
+        # A complex step: the imaginary part is a derivative along the imaginary part of b.
+        moved = np.flatnonzero(system.b.imag)
+        ratio = np.abs(phi.imag) / rows
+        rate = np.max(np.abs(system.b.imag / np.where(system.b.real == 0, 1.0, system.b.real)))
+        if system.n_lam and np.any(ratio > _SAME_RATE * rate * size):
+            names = " and ".join(repr(system.design_names[i]) for i in moved)
+            raise InconsistentStartError(
+                f"start, design variable {names}",
+                f"the {what} must satisfy the constraints at every design",
+                "a complex step that violates them",
+                _REPAIR,
             )

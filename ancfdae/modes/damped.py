@@ -36,6 +36,11 @@ _HIDDEN = (
     "modes: lower vibrations than those found may be missing, among motions that creep. Shorten "
     "the retardation time of bodies that creep, use fewer elements, or pass damped=False."
 )
+_CROWDED = (
+    "modes: lower vibrations than those found may be missing: exponents of the damped system "
+    "coincide, or nearly so. Change the damping, the load or the design by more than a millionth "
+    "of itself, ask for another number of modes, or pass damped=False."
+)
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -61,13 +66,13 @@ def damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
         if few is not None:
             return few
         if small.n_free > _DENSE_CROWDED:
-            raise NoModes(_HIDDEN)
+            raise NoModes(small.words(_HIDDEN, _CROWDED))
     s, X = dense.damped(small, rigid, _size(small, highest))
     if highest:
         return _highest(small, count, s, X)
     lowest = _lowest(small, count, rigid, s, X)
     if lowest is None or not _has_all_that_vibrate(small, 0, rigid, s, lowest):
-        raise NoModes(_HIDDEN)
+        raise NoModes(small.words(_HIDDEN, _CROWDED))
     return lowest
 
 

@@ -19,9 +19,11 @@ from typing import TypeAlias
 import numpy as np
 import scipy
 
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.modes.adjoint import PullBack, Transposed, pulled_back
 from ancfdae.modes.linearised import EPS, Linearised
 from ancfdae.modes.pairs import Eigenpairs, largest_entries
+from ancfdae.modes.precise import NoModes
 from ancfdae.modes.totals import Totals
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
@@ -86,7 +88,15 @@ def left_vectors(small: Linearised, pairs: Eigenpairs, mu: Array, group: list[in
         return np.concatenate([X, mu[:, group]])
     right = np.zeros((n + small.system.n_lam, len(group)), dtype=X.dtype)
     right[:n] = np.conj(small.times(small.M, X))
-    Y = small.factor_beside(pairs.z[group[0]])[0].solve_transposed(right)
+    try:
+        factors = small.factor_beside(pairs.z[group[0]])[0]
+    except SingularMatrix as error:
+        raise NoModes(
+            f"mode {group[0]}: its exponent {pairs.z[group[0]]:.6g} is a double root with one "
+            "shape, which has no derivative with respect to the design. Change the load, the "
+            "damping or the design by more than a millionth of itself."
+        ) from error
+    Y = factors.solve_transposed(right)
     return np.asarray(Y / np.max(np.abs(Y), axis=0))
 
 

@@ -89,6 +89,10 @@ class Linearised:
         saddle = saddle or saddle_point(system, at.t, at.q)
         return Linearised(system, at, q_b, lam_b, matrices[0], D, *matrices[1:], saddle)
 
+    def words(self, scene: str, other: str) -> str:
+        """Return advice for a scene of bodies, or for a system of a user, which has no elements."""
+        return other if self.system.naming is None else scene
+
     @property
     def n_free(self) -> int:
         """Number of independent motions."""

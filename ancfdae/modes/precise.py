@@ -53,6 +53,10 @@ _TOO_THIN = (
     "modes that did not converge: the bodies are too thin for their numbers. Use fewer elements, "
     "or hold free motions by joints or soft springs."
 )
+_TOO_STIFF = (
+    "modes that did not converge: stiffnesses of the system differ by more digits than numbers "
+    "have. Constrain the stiffest motions, or hold free motions by constraints or soft springs."
+)
 
 # Values, shapes as columns, and round-off in the values.
 Modes: TypeAlias = tuple[Array, Array, Array]
@@ -199,7 +203,7 @@ def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array)
     X = X / np.sqrt(_squares(small, X))
     z, X = _ritz(precise, distinct(X, small.times(small.M, X)))
     if len(z) < count:
-        raise NoModes(_TOO_THIN)
+        raise NoModes(small.words(_TOO_THIN, _TOO_STIFF))
     for _ in range(_SWEEPS):
         last = z[:count]
         z, X = _ritz(precise, X + corrected(precise.left(X, z)))
@@ -210,7 +214,7 @@ def _elastic_modes(precise: Precise, factors: Factorization, R: Array, X: Array)
             # What is wrong with R is in X, too: a part c / z of R, which moves z by c^2 / z.
             mixed = np.sum((R.T @ precise.times(X)) ** 2, axis=0) / np.abs(z)
             return z, X, np.maximum(_noise(precise, X, z), change) + mixed
-    raise NoModes(_TOO_THIN)
+    raise NoModes(small.words(_TOO_THIN, _TOO_STIFF))
 
 
 def _without(R: Array, inertia: Array, X: Array) -> Array:
@@ -263,8 +267,12 @@ def refuse_lost(small: Linearised, z: Array, noise: Array) -> None:
             repair = (
                 "Change the load, the damping or the design by more than a millionth of itself."
                 if z[j].imag or small.D is None
-                else "Motions that creep crowd next to -1 over the retardation time: shorten it, "
-                "ask for fewer modes, or pass damped=False."
+                else small.words(
+                    "Motions that creep crowd next to -1 over the retardation time: shorten it, "
+                    "ask for fewer modes, or pass damped=False.",
+                    "Exponents of overdamped motions coincide: change the damping by more than a "
+                    "millionth of itself, ask for fewer modes, or pass damped=False.",
+                )
             )
             raise NoModes(
                 f"{moved}; another one differs by {gap / size:.1g}, and next to a double root a "
@@ -278,8 +286,12 @@ def refuse_lost(small: Linearised, z: Array, noise: Array) -> None:
     )
     raise NoModes(
         f"{moved}: the stiffest motions are too many orders of magnitude stiffer than this one. To "
-        f"keep more digits {balance}use fewer elements, thicker sections or rigid bodies for the "
-        "stiffest parts (the body is too thin for its numbers)."
+        f"keep more digits {balance}"
+        + small.words(
+            "use fewer elements, thicker sections or rigid bodies for the stiffest parts (the body "
+            "is too thin for its numbers).",
+            "constrain the stiffest motions.",
+        )
     )
 
 
@@ -293,7 +305,7 @@ def _ritz(precise: Precise, Z: Array) -> tuple[Array, Array]:
     try:
         z, Y = scipy.linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
     except scipy.linalg.LinAlgError as error:  # Vectors became one and the same rigid motion.
-        raise NoModes(_TOO_THIN) from error
+        raise NoModes(precise.small.words(_TOO_THIN, _TOO_STIFF)) from error
     X, small = Z @ Y, np.abs(z) < EPS**0.5 * np.max(np.abs(z))
     if np.any(small):
         z[small], X[:, small] = _ritz(precise, X[:, small])

@@ -45,17 +45,20 @@ def solve(small: Linearised, count: int, highest: bool, whole: bool = False) -> 
             return first
         wanted = min(max(2 * wanted, asked + GROUP + 1), n)
         if wanted > asked + _CROWD:
-            _refuse_crowd(first)
+            _refuse_crowd(small, first)
 
 
-def _refuse_crowd(pairs: Eigenpairs) -> None:
+def _refuse_crowd(small: Linearised, pairs: Eigenpairs) -> None:
     """Refuse a last group of modes that coincide, whose end is far."""
     alone = coincident(pairs)[-1][0]
     repairs = [f"ask for {alone} modes or fewer"] if alone else []
     repairs += ["pass damped=False"] if np.iscomplexobj(pairs.z) else []
     raise NoModes(
-        f"mode {alone}: more than {len(pairs.z) - alone - 1} others coincide with it to round-off, "
-        "as motions that creep do next to -1 over the retardation time. Leave out the design "
-        "variables, use fewer elements"
-        f"{''.join(f', or {repair}' for repair in repairs)}."
+        f"mode {alone}: more than {len(pairs.z) - alone - 1} others coincide with it to round-off"
+        + small.words(
+            ", as motions that creep do next to -1 over the retardation time. Leave out the design "
+            "variables, use fewer elements",
+            ". Change the design so that they differ by more than a millionth of themselves",
+        )
+        + f"{''.join(f', or {repair}' for repair in repairs)}."
     )

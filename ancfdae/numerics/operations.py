@@ -11,8 +11,11 @@ for what the direction does not move. What it returns can be differentiated agai
 
 from __future__ import annotations
 
+import linecache
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
+from pathlib import Path
 from typing import Any, NoReturn, Protocol, final
 
 import numpy as np
@@ -35,6 +38,11 @@ _CODES |= {_CALL: len(_CODES), _RESULT: len(_CODES) + 1}
 # Whole exponents up to this are written as products: a complex step through `power` would lose its
 # imaginary part at negative numbers.
 _PRODUCTS = 64
+# Added to a root, and to the base of a negative power, in derivatives: 0/0 becomes 0, and
+# numbers above 1e-134 (1e-184) stay as they are. The derivative of |v| v at v = 0 is then 0.
+_ROOT, _RAISED = 1e-150, 1e-200
+# Folders whose lines are not a user's.
+_OWN = str(Path(np.__file__).parent), str(Path(__file__).parents[1])
 
 
 class Callee(Protocol):
@@ -66,6 +74,8 @@ class Operations:
         self._known: dict[tuple[Any, ...], int] = {}
         self._list: list[tuple[Any, int, int]] = []
         self._calls: list[tuple[Callee, tuple[int, ...]]] = []
+        #: Roots and powers with broken exponents, with the line of the user's code that takes each.
+        self.roots: dict[int, str] = {}
 
     def constant(self, value: Any) -> int:
         """Return the number of a constant."""
@@ -419,7 +429,7 @@ class Traced:
         if n == 0.5:
             return self.sqrt()
         if not n.is_integer() or abs(n) > _PRODUCTS:
-            return self._of(np.power, self, n)
+            return self._noted(self._of(np.power, self, n))
         if n < 0:
             return 1.0 / self ** (-n)
         if n < 2:
@@ -438,7 +448,17 @@ class Traced:
     # Functions.
 
     def sqrt(self) -> Traced:  # noqa: D102 - NumPy's names, here and below
-        return self._of(np.sqrt, self)
+        return self._noted(self._of(np.sqrt, self))
+
+    def _noted(self, root: Traced) -> Traced:
+        """Note the line of the user's code that takes a root."""
+        frame = sys._getframe(2)
+        while frame.f_back is not None and frame.f_code.co_filename.startswith(_OWN):
+            frame = frame.f_back
+        name, line = frame.f_code.co_filename, frame.f_lineno
+        text = linecache.getline(name, line).strip()
+        self._operations.roots[root.at] = f"line {line} of {Path(name).name}, `{text}`"
+        return root
 
     def exp(self) -> Traced:  # noqa: D102
         return self._of(np.exp, self)
@@ -570,5 +590,6 @@ _RATES: dict[Any, Callable[[Any, Any, Any, Any, Any], Any]] = {
     np.divide: lambda x, y, z, dx, dy: (dx - z * dy) / y,
     _ANGLE: lambda x, y, z, dx, dy: (y * dx - x * dy) / (x * x + y * y),
     # Its exponent is a constant.
-    np.power: lambda x, y, z, dx, dy: y * x ** (y.value - 1) * dx,
+    np.power: lambda x, y, z, dx, dy: y * (x if y.value > 1 else x + _RAISED) ** (y.value - 1) * dx,
+    np.sqrt: lambda x, y, z, dx, dy: 0.5 / (z + _ROOT) * dx,
 }

@@ -22,6 +22,7 @@ from ancfdae.integrators.integrator import AdjointIntegrator, PartwiseIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.numerics.time_grid import TimeGrid
+from ancfdae.sensitivity.along_runs import require_differentiable
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import require_finite_number
@@ -125,6 +126,7 @@ class _Watched:
 
     def look(self, states: States, first: int) -> None:
         """Note the values at instants from `first` on."""
+        require_differentiable(self._system, states.t, states.q, states.v)
         states, last = replace(states, past=self._past[first]), first + len(states.t) - 1
         self._past[last] = {}
         for leaf, values in self._values.items():

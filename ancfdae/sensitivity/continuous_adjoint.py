@@ -42,6 +42,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
+from ancfdae.sensitivity.along_runs import require_differentiable
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 from ancfdae.sensitivity.objectives import Objective, ObjectivePartials
 from ancfdae.sensitivity.objectives.reductions import OverTime
@@ -92,6 +93,7 @@ class ContinuousAdjoint(GradientMethod):
                 len(solution.t) - 1,
                 "Use shorter steps, or method=Adjoint().",
             )
+        require_differentiable(system, solution.t, solution.q, solution.v)
         results = []
         for objective in objectives:
             value = objective.value(system, states_of(solution))

@@ -20,10 +20,14 @@ from ancfdae.errors.outcomes import PassFailed, Verdict, uninterrupted
 from ancfdae.errors.text import columns, page
 from ancfdae.integrators.integrator import Integrator, QuadratureIntegrator
 from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.along_runs import require_differentiable
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
+from ancfdae.sensitivity.objectives.objective import NO_TOTALS, NonFiniteObjectiveError, Totals
 from ancfdae.sensitivity.objectives.totals import read_at_end, totals_of
 from ancfdae.sensitivity.observables.states import states_of
+
+# Derivatives of this size are infinite: derivatives of lists replace 1/0 by 1e150.
+_INFINITE = 1e100
 
 
 @final
@@ -151,6 +155,12 @@ class Gradient:
     solution: Solution
     accuracy: Accuracy | None = None
 
+    def __post_init__(self) -> None:
+        wrong = np.flatnonzero(~(np.abs(self.gradient) < _INFINITE))
+        if wrong.size:
+            what = f"the derivative with respect to {self.names[wrong[0]]!r} by {self.method}"
+            raise NonFiniteObjectiveError("gradient", what, None)
+
     @property
     def pair(self) -> tuple[float, Array]:
         """Value and gradient, shape (n_b,), as ``scipy.optimize.minimize(jac=True)`` wants them."""
@@ -199,7 +209,7 @@ class Run:
     after: Solution | None = None
 
     def __post_init__(self) -> None:
-        repair = "For example HHT(step=0.01)."
+        repair = "For example HHT(step=0.01), or give a tolerance."
         require_kind("integrator", self.integrator, (Integrator,), repair)
         require_flag("progress", self.progress)
         if self.after is not None:
@@ -216,10 +226,18 @@ class Run:
         settings = {"sensitivities": sensitivities, "progress": self.progress}
         if self.after is not None:
             run = self.integrator.resume(self.system, self.t_end, self.after, **settings)
-            return run if run.outcome.success else self._advised(run)
-        return self._told(
-            self.integrator.integrate(self.system, self.t_end, **settings), sensitivities
-        )
+            run = run if run.outcome.success else self._advised(run)
+        else:
+            run = self.integrator.integrate(self.system, self.t_end, **settings)
+            run = self._told(run, sensitivities)
+        system, traits = self.system, self.system.traits
+        if sensitivities and (system.called_functions or not traits.linear_constraints):
+            require_differentiable(system, run.t, run.q, run.v)
+        if run.sensitivities is not None and not np.all(np.isfinite(run.sensitivities.v_b[-1:])):
+            wrong = np.any(~np.isfinite(run.sensitivities.v_b), axis=(1, 2))
+            time = float(run.t[np.argmax(wrong)])
+            raise NonFiniteObjectiveError("motion", "a design derivative", time)
+        return run
 
     def integrals(
         self, objectives: Sequence[Objective], *, differentiated: bool, sensitivities: bool = False
@@ -230,7 +248,10 @@ class Run:
         """
         integrator = self.integrator
         if self.after is not None or not isinstance(integrator, QuadratureIntegrator):
-            return finished(self.solution(sensitivities=sensitivities)), NO_TOTALS
+            run = finished(self.solution(sensitivities=sensitivities))
+            if differentiated and not sensitivities:
+                require_differentiable(self.system, run.t, run.q, run.v)
+            return run, NO_TOTALS
         totals = totals_of(self.system, objectives, differentiated)
         if read_at_end(self.system, objectives, self.t_end):
             integrator = integrator.at_end(self.system, self.t_end)
@@ -241,6 +262,8 @@ class Run:
             progress=self.progress,
             integrands=list(totals.values()),
         )
+        if differentiated:
+            require_differentiable(self.system, run.t, run.q, run.v)
         return finished(self._told(run, sensitivities)), totals
 
     def _told(self, run: Solution, sensitivities: bool) -> Solution:

@@ -17,6 +17,7 @@ from ancfdae.errors.checks import require_flag, require_positive
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.threads import in_one_thread
+from ancfdae.sensitivity.along_runs import require_differentiable
 from ancfdae.sensitivity.method import Gradient, Method, Run
 from ancfdae.sensitivity.objectives import Objective
 
@@ -151,6 +152,10 @@ class ComplexStep(Perturbation):
                 repr(run.integrator),
                 "Use HHT, or FiniteDifference().",
             )
+
+    def _changed(self, run: Run, solution: Solution) -> list[tuple[float, list[Run]]]:
+        require_differentiable(run.system, solution.t, solution.q, solution.v)
+        return super()._changed(run, solution)
 
     def changes(self, b: float) -> Sequence[complex]:
         """One imaginary change, relative unless the value is zero."""

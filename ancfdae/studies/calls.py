@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, cast, overload
 
 import numpy as np
 
@@ -110,7 +110,7 @@ def simulate(
     if observables is not None or at is not None:
         rule, repair = "need `tolerance`", "Call observe(observable, solution)."
         raise InvalidInputError("observables, at", rule, "an integrator", repair)
-    run = Run(system, t_end, _required(integrator), progress, after)
+    run = Run(system, t_end, cast("Integrator", integrator), progress, after)
     if keep is not None:
         return _thinned(run, keep)
     solution = with_remedies(model, run, uninterrupted(run.solution()))
@@ -274,7 +274,6 @@ def gradients(
         from ancfdae.studies.tolerance.gradients import gradients_within
 
         return gradients_within(system, objectives, t_end, tolerance, method, progress)
-    integrator = _required(integrator)
     if memory is not None:
         if method is not None:
             rule, repair = "limits the adjoint method only", "Write method=Adjoint(memory=...)."
@@ -286,7 +285,7 @@ def gradients(
     require_kind(
         "method", method, (GradientMethod,), "For example Adjoint() or DirectDifferentiation()."
     )
-    run = Run(system, t_end, integrator, progress, after)
+    run = Run(system, t_end, cast("Integrator", integrator), progress, after)
     try:
         return method.gradients(run, objectives)
     except UnfinishedRunError as error:
@@ -299,14 +298,6 @@ def _require_alone(**others: object) -> None:
         if given is not None:
             rule, repair = f"must be given without `{name}`", "A tolerance chooses its own runs."
             raise InvalidInputError("tolerance", rule, "both", repair)
-
-
-def _required(integrator: Integrator | None) -> Integrator:
-    """Return the integrator; raise InvalidInputError if it is None."""
-    if integrator is None:
-        rule, repair = "must be an Integrator", "For example HHT(step=0.01), or give a tolerance."
-        raise InvalidInputError("integrator", rule, "None", repair)
-    return integrator
 
 
 @in_one_thread

@@ -146,7 +146,7 @@ class StageSolver:
             size = self._size(begin, stages, change) / motion
             if not math.isfinite(size):
                 break
-            rate = min(size / last, 1.0) if last < math.inf else float(size > 0)
+            rate = min(size / last, 1.0) if 0 < last < math.inf else float(size > 0)
             stuck = last < math.inf and rate > _SLOW and size <= _ROUND_OFF + floor / motion
             left = size * (rate**2 if fresh else min(rate / (1.001 - rate), 1.0))
             if stuck or settled or left <= self._tolerance:

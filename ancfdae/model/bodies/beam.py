@@ -35,7 +35,8 @@ class Beam(BeamBody):
     start, end : sequence of float
         End points of the centre line, two components for a planar and three for a spatial
         scene; m. With a point of another beam as the start, such as ``crank.at_end``, the beam
-        starts there at every design, and `end` is relative to that point.
+        starts there at every design, and `end` is the vector from that point to the end, not a
+        position.
     elements : int
         Number of equal elements.
     section : Section or sequence of Section

@@ -202,7 +202,11 @@ class RigidBody(Placed, Designable):
         return self.at(*map(float, self.centre))  # type: ignore[arg-type]  # never None here
 
     def at(self, x: float, y: float = 0.0, z: float = 0.0) -> MaterialPoint:
-        """Return the point at a place in the axes of the body; m."""
+        """Return the point with coordinates x, y and z, one by one, in the axes of the body; m."""
+        if np.ndim(x):
+            rule = "coordinates x, y and z must be given one by one"
+            repair = "For example body.at(0.1, 0.0, 0.2)."
+            raise InvalidInputError(f"point of {self.name!r}", rule, x, repair)
         return MaterialPoint(self.name, x=x, y=y, z=z)
 
     def directions(self) -> Array:

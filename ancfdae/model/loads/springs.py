@@ -98,7 +98,8 @@ class Bushing(Load):
     damping : sequence of float, optional
         Not negative; N s/m.
     turn_stiffness, turn_damping : float or sequence of float, optional
-        A number in the plane, three in space; N m/rad and N m s/rad. Damping is not negative.
+        One number in the plane, a sequence of three in space, about x, y and z; N m/rad and
+        N m s/rad. Damping is not negative.
     other : MaterialPoint, optional
         Body to which the bearing is fixed; the ground by default.
     """
