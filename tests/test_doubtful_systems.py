@@ -303,7 +303,9 @@ class AnalyticStop(Stop):
 @pytest.mark.filterwarnings("ignore::ancfdae.errors.NotTracedWarning")
 @pytest.mark.parametrize("method", METHODS)
 def test_abs_in_a_branch_that_the_start_does_not_reach_is_refused(method):
-    with pytest.raises(InvalidInputError, match=r"Stop.force, at t = 0\.\d+ s of the run: must be diff"):
+    with pytest.raises(
+        InvalidInputError, match=r"Stop.force, at t = 0\.\d+ s of the run: must be diff"
+    ):
         gradient(Stop(), FIRST, 2.0, HHT(2**-8), method=method)
     if isinstance(method, DirectDifferentiation):
         for integrator in (DOP853(1e-8), IDA(1e-8), Radau(2**-6)):
