@@ -240,7 +240,7 @@ class MechanicalSystem(ComplexSteps):
         return np.concatenate([self.force(t, q_rows[0], v_rows[0])[None], total.T])
 
     def require_derivatives_at(self, t: float, q: Array, v: Array) -> None:
-        """Refuse functions of a user that have no complex derivative at a state; by default none."""
+        """Refuse functions that are called and lack a derivative at a state; by default none."""
 
     def breakpoints(self, t_end: float) -> tuple[float, ...]:
         """Return the times, in s, at which steps under error control end in a run to `t_end`.

@@ -35,7 +35,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
 
 # Places that the free motion is to pass, by time.
-TranslationDriver: TypeAlias = Callable[[float], Array]
+Aim: TypeAlias = Callable[[float], Array]
 
 # Largest norm of X on one branch: half of the least at which it may be another.
 CHANGED = 0.5
@@ -223,7 +223,7 @@ def followed(
     t: float,
     q: Array,
     end: float,
-    guide: TranslationDriver | None = None,
+    guide: Aim | None = None,
     taken: Array | None = None,
 ) -> tuple[float, Array]:
     """Follow a motion on its branch from (t, q); return the time reached, and the place.

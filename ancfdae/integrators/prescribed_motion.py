@@ -22,9 +22,9 @@ from ancfdae.integrators.branch import (
     APART,
     CHANGED,
     SMALL,
+    Aim,
     Form,
     Place,
-    TranslationDriver,
     closed,
     determined,
     followed,
@@ -61,6 +61,40 @@ class Lost(NamedTuple):
 
 
 @final
+class Changes:
+    """Which steps of a motion change Phi_q by more than one branch of the constraints allows."""
+
+    def __init__(self, system: MechanicalSystem) -> None:
+        self._system = system
+        self._form: Form | None = None
+        self._place: Place | None = None
+        # The first place of a small system is compared with as many rows as any.
+        self._count = min(max(_ROWS, _NUMBERS // max(system.n_lam, 1) ** 2), _MOST_ROWS)
+
+    def between(self, rows: Rows) -> Array:
+        """Return which steps change Phi_q by more than CHANGED, shape (k,).
+
+        Twice that change may lead to another branch of the constraints.
+        """
+        values = self._system.constraints_q(rows.t, rows.q)
+        form = self._form = self._form or Form(self._system, values[0])
+        changed, k, at = np.zeros(len(rows.t) - 1, dtype=bool), 0, -1
+        while k < len(changed):
+            if self._place is None:
+                self._place, at = Place(form, values[k]), k
+            far = self._place.changes(values[k + 1 : k + 1 + self._count]) > CHANGED
+            near = int(np.argmax(far)) if np.any(far) else len(far)
+            k, self._count = k + near, min(max(_ROWS, 2 * near), _MOST_ROWS)
+            if near == len(far):
+                continue
+            if at == k:  # This one step changes it.
+                changed[k] = True
+                k += 1
+            self._place = None
+        return changed
+
+
+@final
 class Watch:
     """Checks the recorded states of one run, each once; cuts the run back to the last right one."""
 
@@ -72,10 +106,7 @@ class Watch:
         self._driven = system.n_lam == system.n_q
         # Constraints and coordinates of the part of the motion that constraints determine.
         self._part: tuple[Array, Array] | None = None
-        self._form: Form | None = None
-        self._place: Place | None = None
-        # The first place of a small system is compared with as many rows as any.
-        self._count = min(max(_ROWS, _NUMBERS // max(system.n_lam, 1) ** 2), _MOST_ROWS)
+        self._changes = Changes(system)
 
     def missed(self, all_of_them: bool = False) -> Lost | None:
         """Check recorded states, in packets or all; return the first step that went wrong, or None.
@@ -123,35 +154,13 @@ class Watch:
         if not self._driven:
             return None
         self._part = self._part or determined(self._system.constraint_pattern)
-        suspects = self._changed(rows) | _turned(self._system, rows, self._part[1])
+        suspects = self._changes.between(rows) | _turned(self._system, rows, self._part[1])
         for k in np.flatnonzero(suspects):
             step = Rows(*(x[k : k + 2] for x in rows))
             why = _reached_otherwise(self._system, step, *self._part)
             if why:
                 return Lost(int(k), Verdict.OFF_ROOT, why)
         return None
-
-    def _changed(self, rows: Rows) -> Array:
-        """Return which steps change Phi_q by more than CHANGED, shape (k,).
-
-        Twice that change may lead to another branch of the constraints.
-        """
-        values = self._system.constraints_q(rows.t, rows.q)
-        form = self._form = self._form or Form(self._system, values[0])
-        changed, k, at = np.zeros(len(rows.t) - 1, dtype=bool), 0, -1
-        while k < len(changed):
-            if self._place is None:
-                self._place, at = Place(form, values[k]), k
-            far = self._place.changes(values[k + 1 : k + 1 + self._count]) > CHANGED
-            near = int(np.argmax(far)) if np.any(far) else len(far)
-            k, self._count = k + near, min(max(_ROWS, 2 * near), _MOST_ROWS)
-            if near == len(far):
-                continue
-            if at == k:  # This one step changes it.
-                changed[k] = True
-                k += 1
-            self._place = None
-        return changed
 
 
 def singular_position(system: MechanicalSystem, rows: Rows) -> float | None:
@@ -165,10 +174,10 @@ def singular_position(system: MechanicalSystem, rows: Rows) -> float | None:
     last = len(rows.t) - 1
     stride = min(max(last // _FEW, 1), _MOST_STRIDE)
     some = np.append(np.arange(0, last, stride), last)
-    branch = Branch(system)
+    changes = Changes(system)
     for first in range(0, len(some) - 1, _MOST_ROWS):
         block = some[first : first + _MOST_ROWS + 1]
-        for k in np.flatnonzero(branch._changed(Rows(*(x[block] for x in rows)))):
+        for k in np.flatnonzero(changes.between(Rows(*(x[block] for x in rows)))):
             within = Rows(*(x[block[k] : block[k + 1] + 1] for x in rows))
             time = _singular_within(system, within)
             if time is not None:
@@ -178,10 +187,11 @@ def singular_position(system: MechanicalSystem, rows: Rows) -> float | None:
 
 def _singular_within(system: MechanicalSystem, rows: Rows) -> float | None:
     """Return the first time at which Phi_q loses rank between a few rows, all of which are seen."""
-    for k in np.flatnonzero(Branch(system)._changed(rows)):
+    for k in np.flatnonzero(Changes(system).between(rows)):
         step = Rows(*(x[k : k + 2] for x in rows))
         t, end = step.t.tolist()
-        reached, _ = followed(system, t, closed(system, t, step.q[0]), end, _cubic(step))
+        begin = closed(system, t, step.q[0], None)
+        reached = t if begin is None else followed(system, t, begin, end, _cubic(step))[0]
         if reached < end:
             return reached
     return None
@@ -238,7 +248,7 @@ def _reached_otherwise(system: MechanicalSystem, step: Rows, taken: Array, known
     return ""
 
 
-def _cubic(step: Rows) -> TranslationDriver:
+def _cubic(step: Rows) -> Aim:
     """Return the cubic through places and velocities at the ends of a step."""
     (t, end), q, v = step
     h = end - t

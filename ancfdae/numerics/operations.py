@@ -457,7 +457,7 @@ class Traced:
             frame = frame.f_back
         name, line = frame.f_code.co_filename, frame.f_lineno
         text = linecache.getline(name, line).strip()
-        self._operations.roots[root.at] = f"line {line} of {Path(name).name}, `{text}`"
+        self.operations.roots[root.at] = f"line {line} of {Path(name).name}, `{text}`"
         return root
 
     def exp(self) -> Traced:  # noqa: D102

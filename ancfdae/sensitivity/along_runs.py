@@ -12,7 +12,8 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.kinds import StabilityWarning
-from ancfdae.integrators.prescribed_motion import Rows, singular_position
+from ancfdae.integrators.prescribed_motion import singular_position
+from ancfdae.integrators.recorder import Rows
 from ancfdae.numerics.arrays import Array
 
 # Number of states, evenly spaced in the run, at which called functions are tried.
