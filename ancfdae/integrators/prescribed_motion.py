@@ -106,7 +106,7 @@ class Watch:
         self._driven = system.n_lam == system.n_q
         # Constraints and coordinates of the part of the motion that constraints determine.
         self._part: tuple[Array, Array] | None = None
-        self._changes = Changes(system)
+        self._changes: Changes | None = None
 
     def missed(self, all_of_them: bool = False) -> Lost | None:
         """Check recorded states, in packets or all; return the first step that went wrong, or None.
@@ -154,6 +154,7 @@ class Watch:
         if not self._driven:
             return None
         self._part = self._part or determined(self._system.constraint_pattern)
+        self._changes = self._changes or Changes(self._system)
         suspects = self._changes.between(rows) | _turned(self._system, rows, self._part[1])
         for k in np.flatnonzero(suspects):
             step = Rows(*(x[k : k + 2] for x in rows))

@@ -48,11 +48,6 @@ from ancfdae.numerics.inertia import ConstrainedPattern
 from ancfdae.numerics.patterns import SparsityPattern
 
 
-def narrow_band(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> Array:
-    """Return the order of reverse Cuthill and McKee, or the scene's own where that is better."""
-    return narrow_order(*pattern.places, *constraint_pattern.places)
-
-
 def little_fill(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> Array:
     """Return the order of minimum degree: SuperLU's, found where it factorises a made-up matrix."""
     graph = _graph(pattern, constraint_pattern).astype(float)
@@ -311,7 +306,8 @@ def _narrow(K: SparsityPattern, B: SparsityPattern) -> _Places:
     for other, places in known:
         if other is B:
             return places
-    places = _Places(K, B, narrow_band(K, B))
+    # Reverse Cuthill and McKee, or the order of the scene where that is better.
+    places = _Places(K, B, narrow_order(*K.places, *B.places))
     K.beside = (B, places), *known[:1]
     return places
 
