@@ -20,7 +20,9 @@ from ancfdae import (
     Terminal,
     assemble,
     position,
+    reaction,
     simulate,
+    velocity,
 )
 from ancfdae.equations import EstimatedErrors
 from ancfdae.integrators.problem import Problem
@@ -29,7 +31,7 @@ from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.gradients import _wanted
 from ancfdae.studies.tolerance.runs import Sample
 from ancfdae.studies.tolerance.sequences import Second
-from ancfdae.studies.tolerance.transitions import RESOLVED, passed_over
+from ancfdae.studies.tolerance.transitions import RESOLVED, _smooth, passed_over
 from ancfdae.studies.tolerance.waves import Unresolved, Wave, missed
 
 
@@ -43,7 +45,9 @@ def sliding(*loads):
     """A kilogram on a rail at rest, one metre from the origin, under loads on it."""
     a = RigidBody("a", (1.0, 0), mass=1.0, inertia=1.0)
     made = [load(a) for load in loads]
-    return Scene([], [PointOnLine(a.at(0), direction=(1, 0))], loads=made, bodies=[a]), a
+    return Scene(
+        [], [PointOnLine(a.at(0), direction=(1, 0), name="rail")], loads=made, bodies=[a]
+    ), a
 
 
 def spring(a):
@@ -99,7 +103,12 @@ def test_beams_alone_have_no_transitions_of_forces_to_look_for(monkeypatch):
     seen = passed_over(problem, run, 1e-3)
     monkeypatch.setattr(Problem, "accelerations", property(lambda self: 1 / 0))
     assert passed_over(problem, run, 1e-3) == seen == RESOLVED
+    assert _smooth(system)
     # Loads that move, and bodies whose joints turn, are looked at.
+    beams, held = scene.beams, scene.joints
+    pull = SpringDamper(beams[0].at_end, 4.0, 0.0, 0.9, ground=(0.0, 0.0), name="s")
+    assert not _smooth(assemble(Scene(beams, held, loads=[pull]), []))
+    assert not _smooth(assemble(sliding()[0], []))
     system = assemble(sliding(spring, rubbing)[0], ["s.stiffness"])
     run = simulate(system, 3.0, HHT(3.0 / 64, -0.05))
     with pytest.raises(ZeroDivisionError):
@@ -139,17 +148,17 @@ def test_a_wave_of_a_derivative_is_weighed_as_it_changes_the_number(lost):
     """By the partials, against the number with a small wave in the states."""
     scene, a = sliding(spring)
     system = assemble(scene, ["s.stiffness"])
-    objective = Terminal(position(a.at(0), 0) ** 2)
+    x, v = position(a.at(0), 0), velocity(a.at(0), 0)
+    objective = Terminal(x**2 + 0.03 * v + 5.0 * reaction("rail", 0))
     wanted = _wanted(system, [objective], 1.0, 1e-3)
     run = simulate(system, 1.0, HHT(1 / 256, -0.05))
-    x = np.zeros(system.n_q)
-    x[system.n_q // 2 :] = 0.02
-    wave = Wave(0.0, x, np.zeros(system.n_lam), 50.0, 0.1)
+    lam = np.linspace(0.01, 0.02, system.n_lam)
+    wave = Wave(0.0, np.full(system.n_q, 0.02), lam, 50.0, 0.1)
     found = Unresolved(0, wave, 3.0, lost)
     asked = wanted.numbers, wanted.integrated, wanted.partials
     weighed = missed(wanted.problem, run, [found], asked)
     states, h = states_of(run), 1e-6
-    small = wave._replace(q=h * wave.q)
+    small = wave._replace(q=h * wave.q, lam=h * wave.lam)
     plain = objective.value(system, states)
     true, left = (
         np.array(
