@@ -173,16 +173,3 @@ def test_a_wave_of_a_derivative_is_weighed_as_it_changes_the_number(lost):
     assert weighed.whole[0].slope[0] == pytest.approx(scale * np.abs(true).max(), rel=1e-3)
     assert weighed.parts[0].slope[0] == pytest.approx(scale * np.abs(true - left).max(), rel=1e-3)
     assert weighed.whole[0].value[0] == 0
-
-
-@pytest.mark.parametrize("lost", [True, False])
-def test_a_wave_with_its_amplitude_misses_nothing_by_damping(lost):
-    scene, a = sliding(spring)
-    system = assemble(scene, ["s.stiffness"])
-    wanted = _wanted(system, [Terminal(position(a.at(0), 0))], 1.0, 1e-3)
-    run = simulate(system, 1.0, HHT(1 / 256, -0.05))
-    wave = Wave(0.0, np.full(system.n_q, 0.02), np.zeros(system.n_lam), 50.0, 0.1)
-    asked = wanted.numbers, wanted.integrated, wanted.partials
-    weighed = missed(wanted.problem, run, [Unresolved(-1, wave, 3.0, lost)], asked)
-    assert bool(weighed.parts[0].value[0] > 0) is lost
-    assert weighed.whole[0].value[0] > 0

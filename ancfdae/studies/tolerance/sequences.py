@@ -218,16 +218,11 @@ class Second(_Steps):
         self._taken = taken
 
     def _weigh(self, sample: Sample, resolved: bool) -> None:
-        """Weigh the waves that a run does not resolve; of two runs those that it damps only.
-
-        Bars of two runs that do not resolve waves are too wide for the others to matter.
-        """
+        """Weigh the waves that a run does not resolve."""
         wanted = self._wanted
         waves = unresolved(wanted.problem, sample.run, _ALPHA, not resolved)
         self._damped = [x.wave for x in waves if x.damped]
         self.waves = self.waves or bool(self._damped)
-        if len(self.samples) < 2 and not resolved:
-            waves = [x for x in waves if x.damped]
         lost = missed(
             wanted.problem, sample.run, waves, (wanted.numbers, wanted.integrated, wanted.partials)
         )

@@ -286,9 +286,7 @@ def _of_the_motion(
     angles = angle, angle + _TURN / T
     for phase in _PHASES:
         true, detuned = (numbers(wave.added(states, x, phase, wave.decay)) for x in angles)
-        left, moved = true, detuned
-        if found.lost:
-            left, moved = (numbers(wave.added(states, x, phase, found.kept)) for x in angles)
+        left, moved = (numbers(wave.added(states, x, phase, found.kept)) for x in angles)
         for k, x in enumerate(true):
             speed = angle if integrated[k] else wave.speed
             kinds = (lost.parts[k], left[k], moved[k]), (lost.whole[k], plain[k], plain[k])
