@@ -3,41 +3,38 @@
 from ancfdae.assembly.saved import load_solution
 from ancfdae.assembly.system import AncfSystem, assemble
 from ancfdae.equations import (
-    Direction,
-    EstimatedErrors,
+    ErrorEstimates,
     FormulaSystem,
     MechanicalSystem,
     Sensitivities,
     Solution,
     Statistics,
-    Traits,
 )
-from ancfdae.equations.conformance import Conformance, check_system
-from ancfdae.equations.files import NotSaved
+from ancfdae.equations.conformance import check_system
+from ancfdae.equations.files import SaveError
 from ancfdae.errors import (
     AncfdaeError,
-    CoarseMesh,
-    FailedDesign,
-    InconsistentStart,
+    CoarseMeshWarning,
+    FailedDesignWarning,
+    InconsistentStartError,
     Interrupted,
-    InvalidInput,
-    LargeStrain,
-    ManySteps,
-    MissingPackage,
-    NotTraced,
-    Outcome,
-    RedundantConstraints,
+    InvalidInputError,
+    LargeStrainWarning,
+    ManyStepsWarning,
+    MissingPackageError,
+    NotTracedWarning,
+    RedundantConstraintsError,
     StabilityWarning,
-    ToleranceMissed,
-    UnknownName,
-    UnlikelyValue,
+    ToleranceWarning,
+    UnknownNameError,
+    UnlikelyValueWarning,
     Verdict,
 )
-from ancfdae.integrators.explicit import Explicit
+from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.radau.method import Radau
-from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps
+from ancfdae.integrators.step_control import AdaptiveSteps, FixedSteps, PrescribedSteps
 from ancfdae.integrators.sundials.ida import IDA
 from ancfdae.integrators.sundials.idas import IDAS
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
@@ -45,13 +42,12 @@ from ancfdae.model.bodies import (
     Beam,
     BodyShape,
     CurvedBeam,
-    Point,
     RigidBody,
     RigidBox,
     RigidCylinder,
     RigidSphere,
 )
-from ancfdae.model.design import DesignVariable, distribution
+from ancfdae.model.design import DesignVariable
 from ancfdae.model.elements import (
     BEAM_2D,
     BEAM_3D,
@@ -60,55 +56,52 @@ from ancfdae.model.elements import (
     EnhancedContinuum,
     PlaneStress,
     SaintVenantKirchhoff,
-    StrainEnergy,
+    StrainEnergyFunction,
 )
 from ancfdae.model.joints.axis_joint import Cylindrical, PlanarJoint, Revolute
-from ancfdae.model.joints.drive import Drive
-from ancfdae.model.joints.guide import Guide
-from ancfdae.model.joints.held_sections import Clamp, MovingBase, Weld
+from ancfdae.model.joints.drive import RotationDriver
+from ancfdae.model.joints.held_sections import Clamp, MovingSupport, Weld
 from ancfdae.model.joints.joint import Joint
 from ancfdae.model.joints.point_joints import Distance, Pin, PointOnLine, Spherical
 from ancfdae.model.joints.prismatic import Prismatic
 from ancfdae.model.joints.universal import Universal
-from ancfdae.model.laws.elementary import Constant, Harmonic, Uniform
+from ancfdae.model.laws.elementary import Constant, Harmonic
 from ancfdae.model.laws.law import Law
-from ancfdae.model.laws.passages import Change, Ramp, RunUp
+from ancfdae.model.laws.passages import RunUp
 from ancfdae.model.laws.spline import Spline
 from ancfdae.model.laws.user_law import UserLaw
 from ancfdae.model.loads.forces import DistributedForce, FollowerForce, PointForce
-from ancfdae.model.loads.friction import JointFriction, SlideFriction
+from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
 from ancfdae.model.loads.load import Load
 from ancfdae.model.loads.springs import Bushing, SpringDamper
-from ancfdae.model.loads.torques import Moment, Torque, TorsionSpring
+from ancfdae.model.loads.torques import Moment, TorsionalSpringDamper
 from ancfdae.model.material import Material
 from ancfdae.model.point_mass import PointMass
 from ancfdae.model.scene import Scene
 from ancfdae.model.sections.circle import Circle, Tube
-from ancfdae.model.sections.general import MomentSection, PointSection
+from ancfdae.model.sections.general import GeneralSection, QuadratureSection
 from ancfdae.model.sections.rectangle import Rectangle
 from ancfdae.model.sections.section import Section
 from ancfdae.model.sections.walled import Box, ISection
-from ancfdae.model.starts import AtRest, NodeState, RigidMotion
-from ancfdae.model.turning_frame import TurningFrame
-from ancfdae.modes.configuration import Configuration
+from ancfdae.model.starts import EquilibriumStart, InitialVelocity, NodalState
+from ancfdae.model.turning_frame import RotatingFrame
 from ancfdae.modes.periods import StepSuggestion
-from ancfdae.modes.result import Modes, MotionKind
-from ancfdae.numerics.patterns import Pattern
-from ancfdae.sensitivity.adjoint import Adjoint, Direct
+from ancfdae.modes.result import ModeKind, Modes
+from ancfdae.sensitivity.adjoint import Adjoint
 from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
-from ancfdae.sensitivity.method import Accuracy, Gradient, Searched, UnfinishedRun
+from ancfdae.sensitivity.method import Accuracy, Gradient, Searched, UnfinishedRunError
 from ancfdae.sensitivity.objectives import (
     AtTimes,
     Integral,
-    NonFiniteObjective,
+    NonFiniteObjectiveError,
     Objective,
     SmoothMaximum,
+    SmoothUpperBound,
     Terminal,
-    UpperMaximum,
 )
 from ancfdae.sensitivity.observables.drives import (
-    drive_torque,
-    guide_force,
+    driver_force,
+    driver_torque,
     joint_power,
     load_power,
 )
@@ -132,9 +125,8 @@ from ancfdae.sensitivity.observables.section_forces import (
     axial_force,
     bending_moment,
     shear_force,
-    torque,
 )
-from ancfdae.sensitivity.observables.stress import maximum_stress, von_mises
+from ancfdae.sensitivity.observables.stress import maximum_von_mises, von_mises
 from ancfdae.sensitivity.observables.user_functions import apply, custom
 from ancfdae.sensitivity.observables.vectors import (
     axial_strain,
@@ -145,27 +137,32 @@ from ancfdae.sensitivity.observables.vectors import (
     velocity,
 )
 from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference
-from ancfdae.statics.critical import CriticalLoad, NoCriticalPoint
-from ancfdae.statics.equilibrium import Equilibrium, NoEquilibrium
-from ancfdae.statics.outcome import FreeMechanism, LoadOutcome
+from ancfdae.statics.critical import CriticalLoad, NoCriticalPointError
+from ancfdae.statics.equilibrium import Equilibrium, NoEquilibriumError
+from ancfdae.statics.outcome import EquilibriumOutcome, FreeMotionError
 from ancfdae.studies.calls import differentiate, evaluate, gradient, gradients, simulate
 from ancfdae.studies.campbell import Campbell, campbell
-from ancfdae.studies.error_bars import AdjointError, ErrorBars, adjoint_error, error_bars
-from ancfdae.studies.fit import Fit
+from ancfdae.studies.error_bars import (
+    AdjointErrorEstimate,
+    ErrorBars,
+    error_bars,
+    estimate_adjoint_error,
+)
 from ancfdae.studies.ladder import choose_model
-from ancfdae.studies.ladder_result import Choice, ModelLadder, NoModel, Rung, RungRun
+from ancfdae.studies.ladder_result import (
+    ModelComparison,
+    NoAccurateModelError,
+    VariantRun,
+)
 from ancfdae.studies.mass_properties import MassProperties, mass_properties
-from ancfdae.studies.misfit import FrequencyMisfit, Misfit, RunFit, StaticMisfit
+from ancfdae.studies.misfit import FrequencyMisfit, Misfit, RunResidualFunction, StaticMisfit
 from ancfdae.studies.modes import modes, suggest_step
-from ancfdae.studies.observing import Observations, observations
 from ancfdae.studies.responses import Response, Responses
-from ancfdae.studies.statics import CriticalValue, critical_load, equilibrium, static_gradient
-from ancfdae.studies.sweep import Evaluate, sweep
+from ancfdae.studies.statics import CriticalValue, critical_load, equilibrium, equilibrium_gradient
+from ancfdae.studies.sweep import sweep
 from ancfdae.studies.sweep_file import Sweep, SweepRow
 from ancfdae.studies.taylor import TaylorTest, taylor_test
-from ancfdae.studies.tolerance.observables import Observed
-from ancfdae.studies.tradeoff import tradeoff
-from ancfdae.studies.tradeoff_result import Setting, TargetNotReached, Tradeoff
+from ancfdae.studies.tradeoff_result import MeasuredSetting, TargetNotReachedError
 
 __version__: str
 
@@ -174,15 +171,16 @@ __all__ = [
     "BEAM_3D",
     "CABLE_2D",
     "CABLE_3D",
+    "DOP853",
     "HHT",
     "IDA",
     "IDAS",
     "Accuracy",
+    "AdaptiveSteps",
     "Adjoint",
-    "AdjointError",
+    "AdjointErrorEstimate",
     "AncfSystem",
     "AncfdaeError",
-    "AtRest",
     "AtTimes",
     "Beam",
     "BodyShape",
@@ -193,13 +191,12 @@ __all__ = [
     "Choice",
     "Circle",
     "Clamp",
-    "CoarseMesh",
+    "CoarseMeshWarning",
     "ComplexStep",
     "Configuration",
     "Conformance",
     "Constant",
     "ContinuousAdjoint",
-    "ControlledSteps",
     "CriticalLoad",
     "CriticalValue",
     "CurvedBeam",
@@ -209,57 +206,55 @@ __all__ = [
     "Direction",
     "Distance",
     "DistributedForce",
-    "Drive",
     "EnhancedContinuum",
     "Equilibrium",
+    "EquilibriumOutcome",
+    "EquilibriumStart",
     "ErrorBars",
-    "EstimatedErrors",
+    "ErrorEstimates",
     "Evaluate",
-    "Explicit",
-    "FailedDesign",
+    "FailedDesignWarning",
     "FiniteDifference",
     "Fit",
     "FixedSteps",
     "FollowerForce",
     "FormulaSystem",
-    "FreeMechanism",
+    "FreeMotionError",
     "FrequencyMisfit",
-    "GivenSteps",
+    "GeneralSection",
     "Gradient",
     "Guide",
     "Harmonic",
     "ISection",
-    "InconsistentStart",
+    "InconsistentStartError",
     "IndexReduction",
+    "InitialVelocity",
     "Integral",
     "Integrator",
     "Interrupted",
-    "InvalidInput",
+    "InvalidInputError",
     "Joint",
-    "JointFriction",
-    "LargeStrain",
+    "LargeStrainWarning",
     "Law",
     "Load",
-    "LoadOutcome",
-    "ManySteps",
+    "ManyStepsWarning",
     "MassProperties",
     "Material",
+    "MeasuredSetting",
     "MechanicalSystem",
     "Misfit",
-    "MissingPackage",
-    "ModelLadder",
+    "MissingPackageError",
+    "ModeKind",
+    "ModelComparison",
     "Modes",
     "Moment",
-    "MomentSection",
-    "MotionKind",
-    "MovingBase",
-    "NoCriticalPoint",
-    "NoEquilibrium",
-    "NoModel",
-    "NodeState",
-    "NonFiniteObjective",
-    "NotSaved",
-    "NotTraced",
+    "MovingSupport",
+    "NoAccurateModelError",
+    "NoCriticalPointError",
+    "NoEquilibriumError",
+    "NodalState",
+    "NonFiniteObjectiveError",
+    "NotTracedWarning",
     "Objective",
     "Observable",
     "Observations",
@@ -273,32 +268,34 @@ __all__ = [
     "PointForce",
     "PointMass",
     "PointOnLine",
-    "PointSection",
+    "PrescribedSteps",
     "Prismatic",
+    "QuadratureSection",
     "Radau",
     "Ramp",
     "Rectangle",
-    "RedundantConstraints",
+    "RedundantConstraintsError",
     "Response",
     "Responses",
     "Revolute",
     "RigidBody",
     "RigidBox",
     "RigidCylinder",
-    "RigidMotion",
     "RigidSphere",
-    "RunFit",
+    "RotatingFrame",
+    "RotationDriver",
+    "RotationalFriction",
+    "RunResidualFunction",
     "RunUp",
     "Rung",
-    "RungRun",
     "SaintVenantKirchhoff",
+    "SaveError",
     "Scene",
     "Searched",
     "Section",
     "Sensitivities",
-    "Setting",
-    "SlideFriction",
     "SmoothMaximum",
+    "SmoothUpperBound",
     "Solution",
     "Spherical",
     "Spline",
@@ -307,30 +304,29 @@ __all__ = [
     "StaticMisfit",
     "Statistics",
     "StepSuggestion",
-    "StrainEnergy",
+    "StrainEnergyFunction",
     "Sweep",
     "SweepRow",
-    "TargetNotReached",
+    "TargetNotReachedError",
     "TaylorTest",
     "Terminal",
-    "ToleranceMissed",
+    "ToleranceWarning",
     "Torque",
-    "TorsionSpring",
+    "TorsionalSpringDamper",
     "Tradeoff",
     "Traits",
+    "TranslationalFriction",
     "Tube",
-    "TurningFrame",
-    "UnfinishedRun",
+    "UnfinishedRunError",
     "Uniform",
     "Universal",
-    "UnknownName",
-    "UnlikelyValue",
-    "UpperMaximum",
+    "UnknownNameError",
+    "UnlikelyValueWarning",
     "UserLaw",
+    "VariantRun",
     "Verdict",
     "Weld",
     "__version__",
-    "adjoint_error",
     "angular_momentum",
     "apply",
     "assemble",
@@ -347,14 +343,16 @@ __all__ = [
     "design_value",
     "differentiate",
     "distribution",
-    "drive_torque",
+    "driver_force",
+    "driver_torque",
     "elapsed_time",
     "equilibrium",
+    "equilibrium_gradient",
     "error_bars",
+    "estimate_adjoint_error",
     "evaluate",
     "gradient",
     "gradients",
-    "guide_force",
     "inertia",
     "joint_power",
     "kinetic_energy",
@@ -363,7 +361,7 @@ __all__ = [
     "load_solution",
     "mass",
     "mass_properties",
-    "maximum_stress",
+    "maximum_von_mises",
     "modes",
     "multiplier",
     "observations",
@@ -374,7 +372,6 @@ __all__ = [
     "simulate",
     "slope",
     "slope_angle",
-    "static_gradient",
     "strain_energy",
     "suggest_step",
     "sweep",

@@ -13,20 +13,20 @@ from matplotlib.collections import PolyCollection
 from ancfdae import (
     HHT,
     Beam,
-    Drive,
-    Gradient,
     Integral,
     Material,
     Pin,
     PointMass,
     PointOnLine,
-    Ramp,
-    Rectangle,
+    RotationDriver,
     Scene,
-    distribution,
+    distributed_variables,
     gradient,
-    strain_energy,
 )
+from ancfdae.laws import SmoothStep
+from ancfdae.observables import strain_energy
+from ancfdae.results import Gradient
+from ancfdae.sections import Rectangle
 from ancfdae.plotting import BendingMoment
 from ancfdae.plotting.bars import bar_places
 from ancfdae.plotting.charts import settings
@@ -48,7 +48,7 @@ def scene() -> Scene:
         bodies=[PointMass(rod.at_end, 0.02)],
         joints=[
             Pin(crank.at_start),
-            Drive(crank.at_start, angle=Ramp(0.0, -4 * np.pi, duration=T_END)),
+            RotationDriver(crank.at_start, angle=SmoothStep(0.0, -4 * np.pi, duration=T_END)),
             Pin(crank.at_end, rod.at_start),
             PointOnLine(rod.at_end, (1, 0)),
         ],
@@ -60,7 +60,11 @@ def derivatives(t_end: float = T_END) -> Gradient:
     """Return the run, and what the height of each element does to the work that bends the rod."""
     objective = Integral(strain_energy("rod"))
     return gradient(
-        scene(), objective, t_end, HHT(step=STEP), design=distribution("rod.height", ELEMENTS)
+        scene(),
+        objective,
+        t_end,
+        HHT(step=STEP),
+        design=distributed_variables("rod.height", ELEMENTS),
     )
 
 

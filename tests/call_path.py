@@ -12,7 +12,9 @@ from pathlib import Path
 from types import CodeType, FrameType
 
 import ancfdae
-from ancfdae import HHT, Beam, Material, Pin, Rectangle, Scene, Terminal, gradient, position
+from ancfdae import HHT, Beam, Material, Pin, Scene, Terminal, gradient
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 
 ROOT = Path(ancfdae.__file__).parent
 

@@ -1,6 +1,6 @@
 """Scenes with the design variables that tests of the assembler differentiate in."""
 
-from ancfdae import DesignVariable, distribution
+from ancfdae import DesignVariable, distributed_variables
 from ancfdae.model.elements import ALL_ELEMENTS
 
 MATERIAL = ("youngs_modulus", "poisson_ratio", "density")
@@ -30,23 +30,30 @@ CASES = {
     ),
     "pair, per element": (
         "planar_pair",
-        [*distribution("crank.height", 3), *distribution("rod.poisson_ratio", 2), "crank.length"],
+        [
+            *distributed_variables("crank.height", 3),
+            *distributed_variables("rod.poisson_ratio", 2),
+            "crank.length",
+        ],
     ),
     "mixed, curved": ("planar_mixed", [*of("bow", *MATERIAL, "width", "length"), "rod.length"]),
     "mixed, per element": (
         "planar_mixed",
         [
-            *distribution("bow.height", 2),
+            *distributed_variables("bow.height", 2),
             DesignVariable("nu", ["rod.poisson_ratio"]),
             DesignVariable("h", ["rod.height"]),
             DesignVariable("w", ["bow.width[0]", "bow.width[1]"]),
         ],
     ),
-    "cables": ("planar_cables", [*of("rod", *ALL), "rope.length", *distribution("rope.height", 2)]),
+    "cables": (
+        "planar_cables",
+        [*of("rod", *ALL), "rope.length", *distributed_variables("rope.height", 2)],
+    ),
     "spatial, all": ("one_spatial_beam", of("rod", *ALL)),
     "spatial pair": (
         "spatial_pair",
-        [*distribution("crank.height", 2), "crank.length", *of("rod", *ALL)],
+        [*distributed_variables("crank.height", 2), "crank.length", *of("rod", *ALL)],
     ),
     "spatial mixed": (
         "spatial_mixed",
@@ -60,7 +67,7 @@ CASES = {
         "damped_pair",
         [
             *of("crank", *ALL),
-            *distribution("rod.height", 1),
+            *distributed_variables("rod.height", 1),
             DesignVariable("E", ["rod.youngs_modulus"]),
         ],
     ),

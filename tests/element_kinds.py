@@ -2,20 +2,17 @@
 
 import numpy as np
 
-from ancfdae import (
+from ancfdae import DesignVariable, EnhancedContinuum, PlaneStress, SaintVenantKirchhoff
+from ancfdae.model.elements import ElementType
+from ancfdae.sections import (
     Box,
     Circle,
-    DesignVariable,
-    EnhancedContinuum,
+    GeneralSection,
     ISection,
-    MomentSection,
-    PlaneStress,
-    PointSection,
+    QuadratureSection,
     Rectangle,
-    SaintVenantKirchhoff,
     Tube,
 )
-from ancfdae.model.elements import ElementType
 
 PLACES = [(0.006, 0.004), (-0.006, 0.004), (0.006, -0.004), (-0.006, -0.004)]
 SECTIONS = {
@@ -24,8 +21,8 @@ SECTIONS = {
     "tube": Tube(0.01, 0.002),
     "box": Box(0.02, 0.03, 0.001, 0.002),
     "I": ISection(0.04, 0.03, 0.002, 0.003),
-    "moments": MomentSection(1e-4, 2e-9, 1e-9, 3e-9),
-    "points": PointSection(places=PLACES, areas=[2e-5] * 4, shear_factors=(0.8, 0.9)),
+    "moments": GeneralSection(1e-4, 2e-9, 1e-9, 3e-9),
+    "points": QuadratureSection(places=PLACES, areas=[2e-5] * 4, shear_factors=(0.8, 0.9)),
 }
 ENERGIES = {
     "SVK": SaintVenantKirchhoff(),

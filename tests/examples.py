@@ -15,18 +15,12 @@ from typing import Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 import ancfdae
-from ancfdae import (
-    Harmonic,
-    InvalidInput,
-    Law,
-    Point,
-    RigidBody,
-    RunUp,
-    Scene,
-    assemble,
-)
+from ancfdae import RigidBody, Scene, assemble
+from ancfdae.errors import InvalidInputError
+from ancfdae.extend import Law, MaterialPoint
+from ancfdae.laws import Harmonic, RunUp
 from ancfdae.model import laws
-from ancfdae.model.joints.joint import DrivenJoint, Equations
+from ancfdae.model.joints.joint import DrivenJoint, JointEquations
 
 #: Oblique and of no special length.
 ARROW = (0.6, -0.8, 0.3)
@@ -45,7 +39,7 @@ def coefficients_of(joint, p, reference, t, order=0):
         sum(factor * getattr(part, name) for factor, part in parts)
         for name in ("linear", "bilinear", "offset")
     )
-    return Equations(*arrays, still.shapes)
+    return JointEquations(*arrays, still.shapes)
 
 
 def public_classes(module, base):
@@ -64,7 +58,7 @@ def values_of(hint, name, points, d):
     if get_origin(hint) is Sequence:
         return [ACROSS[:d] if name == "cross" else ARROW[:d]]
     return {
-        Point: [points[1 if name == "other" else 0]],
+        MaterialPoint: [points[1 if name == "other" else 0]],
         Law: [Harmonic(amplitude=0.4, frequency=3.0, phase=0.2, offset=0.1)],
         float: [0.7],
         bool: [True],
@@ -109,7 +103,7 @@ def examples(kind, beams, points, bodies=()):
                 try:
                     part = kind(**arguments)
                     assemble(scene_of((*beams, *bodies), part))
-                except InvalidInput:
+                except InvalidInputError:
                     continue
                 own = [f.name for f in fields(kind) if f.default is not MISSING]
                 extras = [name for name in own if name in arguments]

@@ -24,7 +24,7 @@ assert importlib.util.find_spec("validation") is None
 for module in pkgutil.walk_packages(ancfdae.__path__, "ancfdae."):
     try:
         importlib.import_module(module.name)
-    except ancfdae.MissingPackage as error:
+    except ancfdae.errors.MissingPackageError as error:
         assert "pip install" in str(error), error
 """
 

@@ -9,18 +9,18 @@ from scipy.spatial.transform import Rotation
 from ancfdae import (
     Clamp,
     Cylindrical,
-    Drive,
-    Guide,
     PlanarJoint,
-    Point,
     Prismatic,
     Revolute,
-    Uniform,
+    RotationDriver,
+    TranslationDriver,
     Universal,
     Weld,
 )
+from ancfdae.extend import MaterialPoint
+from ancfdae.laws import ConstantAcceleration
 
-HERE, THERE = Point("rod", 0.3), Point("arm", 1.0)
+HERE, THERE = MaterialPoint("rod", 0.3), MaterialPoint("arm", 1.0)
 T, SPEED = 0.7, 1.9
 ANGLE = SPEED * T
 # Sections of the reference: normal and axes of section as columns.
@@ -75,7 +75,7 @@ def cases(frame, other):
             "plane": Case(PlanarJoint(HERE, a, carried), about(axis), along(*across(axis)), 3),
             "prismatic": Case(Prismatic(HERE, a, carried), slide=along(axis), freedoms=1),
             "drive": Case(
-                Drive(HERE, Uniform(SPEED), a, carried),
+                RotationDriver(HERE, ConstantAcceleration(SPEED), a, carried),
                 lambda rng, axis=axis: Rotation.from_rotvec(ANGLE * axis),
                 along(X, Y, Z),
                 5,
@@ -91,7 +91,7 @@ def cases(frame, other):
     else:
         found["weld"] = Case(Weld(HERE, THERE))
         found["guide"] = Case(
-            Guide(HERE, tuple(OBLIQUE), Uniform(SPEED), THERE),
+            TranslationDriver(HERE, tuple(OBLIQUE), ConstantAcceleration(SPEED), THERE),
             lambda rng: Rotation.random(random_state=rng),
             lambda rng: ANGLE * OBLIQUE + along(*across(OBLIQUE))(rng),
             5,

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ancfdae import Beam, Material, Rectangle, position
+from ancfdae import Beam, Material
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 
 ROD = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.05, 0.04), Material(1e3, 1e7, 0.3))
 TIP = position(ROD.at_end, 0)

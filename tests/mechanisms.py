@@ -7,20 +7,18 @@ import numpy as np
 from ancfdae import (
     Beam,
     Distance,
-    Drive,
-    FormulaSystem,
-    Harmonic,
+    InitialVelocity,
     Material,
-    MechanicalSystem,
-    NotTraced,
     Pin,
-    Rectangle,
-    RigidMotion,
+    RotationDriver,
     Scene,
     SpringDamper,
-    Traits,
     assemble,
 )
+from ancfdae.errors import NotTracedWarning
+from ancfdae.extend import FormulaSystem, MechanicalSystem, SystemProperties
+from ancfdae.laws import Harmonic
+from ancfdae.sections import Rectangle
 
 
 class CartesianPendulum(MechanicalSystem):
@@ -33,7 +31,7 @@ class CartesianPendulum(MechanicalSystem):
     n_q, n_lam = 2, 1
     design_names = ("L", "g")
     constraint_names = ("rod",)
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
 
     def __init__(self, angle=-np.pi / 2, spin=0.0, b=(1.0, 9.81)):
         self.angle, self.spin, self.b = angle, spin, np.asarray(b)
@@ -71,7 +69,7 @@ class CartesianPendulum(MechanicalSystem):
 class WhirlingPendulum(CartesianPendulum):
     """A pendulum of varying mass in a wind that pushes across: Q_v is not symmetric."""
 
-    traits = Traits()
+    traits = SystemProperties()
 
     def with_values(self, b):
         return WhirlingPendulum(self.angle, self.spin, b)
@@ -104,7 +102,7 @@ class WrittenPendulum(FormulaSystem):
 
     n_q, n_lam = 2, 1
     design_names = ("L", "g")
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
 
     def __init__(self, angle=-np.pi / 2, spin=0.0, b=(1.0, 9.81)):
         self.angle, self.spin = angle, spin
@@ -133,7 +131,7 @@ class CalledPendulum(WrittenPendulum):
 
     def __init__(self, *values):
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotTraced)
+            warnings.simplefilter("ignore", NotTracedWarning)
             super().__init__(*values)
 
     def force(self, t, q, v):
@@ -207,7 +205,7 @@ class CarAxis(FormulaSystem):
 
     n_q, n_lam = 4, 2
     design_names = ("L0", "M")
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
     # At t = 3, by the test set.
     published = np.array(
         [0.04934557842755629, 0.4969894602303324, 1.041742524885400, 0.3739110272652214]
@@ -263,11 +261,11 @@ def chain(length=1.0, mass=1.0, time=1.0, design=CHAIN_DESIGN, frequency=4.0):
     )
     joints = [
         Pin(a.at_start),
-        Drive(a.at_start, Harmonic(0.5, frequency / time), name="m"),
+        RotationDriver(a.at_start, Harmonic(0.5, frequency / time), name="m"),
         Pin(a.at_end, b.at_start),
         Distance(b.at_end, 0.8 * length, ground=(1.1 * length, 0.8 * length), name="d"),
     ]
-    start = [RigidMotion(name, 2.0 / time, (0, 0)) for name in "ab"]
+    start = [InitialVelocity(name, 2.0 / time, (0, 0)) for name in "ab"]
     gravity = (0, -9.81 * length / time**2)
     scene = Scene([a, b], joints, gravity, start, [spring], project_start=True)
     return assemble(scene, design)

@@ -14,7 +14,7 @@ from ancfdae.equations.held import (
     jerk_side,
     velocity_side,
 )
-from ancfdae.equations.motion import Direction
+from ancfdae.equations.motion import StateDirection
 from ancfdae.equations.system import constraint_q_along, reaction
 
 __all__ = [
@@ -124,12 +124,12 @@ def constraint_q_times_total(system, t, q, x, q_b):
 
 def force_rate(system, t, q, v, a):
     """dQ/dt along the motion."""
-    return system.force_along(t, q, v, Direction(1.0, v, a))
+    return system.force_along(t, q, v, StateDirection(1.0, v, a))
 
 
 def force_q_times(system, t, q, x):
     """Q_q x at rest."""
-    return system.force_along(t, q, 0 * q, Direction(0.0, x, 0 * q))
+    return system.force_along(t, q, 0 * q, StateDirection(0.0, x, 0 * q))
 
 
 def force_rate_total(system, t, q, v, a, q_b, v_b, a_b):
@@ -139,7 +139,7 @@ def force_rate_total(system, t, q, v, a, q_b, v_b, a_b):
 
 def constraint_force_rate(system, t, q, v, lam):
     """(dPhi_q^T/dt) lam."""
-    rate = constraint_q_along(system, t, q, Direction(1.0, v, 0 * v))
+    rate = constraint_q_along(system, t, q, StateDirection(1.0, v, 0 * v))
     return system.constraint_pattern.dot_transposed(rate, lam)
 
 
@@ -158,4 +158,4 @@ def _rate_total(system, t, states, lam, states_b, lam_b):
     (q, v, a), (q_b, v_b, a_b) = states, states_b
     lam_b = np.zeros((system.n_lam, system.n_b)) if lam_b is None else lam_b
     at, at_b = (q, v, 0 * q, lam), (q_b, v_b, 0 * q_b, lam_b)
-    return system.along_total(t, at, Direction(1.0, v, a), at_b, (v_b, a_b))
+    return system.along_total(t, at, StateDirection(1.0, v, a), at_b, (v_b, a_b))

@@ -67,7 +67,7 @@ TESTS = {
         ["tests/test_objectives.py"],
         ["tests/test_adjoint.py", "-k", "is_complex_step and (pinned or damped-6)"],
         ["tests/test_integrals.py", "-k", "relative_to or finite or interrupt or leaves"],
-        ["tests/test_integrals.py", "-k", "panels and (Explicit or multipliers)"],
+        ["tests/test_integrals.py", "-k", "panels and (DOP853 or multipliers)"],
         ["tests/test_integrals.py", "-k", "differences or (idas and (function or multipliers))"],
     ],
 }

@@ -23,8 +23,8 @@ _NUMBERS = re.compile(r"^[*\w, ]+ : (?:float|array|sequence of float)\b.*(?:\n(?
 class Text(NamedTuple):
     """A piece of prose with its place.
 
-    `kind` is docstring, comment, string, markdown, rule or repair (of InvalidInput), returns (the
-    docstring of a function that returns an array) or parameter (an entry of numpydoc that is a
+    `kind` is docstring, comment, string, markdown, rule or repair (of InvalidInputError), returns
+    (the docstring of a function that returns an array) or parameter (an entry of numpydoc that is a
     number or an array).
     """
 
@@ -95,7 +95,7 @@ def _of_python(path: Path, name: str) -> Iterator[Text]:
                 yield Text("parameter", name, first.lineno, entry[0])
         if isinstance(node, ast.JoinedStr):
             inner.update(id(part) for part in ast.walk(node) if part is not node)
-        if _called(node) == "InvalidInput" and len(node.args) > 1:
+        if _called(node) == "InvalidInputError" and len(node.args) > 1:
             yield from _said("rule", name, node.args[1])
             if len(node.args) == 4:
                 yield from _said("repair", name, node.args[3])

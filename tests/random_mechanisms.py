@@ -6,17 +6,17 @@ import numpy as np
 
 from ancfdae import (
     Beam,
-    Drive,
+    InitialVelocity,
     Material,
     Pin,
     PointMass,
     PointOnLine,
-    Rectangle,
-    RigidMotion,
-    RunUp,
+    RotationDriver,
     Scene,
     Spherical,
 )
+from ancfdae.laws import RunUp
+from ancfdae.sections import Rectangle
 
 MATERIALS = {
     "rubber": (1100.0, 5e6, 0.4),
@@ -50,7 +50,7 @@ def _chain(rng, d):
     joints += [kind(a.at_end, b.at_start) for a, b in pairwise(beams)]
     spin, start = rng.uniform(-6, 6), []
     if d == 2 and rng.random() < 0.5:
-        start = [RigidMotion(b.name, spin, (0, 0)) for b in beams]
+        start = [InitialVelocity(b.name, spin, (0, 0)) for b in beams]
     bodies = [PointMass(beams[-1].at_end, rng.uniform(0.05, 0.5))] if rng.random() < 0.4 else []
     return beams, joints, start, bodies, rng.uniform(0.5, 1.5)
 
@@ -63,7 +63,7 @@ def _four_bar(rng):
     joints = [Pin(a.at_start), Pin(a.at_end, b.at_start), Pin(b.at_end, c.at_start), Pin(c.at_end)]
     speed = rng.uniform(2, 15)
     if rng.random() < 0.6:
-        joints.append(Drive(a.at_start, RunUp(speed, rng.uniform(0.05, 0.3))))
+        joints.append(RotationDriver(a.at_start, RunUp(speed, rng.uniform(0.05, 0.3))))
     return beams, joints, [], [], 2 * np.pi / speed
 
 
@@ -73,7 +73,7 @@ def _slider(rng):
     b = _beam(rng, "b", (0, crank), (np.sqrt(rod**2 - crank**2), 0))
     joints = [Pin(a.at_start), Pin(a.at_end, b.at_start), PointOnLine(b.at_end, direction=(1, 0))]
     speed = rng.uniform(2, 20)
-    joints.append(Drive(a.at_start, RunUp(speed, rng.uniform(0.05, 0.3))))
+    joints.append(RotationDriver(a.at_start, RunUp(speed, rng.uniform(0.05, 0.3))))
     return [a, b], joints, [], [PointMass(b.at_end, rng.uniform(0.05, 0.5))], 2 * np.pi / speed
 
 

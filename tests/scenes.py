@@ -14,29 +14,28 @@ from ancfdae import (
     CurvedBeam,
     Distance,
     DistributedForce,
-    Drive,
     FollowerForce,
-    Guide,
-    Harmonic,
+    InitialVelocity,
     Material,
     Pin,
     PointForce,
     PointMass,
     PointOnLine,
-    Rectangle,
     Revolute,
     RigidBody,
     RigidBox,
     RigidCylinder,
-    RigidMotion,
     RigidSphere,
+    RotatingFrame,
+    RotationDriver,
     Scene,
     Spherical,
     SpringDamper,
-    TurningFrame,
-    Uniform,
+    TranslationDriver,
 )
+from ancfdae.laws import ConstantAcceleration, Harmonic
 from ancfdae.model.elements import ALL_ELEMENTS
+from ancfdae.sections import Rectangle
 
 STEEL = Material(density=2700.0, youngs_modulus=3e6, poisson_ratio=0.3)
 RUBBER = Material(density=1100.0, youngs_modulus=1e6, poisson_ratio=0.41)
@@ -86,7 +85,7 @@ def planar_pair():
         Pin(rod.at(0.85, y=-0.01), ground=(1.6, 0.25), name="slot"),
         PointOnLine(rod.at(0.3), (1.0, -0.6), through=(0.93, 0.62), name="rail"),
     ]
-    start = [RigidMotion("crank", 1.5, (0.0, 0.0), velocity=(0.1, 0.2))]
+    start = [InitialVelocity("crank", 1.5, (0.0, 0.0), velocity=(0.1, 0.2))]
     return Scene([crank, rod], joints, gravity=(1.0, -9.81), start=start, project_start=True)
 
 
@@ -123,7 +122,7 @@ def spatial_pair():
         # A little more away from the first one than it is on the beam.
         Pin(crank.at(0.7), ground=(0.3, 0.57, 0.21), name="slot"),
     ]
-    start = [RigidMotion("rod", (0.3, -0.2, 0.5), (0.1, 0.2, 0.0), velocity=(1.0, 0.0, 2.0))]
+    start = [InitialVelocity("rod", (0.3, -0.2, 0.5), (0.1, 0.2, 0.0), velocity=(1.0, 0.0, 2.0))]
     return Scene([crank, rod], joints, (0.3, -9.81, 1.0), start, project_start=True)
 
 
@@ -143,11 +142,13 @@ def planar_machine():
     law = Harmonic(amplitude=0.4, frequency=3.0, phase=0.2, offset=0.1)
     joints = [
         Pin(crank.at_start, name="bearing"),
-        Drive(crank.at(0.2, y=0.01), Uniform(speed=2.0, acceleration=1.5), name="motor"),
+        RotationDriver(
+            crank.at(0.2, y=0.01), ConstantAcceleration(speed=2.0, acceleration=1.5), name="motor"
+        ),
         Pin(crank.at_end, rod.at_start, name="elbow"),
         PointOnLine(rod.at(0.8, y=0.02), direction=(0.9, 0.2), name="slot"),
         Distance(rod.at(0.9, y=-0.02), 1.1, bow.at(0.7, y=0.01), name="link"),
-        Guide(bow.at(0.1), (1.0, 0.5), law, name="shaker"),
+        TranslationDriver(bow.at(0.1), (1.0, 0.5), law, name="shaker"),
         Distance(bow.at_end, 0.8, ground=(1.9, 0.6), name="stay"),
     ]
     loads = [
@@ -156,7 +157,7 @@ def planar_machine():
         FollowerForce(bow.at(0.6, y=-0.02), (4.0, -3.0), name="jet"),
         SpringDamper(rod.at(0.3), 300.0, 5.0, 0.4, bow.at(0.8, y=0.02), name="strut"),
     ]
-    start = [RigidMotion("crank", 1.5, (0.0, 0.0), velocity=(0.1, 0.2))]
+    start = [InitialVelocity("crank", 1.5, (0.0, 0.0), velocity=(0.1, 0.2))]
     return Scene([crank, rod, bow], joints, (1.0, -9.81), start, loads, project_start=True)
 
 
@@ -167,7 +168,7 @@ def spatial_machine():
     joints = [
         Revolute(crank.at(0.1, y=0.02), (0.3, -0.2, 1.0), name="bearing"),
         Revolute(crank.at_end, (0.2, 1.0, 0.4), coil.at(0.15, y=0.01, z=0.01), name="elbow"),
-        Drive(crank.at(0.6), Harmonic(0.5, 3.0, 0.2), axis=(0.3, -0.2, 1.0), name="motor"),
+        RotationDriver(crank.at(0.6), Harmonic(0.5, 3.0, 0.2), axis=(0.3, -0.2, 1.0), name="motor"),
         PointOnLine(coil.at(0.8, z=0.01), (0.2, 1.0, 0.3), (0.8, 0.9, 0.3), name="slot"),
     ]
     loads = [
@@ -176,7 +177,7 @@ def spatial_machine():
         FollowerForce(coil.at(0.6, y=-0.02), (4.0, -3.0, 2.0), name="jet"),
         SpringDamper(coil.at(0.9), 300.0, 5.0, 0.4, ground=(0.3, 0.2, 1.5), name="strut"),
     ]
-    start = [RigidMotion("crank", (0.3, -0.2, 0.5), (0.0, 0.0, 0.0), velocity=(1.0, 0.0, 2.0))]
+    start = [InitialVelocity("crank", (0.3, -0.2, 0.5), (0.0, 0.0, 0.0), velocity=(1.0, 0.0, 2.0))]
     return Scene([crank, coil], joints, (0.3, -9.81, 1.0), start, loads, project_start=True)
 
 
@@ -203,7 +204,7 @@ def planar_bodies():
         FollowerForce(wheel.at(0.1, -0.02), (4.0, -3.0), name="jet"),
         SpringDamper(wheel.at(0.3), 30.0, 5.0, 0.4, arm.at(0.2, 0.3), name="strut"),
     ]
-    start = [RigidMotion("wheel", 1.5, (0.9, 0.8), velocity=(0.1, 0.2))]
+    start = [InitialVelocity("wheel", 1.5, (0.9, 0.8), velocity=(0.1, 0.2))]
     bodies = [arm, wheel, load]
     return Scene([], joints, (1.0, -9.81), start, loads, project_start=True, bodies=bodies)
 
@@ -231,7 +232,7 @@ def planar_carriers():
         DistributedForce("bow", (2.0, -4.0), name="snow"),
         SpringDamper(arm.at(0.3), 300.0, 5.0, 0.4, rod.at(0.8, y=0.02), name="strut"),
     ]
-    start = [RigidMotion("arm", 1.5, (0.6, 0.8), velocity=(0.1, 0.2))]
+    start = [InitialVelocity("arm", 1.5, (0.6, 0.8), velocity=(0.1, 0.2))]
     beams = [rod, arm, bow]
     return Scene(beams, joints, (1.0, -9.81), start, loads, project_start=True, bodies=bodies)
 
@@ -257,7 +258,7 @@ def spatial_carriers():
         FollowerForce(body.at(0.1, 0.2, 0.3), (4.0, -3.0, 2.0), name="jet"),
         SpringDamper(coil.at(0.9), 300.0, 5.0, 0.4, ground=(0.3, 0.2, 1.5), name="strut"),
     ]
-    start = [RigidMotion("body", (0.3, -0.2, 0.5), (0.0, 0.0, 0.0), velocity=(1.0, 0.0, 2.0))]
+    start = [InitialVelocity("body", (0.3, -0.2, 0.5), (0.0, 0.0, 0.0), velocity=(1.0, 0.0, 2.0))]
     beams = [rod, coil]
     return Scene(beams, joints, (0.3, -9.81, 1.0), start, loads, project_start=True, bodies=bodies)
 
@@ -309,4 +310,4 @@ def rotor(rate=1.0, eccentricity=0.0, damping=0.0):
         body = replace(body, centre=(eccentricity, 0, 0))
     given = {"turn_stiffness": (4e4, 5e4, 6e4), "damping": (damping, damping, 0.0)}
     springs = Bushing(body.at(0, 0, 0), (200.0, 288.0, 1e4), name="shaft", **given)
-    return Scene([], [], bodies=[body], loads=[springs], frame=TurningFrame(rate))
+    return Scene([], [], bodies=[body], loads=[springs], frame=RotatingFrame(rate))

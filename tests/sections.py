@@ -9,7 +9,7 @@ from ancfdae.sensitivity.observables.section_forces import (
     axial_force,
     bending_moment,
     shear_force,
-    torque,
+    torsional_moment,
 )
 
 
@@ -19,7 +19,7 @@ def forces(point, d):
         return [axial_force(point), shear_force(point), bending_moment(point)]
     shears = [shear_force(point, along) for along in (1, 2)]
     moments = [bending_moment(point, about) for about in (1, 2)]
-    return [axial_force(point), *shears, torque(point), *moments]
+    return [axial_force(point), *shears, torsional_moment(point), *moments]
 
 
 def section_axes(solution, point):

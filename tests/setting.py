@@ -41,7 +41,7 @@ def assert_close(value, expected, tolerance):
     assert np.max(np.abs(value - expected)) <= tolerance * scale
 
 
-class Setting:
+class MeasuredSetting:
     """A system with a random state beside its start and random design derivatives of it."""
 
     def __init__(self, scene, design):

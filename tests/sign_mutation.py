@@ -11,19 +11,19 @@ import numpy as np
 from ancfdae import (
     Beam,
     Distance,
-    Drive,
     FollowerForce,
-    FormulaSystem,
-    Harmonic,
+    InitialVelocity,
     Material,
     Pin,
-    Rectangle,
-    RigidMotion,
+    RotationDriver,
     Scene,
     assemble,
     check_system,
 )
 from ancfdae.equations.derived import members
+from ancfdae.extend import FormulaSystem
+from ancfdae.laws import Harmonic
+from ancfdae.sections import Rectangle
 
 from mechanisms import GuidedDoublePendulum
 
@@ -36,11 +36,11 @@ def everything(design=DESIGN):
     a = Beam("a", (0.0, 0.0), (0.5, 0.0), 1, section, soft)
     joints = [
         Pin(a.at_start),
-        Drive(a.at_start, Harmonic(0.5, 4.0), name="m"),
+        RotationDriver(a.at_start, Harmonic(0.5, 4.0), name="m"),
         Distance(a.at_end, 0.8, ground=(1.1, 0.8), name="d"),
     ]
     push = FollowerForce(a.at(0.6), (4.0, 1.0), law=Harmonic(1.0, 3.0, 0.4), name="push")
-    start = [RigidMotion("a", 2.0, (0.0, 0.0))]
+    start = [InitialVelocity("a", 2.0, (0.0, 0.0))]
     scene = Scene([a], joints, (0.0, -9.81), start, [push], project_start=True)
     return assemble(scene, design)
 

@@ -15,49 +15,54 @@ from ancfdae import (
     Clamp,
     ComplexStep,
     ContinuousAdjoint,
-    Direct,
+    DirectDifferentiation,
     Distance,
     DistributedForce,
-    Drive,
     EnhancedContinuum,
     FiniteDifference,
     FollowerForce,
-    Guide,
-    Harmonic,
+    InitialVelocity,
     Integral,
-    InvalidInput,
     Material,
-    NonFiniteObjective,
     Pin,
-    Point,
     PointForce,
     PointOnLine,
-    Rectangle,
     Revolute,
-    RigidMotion,
+    RotationDriver,
     Scene,
     SmoothMaximum,
     Spherical,
     SpringDamper,
     Terminal,
-    UnfinishedRun,
-    Uniform,
-    UnknownName,
+    TranslationDriver,
     assemble,
-    custom,
     differentiate,
     gradient,
     gradients,
+    taylor_test,
+)
+from ancfdae.errors import (
+    InvalidInputError,
+    NonFiniteObjectiveError,
+    UnfinishedRunError,
+    UnknownNameError,
+)
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.outcomes import PassFailed
+from ancfdae.extend import MaterialPoint
+from ancfdae.integrators.integrator import Seeds
+from ancfdae.laws import ConstantAcceleration, Harmonic
+from ancfdae.observables import (
+    custom,
     kinetic_energy,
     position,
     reaction,
     slope_angle,
     strain_energy,
-    taylor_test,
     velocity,
 )
-from ancfdae.errors import PassFailed, SingularMatrix, Verdict
-from ancfdae.integrators.integrator import Seeds
+from ancfdae.results import Verdict
+from ancfdae.sections import Rectangle
 from ancfdae.studies.calls import cheapest
 from validation.scenes import crank_slider, pendulum
 
@@ -95,9 +100,9 @@ def link():
 
 def driven_with_spring():
     a, b = beams()
-    motor = Drive(a.at_start, Uniform(2.0, acceleration=1.0), name="m")
+    motor = RotationDriver(a.at_start, ConstantAcceleration(2.0, acceleration=1.0), name="m")
     spring = SpringDamper(a.at_end, 300.0, 5.0, 0.2, other=b.at(0.6), name="s")
-    start = [RigidMotion("a", 2.0, (0, 0)), RigidMotion("b", 2.0, (0, 0))]
+    start = [InitialVelocity("a", 2.0, (0, 0)), InitialVelocity("b", 2.0, (0, 0))]
     joints = [Pin(a.at_start, name="p"), motor, Pin(a.at_end, b.at_start)]
     design = ["m.speed", "m.acceleration", "s.stiffness", "s.damping", "s.free_length", "b.height"]
     return Scene([a, b], joints, PLANE, start, [spring], project_start=True), design
@@ -106,8 +111,13 @@ def driven_with_spring():
 def guided():
     # The start is projected: a shock of one node, through which assumed strains need small steps.
     a = replace(beams()[0], energy=EnhancedContinuum(assumed_strains=False))
-    up = Guide(a.at_start, (0, 1), Harmonic(0.1, 5.0), name="up")
-    scene = Scene([a], [up, Guide(a.at_start, (1, 0), Uniform(0.0))], PLANE, project_start=True)
+    up = TranslationDriver(a.at_start, (0, 1), Harmonic(0.1, 5.0), name="up")
+    scene = Scene(
+        [a],
+        [up, TranslationDriver(a.at_start, (1, 0), ConstantAcceleration(0.0))],
+        PLANE,
+        project_start=True,
+    )
     return scene, ["up.amplitude", "up.frequency", "a.height"]
 
 
@@ -125,7 +135,7 @@ def loaded():
 
 def damped():
     a, _ = beams(material=DAMPED)
-    scene = Scene([a], [Pin(a.at_start)], PLANE, [RigidMotion("a", 1.0, (0, 0))])
+    scene = Scene([a], [Pin(a.at_start)], PLANE, [InitialVelocity("a", 1.0, (0, 0))])
     return scene, ["a.damping_time", "a.length", "a.height", "a.youngs_modulus"]
 
 
@@ -135,7 +145,7 @@ def hinged():
         Revolute(a.at_start, (0, 0, 1)),
         Revolute(a.at_end, (0, 0.2, 1), other=b.at_start, name="r"),
     ]
-    start = [RigidMotion(name, (0, 0, 1.0), (0, 0, 0)) for name in "ab"]
+    start = [InitialVelocity(name, (0, 0, 1.0), (0, 0, 0)) for name in "ab"]
     return Scene([a, b], joints, SPACE, start), ["a.height", "r.axis_x", "r.axis_y", "b.width"]
 
 
@@ -143,7 +153,7 @@ def driven_in_space():
     a, b = beams(3)
     joints = [
         Revolute(a.at_start, (0, 0, 1), name="r"),
-        Drive(a.at_start, Harmonic(0.5, 4.0), name="m"),
+        RotationDriver(a.at_start, Harmonic(0.5, 4.0), name="m"),
         Spherical(a.at_end, b.at_start),
         PointOnLine(b.at_end, (1, 0, 0)),
     ]
@@ -223,7 +233,7 @@ def objectives(scene):
         "at times": AtTimes(y, [0.0625, 0.1, 0.2]),
         "smooth maximum": SmoothMaximum(y, 20.0),
         "energies": Integral(strain_energy() + kinetic_energy(scene.beams[-1].name)),
-        "angle": Terminal(slope_angle(Point(scene.beams[0].name, 0.5))),
+        "angle": Terminal(slope_angle(MaterialPoint(scene.beams[0].name, 0.5))),
         "function": Integral(x**2) / (1.0 + Integral(y**2)) + np.sqrt(1.0 + Terminal(y) ** 2),
     }
 
@@ -248,7 +258,7 @@ def test_adjoint_is_direct_differentiation_is_complex_step(build, exponent):
     kinds, integrator = objectives(scene), HHT(2.0**-exponent)
     results = [
         gradients(scene, list(kinds.values()), 0.25, integrator, design=design, method=method)
-        for method in (Adjoint(), Direct(), ComplexStep())
+        for method in (Adjoint(), DirectDifferentiation(), ComplexStep())
     ]
     scale = np.abs(assemble(scene, design).b)
     for name, adjoint, direct, check in zip(kinds, *results, strict=True):
@@ -270,7 +280,7 @@ def test_crank_slider_gradients_agree_at_every_step_size():
     for exponent in (6, 7, 8, 9, 10):
         both = [
             gradients(scene, kinds, 0.25, HHT(2.0**-exponent), design=design, method=method)
-            for method in (Adjoint(), Direct())
+            for method in (Adjoint(), DirectDifferentiation())
         ]
         for adjoint, direct in zip(*both, strict=True):
             error = np.linalg.norm((adjoint.gradient - direct.gradient) * scale)
@@ -342,7 +352,7 @@ def test_every_pass_back_counts_its_factorisations_as_direct_differentiation_doe
     run = HHT(2.0**-6).integrate(CartesianPendulum(), 1.0).statistics
     methods = [
         gradients(CartesianPendulum(), objectives, 1.0, HHT(2.0**-6), method=method)
-        for method in (Adjoint(), Direct(), ContinuousAdjoint())
+        for method in (Adjoint(), DirectDifferentiation(), ContinuousAdjoint())
     ]
     # One per step; a pass back for each objective. The continuous adjoint has one more per step
     # for smooth multipliers and one for its end.
@@ -359,7 +369,7 @@ def test_a_pass_back_of_idas_factorises_nothing_of_hht():
     assert found.solution.statistics.factorisations == run.factorisations
 
 
-@pytest.mark.parametrize("method", [Adjoint(), Direct(), ContinuousAdjoint()])
+@pytest.mark.parametrize("method", [Adjoint(), DirectDifferentiation(), ContinuousAdjoint()])
 def test_the_time_of_a_gradient_is_that_of_run_and_pass(method):
     objective, started = Integral(custom(lambda t, q, v, lam, b: q[:, 0])), time.perf_counter()
     found = gradient(CartesianPendulum(), objective, 1.0, HHT(2.0**-6), method=method)
@@ -371,7 +381,7 @@ def test_any_mechanical_system_has_gradients_too():
     objective = Integral(custom(lambda t, q, v, lam, b: q[:, 0] ** 2 + lam[:, 0] * v[:, 1], "H"))
     results = [
         gradient(system, objective, 1.0, HHT(2.0**-6), method=method).gradient
-        for method in (Adjoint(), Direct(), ComplexStep())
+        for method in (Adjoint(), DirectDifferentiation(), ComplexStep())
     ]
     for other in results[:2]:
         np.testing.assert_allclose(other, results[2], rtol=1e-10)
@@ -394,20 +404,21 @@ def test_finite_differences_of_an_objective_approach_the_gradient():
 
 
 def test_the_cheaper_method_is_taken_when_none_is_named():
-    assert isinstance(cheapest(1, 1), Direct)
+    assert isinstance(cheapest(1, 1), DirectDifferentiation)
     assert isinstance(cheapest(100, 3), Adjoint)
     scene, design = driven_with_spring()
     objective = Integral(position(scene.beams[-1].at_end, 1))
     assert isinstance(gradient(scene, objective, 0.25, HHT(2.0**-6), design=design).method, Adjoint)
     assert isinstance(
-        gradient(scene, objective, 0.25, HHT(2.0**-6), design=design[:1]).method, Direct
+        gradient(scene, objective, 0.25, HHT(2.0**-6), design=design[:1]).method,
+        DirectDifferentiation,
     )
 
 
 def test_taylor_remainder_of_a_driven_scene_is_of_second_order():
     scene, design = driven_with_spring()
     system = assemble(scene, design)
-    place = Terminal(position(Point("b", 1.0), 1))
+    place = Terminal(position(MaterialPoint("b", 1.0), 1))
     # A remainder of third order is a tenth of that of second order at the largest.
     sizes = (1e-4, 5e-5, 2.5e-5)
     result = taylor_test(system, place, 0.25, HHT(2.0**-7), method=Adjoint(), sizes=sizes)
@@ -418,22 +429,22 @@ def test_what_a_gradient_cannot_be_taken_of_is_refused_before_the_run():
     scene, design = pinned_pair()
     y = position(scene.beams[-1].at_end, 1)
     run, own = (0.25, HHT(2.0**-7)), {"design": design}
-    with pytest.raises(UnknownName, match="nobody"):
-        gradient(scene, Integral(position(Point("nobody", 1.0), 0)), *run, **own)
-    with pytest.raises(UnknownName, match="no joint"):
+    with pytest.raises(UnknownNameError, match="nobody"):
+        gradient(scene, Integral(position(MaterialPoint("nobody", 1.0), 0)), *run, **own)
+    with pytest.raises(UnknownNameError, match="no joint"):
         gradient(scene, Integral(reaction("no joint", 0)), *run, **own)
-    with pytest.raises(InvalidInput, match="Objective"):
+    with pytest.raises(InvalidInputError, match="Objective"):
         gradient(scene, y, *run, **own)
-    with pytest.raises(InvalidInput, match="time integrals"):
+    with pytest.raises(InvalidInputError, match="time integrals"):
         gradient(scene, Terminal(y), *run, **own, method=ContinuousAdjoint())
-    with pytest.raises(InvalidInput, match="method"):
+    with pytest.raises(InvalidInputError, match="method"):
         gradient(scene, Integral(y), *run, **own, method="adjoint")
 
 
 def test_an_objective_that_is_not_finite_names_the_time():
     scene, design = pinned_pair()
     y = position(scene.beams[-1].at_end, 1)
-    with pytest.raises(NonFiniteObjective, match="t = ") as caught:
+    with pytest.raises(NonFiniteObjectiveError, match="t = ") as caught:
         gradient(scene, Integral(np.log(y + 0.02)), 0.25, HHT(2.0**-7), design=design)
     assert 0 < caught.value.time < 0.25
 
@@ -441,7 +452,7 @@ def test_an_objective_that_is_not_finite_names_the_time():
 def test_a_run_that_ends_early_keeps_its_results_in_the_error():
     scene, design = pinned_pair()
     y = position(scene.beams[-1].at_end, 1)
-    with pytest.raises(UnfinishedRun, match="did not converge") as caught:
+    with pytest.raises(UnfinishedRunError, match="did not converge") as caught:
         gradient(scene, Integral(y), 0.25, HHT(2.0**-7, max_iterations=1), design=design)
     assert len(caught.value.solution.t) >= 1
 
@@ -459,7 +470,7 @@ def test_a_pass_back_that_breaks_off_says_why(monkeypatch, raised, verdict):
 
     monkeypatch.setattr(HHT, "pull_back", broken)
     x = Terminal(custom(lambda t, q, v, lam, b: q[:, 0], "x"))
-    with pytest.raises(UnfinishedRun, match="no gradient") as caught:
+    with pytest.raises(UnfinishedRunError, match="no gradient") as caught:
         gradient(CartesianPendulum(), x, 0.5, HHT(2.0**-5), method=Adjoint())
     assert caught.value.solution.outcome.verdict is verdict
     assert len(caught.value.solution.t) == 17

@@ -13,20 +13,19 @@ from ancfdae import (
     Adjoint,
     Beam,
     ContinuousAdjoint,
-    FormulaSystem,
     Integral,
     Material,
     Pin,
     PointForce,
-    Rectangle,
     Scene,
-    Traits,
-    UserLaw,
     assemble,
-    custom,
     gradient,
     simulate,
 )
+from ancfdae.extend import FormulaSystem, SystemProperties
+from ancfdae.laws import UserLaw
+from ancfdae.observables import custom
+from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.continuous_adjoint import _BackwardRun, _with_smooth_multipliers
 from ancfdae.sensitivity.observables.states import states_of
 
@@ -43,7 +42,7 @@ class FourBar(FormulaSystem):
 
     n_q, n_lam = 4, 3
     design_names = ("L1", "L2", "L3", "g")
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
     ground = np.array([1.5, 0.0])
 
     def __init__(self, b=(0.5, 1.2, 1.0, 9.81)):
@@ -84,7 +83,7 @@ class TurningGuide(FormulaSystem):
 
     n_q, n_lam = 4, 2
     design_names = ("w", "L", "g")
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
 
     def __init__(self, b=(2.0, 0.8, 9.81)):
         super().__init__(b)

@@ -16,23 +16,23 @@ from ancfdae import (
     Beam,
     Clamp,
     Material,
-    MechanicalSystem,
     Pin,
     PointOnLine,
-    Rectangle,
     SaintVenantKirchhoff,
     Scene,
     assemble,
-    distribution,
+    distributed_variables,
 )
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInputError
+from ancfdae.extend import MechanicalSystem
 from ancfdae.integrators.hht.equations import Coefficients
 from ancfdae.integrators.hht.start import RecurrenceStart
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.start import consistent_start, start_sensitivity
 from ancfdae.model.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.numerics.extrapolation import real_derivative
+from ancfdae.sections import Rectangle
 
 from by_hand import oracle_of, plain_elements, turns_by_hand, vector_by_hand
 from members import (
@@ -58,7 +58,7 @@ from members import (
     velocity_side_total,
 )
 from scenes import FLAT, MACHINES, RIGID, SCENES, STEEL, one_planar_beam
-from setting import DERIVATIVE, STEP, VALUE, Setting, assert_close, concrete_subclasses
+from setting import DERIVATIVE, STEP, VALUE, MeasuredSetting, assert_close, concrete_subclasses
 
 # Time is real: derivatives in it come from extrapolated differences, good to about 1e-11.
 DIFFERENCES = 1e-9
@@ -66,25 +66,25 @@ DIFFERENCES = 1e-9
 
 @pytest.fixture(scope="module", params=CASES)
 def setting(request):
-    return Setting(*CASES[request.param])
+    return MeasuredSetting(*CASES[request.param])
 
 
 @pytest.fixture(scope="module", params=SCENES)
 def plain(request):
     """Every scene once, without design variables."""
-    return Setting(request.param, [])
+    return MeasuredSetting(request.param, [])
 
 
 @pytest.fixture(scope="module", params=[name for name in SCENES if name not in RIGID])
 def bending(request):
     """Scenes of beams that bend."""
-    return Setting(request.param, [])
+    return MeasuredSetting(request.param, [])
 
 
 @pytest.fixture(scope="module", params=[name for name in SCENES if name not in MACHINES])
 def conservative(request):
     """Scenes of pins and clamps under gravity."""
-    return Setting(request.param, [])
+    return MeasuredSetting(request.param, [])
 
 
 # ---------------------------------------------------------------- completeness
@@ -215,7 +215,7 @@ def test_lengths_b(setting):
 
 def test_design_derivatives_of_the_constraints_are_not_all_zero():
     # The checks above would accept zero for zero: pins away from the nodes move with the length.
-    s = Setting("planar_pair", ["crank.length", "rod.length"])
+    s = MeasuredSetting("planar_pair", ["crank.length", "rod.length"])
     for partial in (
         constraint_b(s.system, s.t, s.q),
         constraint_force_b(s.system, s.t, s.q, s.lam),
@@ -537,7 +537,7 @@ def test_start_of_the_recurrence_is_differentiated_exactly(setting):
     s, c = setting, Coefficients(0.01, -0.3)
 
     def start(x):
-        return RecurrenceStart.of(Problem.of(x, 1.0), c)
+        return RecurrenceStart.of(InitialValueProblem.of(x, 1.0), c)
 
     first, moved_nodes = start(s.system), {}
     matrices = saddle_point(s.system, 0.0)
@@ -617,12 +617,12 @@ def test_with_values_of_the_same_values_is_the_same_system(setting):
 def test_wrong_number_of_design_values_is_refused():
     system = assemble(one_planar_beam(), ["rod.height"])
     for b in (np.zeros(0), np.ones(2), np.ones((1, 1))):
-        with pytest.raises(InvalidInput, match="design values"):
+        with pytest.raises(InvalidInputError, match="design values"):
             system.with_values(b)
 
 
 def test_equal_elements_share_their_invariants_and_a_single_changed_one_does_not():
-    shared = assemble(one_planar_beam(), distribution("rod.height", 2))
+    shared = assemble(one_planar_beam(), distributed_variables("rod.height", 2))
     assert len(shared._elastic._block.A) == 1
     assert len(shared.with_values(shared.b * [1.0, 1.1])._elastic._block.A) == 2
     # The imaginary part of a complex step makes an element different, too.

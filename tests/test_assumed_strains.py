@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from ancfdae import BEAM_2D, BEAM_3D, EnhancedContinuum, PointSection
+from ancfdae import BEAM_2D, BEAM_3D, EnhancedContinuum
 from ancfdae.model.elements import Batch, ElementParameter
 from ancfdae.model.elements.elastic import energy
 from ancfdae.model.elements.invariants import prepare
+from ancfdae.sections import QuadratureSection
 
 from element_kinds import arc, kind_of, straight
 from oracle import plain_strains
@@ -23,7 +24,9 @@ K_Y, K_Z, J = 0.8, 0.6, 4e-6
 @pytest.mark.parametrize("assumed", [True, False])
 def test_energy_is_that_of_strains_in_vectors(element, form, assumed):
     d = element.d
-    section = PointSection(places=PLACES, areas=AREAS, shear_factors=(K_Y, K_Z), torsion_constant=J)
+    section = QuadratureSection(
+        places=PLACES, areas=AREAS, shear_factors=(K_Y, K_Z), torsion_constant=J
+    )
     kind = kind_of(d, EnhancedContinuum(assumed), section, form == "straight")
     values = np.zeros((1, len(ElementParameter)))
     values[0, :8] = E, NU, 1000.0, L, 0.0, 0.0, 1.0, 1.0
@@ -56,7 +59,7 @@ def test_energy_is_that_of_strains_in_vectors(element, form, assumed):
 @pytest.mark.parametrize("form", ["straight", "curved"])
 def test_partials_of_a_section_off_its_axis_are_complex_steps(element, form):
     Y = straight(element.d) if form == "straight" else arc(element.d)
-    section = PointSection(places=PLACES, areas=AREAS)
+    section = QuadratureSection(places=PLACES, areas=AREAS)
     kind = kind_of(element.d, EnhancedContinuum(), section, form == "straight")
     values = np.zeros((1, len(ElementParameter)))
     values[0, :8] = E, NU, 1000.0, L, 0.0, 0.0, 1.1, 0.9

@@ -16,30 +16,32 @@ from ancfdae import (
     BEAM_2D,
     BEAM_3D,
     HHT,
-    Box,
-    Circle,
     Clamp,
     CurvedBeam,
     DistributedForce,
     EnhancedContinuum,
-    ISection,
     Material,
     Moment,
-    MomentSection,
     PlaneStress,
     PointForce,
-    PointSection,
-    Ramp,
-    Rectangle,
     SaintVenantKirchhoff,
     Scene,
-    Tube,
     assemble,
     equilibrium,
     simulate,
 )
+from ancfdae.laws import SmoothStep
 from ancfdae.model.elements import Batch, ElementParameter
 from ancfdae.model.elements.element import SectionPlace
+from ancfdae.sections import (
+    Box,
+    Circle,
+    GeneralSection,
+    ISection,
+    QuadratureSection,
+    Rectangle,
+    Tube,
+)
 from ancfdae.sensitivity.observables.observable import observe
 from ancfdae.sensitivity.observables.quantities import reaction
 from ancfdae.sensitivity.observables.states import States
@@ -49,14 +51,16 @@ from oracle import plain_rod, plain_strains
 from sections import forces, section_axes
 
 PLACES = [(0.03, 0.03), (0.03, -0.01), (-0.01, -0.01), (-0.01, 0.03)]
-OFF = PointSection(places=PLACES, areas=[4e-4] * 4, shear_factors=(0.8, 0.7), torsion_constant=2e-7)
+OFF = QuadratureSection(
+    places=PLACES, areas=[4e-4] * 4, shear_factors=(0.8, 0.7), torsion_constant=2e-7
+)
 SECTIONS = [
     Rectangle(0.06, 0.03),
     Circle(0.03),
     Tube(0.03, 0.008),
     Box(0.06, 0.04, 5e-3, 8e-3),
     ISection(0.06, 0.05, 6e-3, 8e-3),
-    MomentSection(1e-3, 2e-7, 1e-7, 1e-7),
+    GeneralSection(1e-3, 2e-7, 1e-7, 1e-7),
     OFF,
 ]
 ENERGIES = [EnhancedContinuum(), EnhancedContinuum(False), SaintVenantKirchhoff(True)]
@@ -182,7 +186,7 @@ def test_spread_loads_and_inertia_are_carried_to_second_order(name, moves):
     for n in (8, 16):
         rod = beam(3, n, section, EnhancedContinuum(), rates)
         # The lowest period is about 1 s: in the midst of the ramp the rod lags behind its load.
-        law = Ramp(0.0, 1.0, 0.2) if moves else None
+        law = SmoothStep(0.0, 1.0, 0.2) if moves else None
         loads, joints = [DistributedForce("rod", f, law=law)], [Clamp(rod.at_start)]
         gravity = (0.0, 0.0, 0.0) if moves else (0.0, -0.3, 0.0)
         scene = Scene([rod], joints, gravity, loads=loads)

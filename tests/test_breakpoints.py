@@ -4,34 +4,36 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    DOP853,
     HHT,
     IDA,
     IDAS,
     Adjoint,
-    Change,
-    Constant,
-    Direct,
-    Drive,
-    Explicit,
-    Harmonic,
-    InvalidInput,
+    DirectDifferentiation,
     Pin,
     PointForce,
     Radau,
-    Ramp,
     RigidBody,
-    RunUp,
+    RotationDriver,
     Scene,
-    Spline,
     Terminal,
-    Uniform,
     assemble,
     gradient,
-    position,
     simulate,
 )
-from ancfdae.equations import Traits
+from ancfdae.equations import SystemProperties
+from ancfdae.errors import InvalidInputError
+from ancfdae.laws import (
+    Constant,
+    ConstantAcceleration,
+    Harmonic,
+    RunUp,
+    SmoothStep,
+    Spline,
+    Transition,
+)
 from ancfdae.numerics.time_grid import next_end
+from ancfdae.observables import position
 
 BLOCK = RigidBody("block", (0, 0), mass=2.0, inertia=0.1)
 T_END, BEGIN, FORCE = 1.0, 0.6137, 3.0
@@ -39,7 +41,7 @@ T_END, BEGIN, FORCE = 1.0, 0.6137, 3.0
 
 def pulse(width):
     """Up to one within the width, and down again within another."""
-    return Change(Ramp(0.0, 1.0, width, BEGIN), Constant(0.0), width, BEGIN + width)
+    return Transition(SmoothStep(0.0, 1.0, width, BEGIN), Constant(0.0), width, BEGIN + width)
 
 
 def kicked(width):
@@ -50,12 +52,12 @@ def kicked(width):
 
 def test_laws_tell_where_their_pieces_end():
     for law, expected in (
-        (Uniform(2.0), ()),
+        (ConstantAcceleration(2.0), ()),
         (Harmonic(1.0, 2.0), ()),
-        (Ramp(0.0, 1.0, 0.2, 0.3), (0.3, 0.5)),
+        (SmoothStep(0.0, 1.0, 0.2, 0.3), (0.3, 0.5)),
         (RunUp(1.0, 0.25, begin=0.5), (0.5, 0.75)),
         (
-            Change(Ramp(0, 1, 0.5, 0.25), RunUp(1.0, 0.5), 0.125, 2.0),
+            Transition(SmoothStep(0, 1, 0.5, 0.25), RunUp(1.0, 0.5), 0.125, 2.0),
             (0.25, 0.75, 0, 0.5, 2, 2.125),
         ),
         (Spline([0.5, 1.0, 2.0], [0.0, 3.0, 1.0]), (0.5, 2.0)),
@@ -67,7 +69,10 @@ def test_laws_tell_where_their_pieces_end():
 
 def test_a_system_knows_those_of_its_joints_and_loads_at_any_design():
     block, arm = kicked(0.25), RigidBody("arm", (0, 0), mass=1.0, inertia=1.0)
-    joints = [Pin(arm.at(0, 0)), Drive(arm.at(0, 0), RunUp(1.0, 0.5, begin=0.25), name="motor")]
+    joints = [
+        Pin(arm.at(0, 0)),
+        RotationDriver(arm.at(0, 0), RunUp(1.0, 0.5, begin=0.25), name="motor"),
+    ]
     scene = Scene([], joints, bodies=[BLOCK, arm], loads=block.loads)
     system = assemble(scene, ["motor.duration", "kick.force_x"])
     ends = (0.25, 0.75, BEGIN, BEGIN + 0.25, BEGIN + 0.25, BEGIN + 0.5)
@@ -76,7 +81,7 @@ def test_a_system_knows_those_of_its_joints_and_loads_at_any_design():
     assert moved.traits.breakpoints == pytest.approx((0.25, 0.875, *ends[2:]))
 
 
-CONTROLLED = [HHT(rtol=1e-5), Radau(rtol=1e-5), IDA(rtol=1e-7), Explicit(rtol=1e-7)]
+CONTROLLED = [HHT(rtol=1e-5), Radau(rtol=1e-5), IDA(rtol=1e-7), DOP853(rtol=1e-7)]
 KICKS = [(integrator, width) for integrator in CONTROLLED for width in (0.1, 0.003)]
 
 
@@ -87,7 +92,7 @@ def test_no_integrator_steps_over_a_kick(integrator, width):
     """The path J (T - t_c)/m of an impulse J about its middle t_c, and its derivatives."""
     objective, left = Terminal(position(BLOCK.at(0, 0), 0)), T_END - BEGIN - width
     design = ["kick.force_x", "block.mass"]
-    method = Adjoint() if isinstance(integrator, IDAS) else Direct()
+    method = Adjoint() if isinstance(integrator, IDAS) else DirectDifferentiation()
     found = gradient(kicked(width), objective, T_END, integrator, design=design, method=method)
     path = FORCE * left / 2.0
     # Tolerances hold per step, HHT-I3 errs by ten times its own.
@@ -112,5 +117,5 @@ def test_the_next_end():
 
 
 def test_breakpoints_are_numbers():
-    with pytest.raises(InvalidInput, match="breakpoints"):
-        Traits(breakpoints=(0.1, np.nan))
+    with pytest.raises(InvalidInputError, match="breakpoints"):
+        SystemProperties(breakpoints=(0.1, np.nan))

@@ -11,35 +11,33 @@ from ancfdae import (
     CABLE_3D,
     HHT,
     Beam,
-    Circle,
     Clamp,
     ComplexStep,
     CurvedBeam,
-    Drive,
     FollowerForce,
-    InvalidInput,
+    InitialVelocity,
     Material,
     Moment,
-    NodeState,
+    NodalState,
     Pin,
     PointForce,
     Prismatic,
-    Rectangle,
     RigidBody,
-    RigidMotion,
+    RotationDriver,
     Scene,
     Terminal,
-    Uniform,
     Weld,
     assemble,
     equilibrium,
     gradient,
     load_solution,
-    position,
     simulate,
-    slope,
 )
+from ancfdae.errors import InvalidInputError
+from ancfdae.laws import ConstantAcceleration
 from ancfdae.model.elements import ALL_ELEMENTS
+from ancfdae.observables import position, slope
+from ancfdae.sections import Circle, Rectangle
 
 STRIP = Rectangle(height=0.02, width=0.05)
 SOFT = Material(density=1000.0, youngs_modulus=1e7, poisson_ratio=0.3)
@@ -77,7 +75,7 @@ def hanging(n, span=0.8):
     place = np.stack([np.linspace(0.0, span, n + 1), 0.3 * (half - 1.0)], axis=1)
     tangent = np.stack([np.full(n + 1, 0.8), 0.6 * np.sign(np.linspace(-1.0, 1.0, n + 1))], axis=1)
     tangent[n // 2] = 1.0, 0.0
-    start = NodeState("rod", np.stack([place, tangent], axis=1))
+    start = NodalState("rod", np.stack([place, tangent], axis=1))
     found = equilibrium(Scene([rope], ends, (0.0, -1.0), start=[start]))
     assert found.outcome.success
     assert found.outcome.downhill
@@ -139,12 +137,15 @@ def test_what_a_cable_does_not_have_is_refused_in_words():
         (lambda: cable(**space, element=CABLE_3D), "about every axis"),
         (lambda: Scene([wire], [Weld(wire.at_end, mast.at_start)]), "SLOPE_Y"),
         (lambda: Scene([wire], loads=[Moment(wire.at_end, (0, 0, 1))]), "SLOPE_Y"),
-        (lambda: Scene([wire], [Drive(wire.at_start, Uniform(1.0))]), "SLOPE_Y"),
+        (
+            lambda: Scene([wire], [RotationDriver(wire.at_start, ConstantAcceleration(1.0))]),
+            "SLOPE_Y",
+        ),
         (lambda: cable().with_length("x"), "rod.length"),
         (lambda: Beam("b", (0, 0), (1, 0), 1, STRIP, SOFT, element="cable"), "'cable'"),
         (lambda: slope(rod.at_end, 1, 0).check(assemble(Scene([rod]))), "SLOPE_Y"),
     ):
-        with pytest.raises(InvalidInput, match=words):
+        with pytest.raises(InvalidInputError, match=words):
             action()
 
 
@@ -213,11 +214,11 @@ def test_a_drive_against_a_body_adds_its_angle():
     wheel = RigidBody("wheel", (0.0, 0.0), mass=1.0, inertia=1.0)
     joints = [
         Pin(wheel.at(0, 0), ground=(0.0, 0.0)),
-        Drive(wheel.at(0, 0), Uniform(3.0), name="axle"),
+        RotationDriver(wheel.at(0, 0), ConstantAcceleration(3.0), name="axle"),
         Pin(rod.at_start, wheel.at(0, 0)),
-        Drive(rod.at_start, Uniform(2.0), other=wheel.at(0, 0), name="elbow"),
+        RotationDriver(rod.at_start, ConstantAcceleration(2.0), other=wheel.at(0, 0), name="elbow"),
     ]
-    start = [RigidMotion("wheel", 3.0, (0, 0)), RigidMotion("rod", 5.0, (0, 0))]
+    start = [InitialVelocity("wheel", 3.0, (0, 0)), InitialVelocity("rod", 5.0, (0, 0))]
     solution = simulate(Scene([rod], joints, bodies=[wheel], start=start), 1.0, HHT(2.0**-7))
     angle = np.pi / 6 + 5.0 * solution.t
     assert tangent_angle(solution, rod.at_start) == pytest.approx(angle, abs=1e-9)

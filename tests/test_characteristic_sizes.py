@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ancfdae import FormulaSystem, Traits
 from ancfdae.equations.saddle_points import saddle_point
+from ancfdae.extend import FormulaSystem, SystemProperties
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.start import consistent_start
 
@@ -18,7 +18,7 @@ class Bead(FormulaSystem):
 
     n_q, n_lam = 2, 1
     design_names = ("force",)
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
 
     def __init__(self, x=0.0, v=0.0, force=0.0):
         self.x, self.v = x, v

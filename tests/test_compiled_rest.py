@@ -12,14 +12,14 @@ from ancfdae import (
     Moment,
     Pin,
     PointForce,
-    Rectangle,
     Scene,
     SpringDamper,
     assemble,
     equilibrium,
 )
-from ancfdae.errors import Verdict
 from ancfdae.kernels import RULES, narrow_order, prepare, rest
+from ancfdae.results import Verdict
+from ancfdae.sections import Rectangle
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.compiled import CompiledRest
 

@@ -4,33 +4,31 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    DOP853,
     HHT,
+    AdaptiveSteps,
     Adjoint,
     Beam,
     ComplexStep,
-    ControlledSteps,
-    Direct,
-    Explicit,
-    Interrupted,
-    InvalidInput,
+    DirectDifferentiation,
     Material,
     Pin,
-    Point,
-    Rectangle,
     Scene,
-    StabilityWarning,
     Terminal,
     assemble,
     differentiate,
     gradient,
-    position,
     simulate,
 )
 from ancfdae.equations import DesignPartials
-from ancfdae.errors import Verdict
+from ancfdae.errors import Interrupted, InvalidInputError, StabilityWarning
+from ancfdae.extend import MaterialPoint
 from ancfdae.integrators.step_control import controlled
 from ancfdae.integrators.step_control import derivative_sizes as sizing
 from ancfdae.integrators.step_control.tolerance import Tolerance
+from ancfdae.observables import position
+from ancfdae.results import Verdict
+from ancfdae.sections import Rectangle
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
 
@@ -40,7 +38,7 @@ STATES = ("q_b", "v_b", "a_b", "lam_b")
 
 
 def both(rtol, **settings):
-    return ControlledSteps(rtol, sensitivities=True, **settings)
+    return AdaptiveSteps(rtol, sensitivities=True, **settings)
 
 
 def soft():
@@ -67,7 +65,7 @@ def error_of_derivatives(system, run, exact):
 )
 def test_derivatives_keep_to_ten_times_the_tolerance(build, t_end):
     system = build()
-    exact = differentiate(system, t_end, Explicit(1e-7))
+    exact = differentiate(system, t_end, DOP853(1e-7))
     for rtol in (1e-2, 2e-3):
         run = differentiate(system, t_end, HHT(both(rtol)))
         assert run.outcome.success
@@ -77,11 +75,11 @@ def test_derivatives_keep_to_ten_times_the_tolerance(build, t_end):
 
 def test_what_the_tolerance_of_the_motion_does_not_bound():
     # Waves below the tolerance of the motion decide about this gradient.
-    system, tip, rtol = soft(), Terminal(position(Point("pendulum", 1.0), 1)), 1e-3
-    exact = gradient(system, tip, 0.25, Explicit(1e-6)).gradient * system.b
+    system, tip, rtol = soft(), Terminal(position(MaterialPoint("pendulum", 1.0), 1)), 1e-3
+    exact = gradient(system, tip, 0.25, DOP853(1e-6)).gradient * system.b
     errors = []
     for along in (False, True):
-        found = gradient(system, tip, 0.25, HHT(ControlledSteps(rtol, sensitivities=along)))
+        found = gradient(system, tip, 0.25, HHT(AdaptiveSteps(rtol, sensitivities=along)))
         errors.append(np.linalg.norm(found.gradient * system.b - exact) / np.linalg.norm(exact))
     assert errors[0] > 20 * rtol
     assert errors[1] < rtol
@@ -125,10 +123,10 @@ def test_factorisations_of_the_derivatives_are_counted():
 
 
 def test_adjoint_and_direct_agree_on_the_same_steps():
-    integrator, tip = HHT(both(1e-2)), position(Point("rod", 0.5), 1)
+    integrator, tip = HHT(both(1e-2)), position(MaterialPoint("rod", 0.5), 1)
     direct, adjoint = (
         gradient(crank(), Terminal(tip), 0.02, integrator, method=method)
-        for method in (Direct(), Adjoint())
+        for method in (DirectDifferentiation(), Adjoint())
     )
     np.testing.assert_array_equal(direct.solution.t, adjoint.solution.t)
     size = np.linalg.norm(direct.gradient)
@@ -202,9 +200,7 @@ def test_a_variable_without_influence_bounds_nothing():
 
 def test_without_design_variables_the_motion_rules():
     system = assemble(pendulum(), ())
-    runs = [
-        simulate(system, 0.1, HHT(ControlledSteps(1e-2, sensitivities=x))) for x in (False, True)
-    ]
+    runs = [simulate(system, 0.1, HHT(AdaptiveSteps(1e-2, sensitivities=x))) for x in (False, True)]
     np.testing.assert_array_equal(runs[0].t, runs[1].t)
 
 
@@ -245,7 +241,7 @@ def test_complex_steps_repeat_a_run_without_a_step_too():
 
 def test_complex_systems_are_refused():
     system = CartesianPendulum(b=(1.0 + 1e-40j, 9.81))
-    with pytest.raises(InvalidInput, match="needs real design values; got complex ones"):
+    with pytest.raises(InvalidInputError, match="needs real design values; got complex ones"):
         simulate(system, 1.0, HHT(both(1e-3)))
 
 
@@ -290,8 +286,8 @@ def test_derivatives_that_are_no_numbers_are_an_outcome(monkeypatch, start):
 
 
 def test_a_setting_that_is_no_truth_value_is_refused_by_name():
-    with pytest.raises(InvalidInput, match=r"ControlledSteps\.sensitivities"):
-        ControlledSteps(1e-3, sensitivities="yes")
+    with pytest.raises(InvalidInputError, match=r"AdaptiveSteps\.sensitivities"):
+        AdaptiveSteps(1e-3, sensitivities="yes")
 
 
 def test_what_a_setting_is_warned_about_is_said_once():
@@ -306,7 +302,7 @@ def test_what_a_setting_is_warned_about_is_said_once():
 def test_a_rough_run_that_breaks_off_tells_no_sizes(monkeypatch):
     integrator = HHT(both(1e-3))
     expected = differentiate(CartesianPendulum(), 1.0, integrator)
-    monkeypatch.setattr(HHT, "_rough", lambda self: HHT(ControlledSteps(1e-3, max_steps=3)))
+    monkeypatch.setattr(HHT, "_rough", lambda self: HHT(AdaptiveSteps(1e-3, max_steps=3)))
     run = differentiate(CartesianPendulum(), 1.0, integrator)
     assert run.outcome.success
     assert abs(run.statistics.steps - expected.statistics.steps) <= 2

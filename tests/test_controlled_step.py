@@ -6,35 +6,35 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    DOP853,
     HHT,
+    AdaptiveSteps,
     Adjoint,
     AtTimes,
     Beam,
     ComplexStep,
     ContinuousAdjoint,
-    ControlledSteps,
-    Direct,
-    Explicit,
+    DirectDifferentiation,
     FiniteDifference,
     FixedSteps,
-    GivenSteps,
     Integral,
-    InvalidInput,
     Material,
     Pin,
-    Point,
-    Rectangle,
+    PrescribedSteps,
     Scene,
     Terminal,
     assemble,
-    custom,
     differentiate,
     gradient,
     load_solution,
     simulate,
     taylor_test,
 )
-from ancfdae.errors import Verdict
+from ancfdae.errors import InvalidInputError
+from ancfdae.extend import MaterialPoint
+from ancfdae.observables import custom
+from ancfdae.results import Verdict
+from ancfdae.sections import Rectangle
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import pendulum
 
@@ -58,7 +58,7 @@ OBJECTIVES = {
 def test_error_of_the_run_follows_the_tolerance(name):
     build, t_end = SCENES[name]
     system = build()
-    exact = simulate(system, t_end, Explicit(1e-9))
+    exact = simulate(system, t_end, DOP853(1e-9))
     size = np.max(np.abs(exact.q))
     errors = []
     for rtol in (1e-2, 1e-3, 1e-4):
@@ -75,7 +75,7 @@ def test_multipliers_and_accelerations_keep_their_order():
     # Steps that jump would leave transients of first order in them; of those that the first steps
     # leave, before the filter settles, some 0.2 are missing to order two.
     system, t_end = SliderCrank(), 10.0
-    exact = simulate(system, t_end, Explicit(1e-10))
+    exact = simulate(system, t_end, DOP853(1e-10))
     errors, counts = [], []
     for rtol in (1e-3, 1e-4, 1e-5):
         run = simulate(system, t_end, HHT(rtol=rtol))
@@ -91,7 +91,7 @@ def test_gradients_are_those_of_the_frozen_steps(name):
     integrator, objective = HHT(rtol=1e-3, newton_tolerance=1e-14), OBJECTIVES[name]
     direct, adjoint, check = (
         gradient(CartesianPendulum(0.7, 1.0), objective, 1.0, integrator, method=method)
-        for method in (Direct(), Adjoint(), ComplexStep())
+        for method in (DirectDifferentiation(), Adjoint(), ComplexStep())
     )
     assert len(np.unique(np.round(np.diff(direct.solution.t), 12))) > 15
     size = np.linalg.norm(direct.gradient)
@@ -161,7 +161,7 @@ def test_halved_steps_are_solved_four_times_as_exactly():
 def test_uniform_instants_are_a_fixed_step():
     fixed = differentiate(CartesianPendulum(), 1.0, HHT(2.0**-6))
     times = tuple(np.arange(65) / 64)
-    given = differentiate(CartesianPendulum(), 1.0, HHT(GivenSteps(times)))
+    given = differentiate(CartesianPendulum(), 1.0, HHT(PrescribedSteps(times)))
     for name in ("t", "q", "v", "a", "lam"):
         np.testing.assert_array_equal(getattr(given, name), getattr(fixed, name))
     np.testing.assert_array_equal(given.sensitivities.lam_b, fixed.sensitivities.lam_b)
@@ -176,7 +176,7 @@ def test_same_steps_and_digits_in_other_units(units):
     assert other.statistics.steps == base.statistics.steps
     assert other.statistics.rejected == base.statistics.rejected
     np.testing.assert_allclose(other.t / time, base.t, rtol=1e-9, atol=0)
-    ours, theirs = (run.position(Point("beam", 1.0)) for run in (other, base))
+    ours, theirs = (run.position(MaterialPoint("beam", 1.0)) for run in (other, base))
     np.testing.assert_allclose(ours / units[0], theirs, rtol=0, atol=1e-9)
 
 
@@ -197,7 +197,7 @@ def test_output_at_asked_times():
     run = differentiate(CartesianPendulum(), 2.0, HHT(rtol=1e-4))
     times = np.linspace(0, 2, 41)
     sampled = run.at(times)
-    exact = differentiate(CartesianPendulum(), 2.0, Explicit(1e-9)).at(times)
+    exact = differentiate(CartesianPendulum(), 2.0, DOP853(1e-9)).at(times)
     np.testing.assert_array_equal(sampled.t, times)
     for name in ("q", "v", "a", "lam"):
         ours, theirs = getattr(sampled, name), getattr(exact, name)
@@ -207,7 +207,7 @@ def test_output_at_asked_times():
     # Instants are returned as they are.
     np.testing.assert_allclose(run.at(run.t[3:5]).q, run.q[3:5], rtol=1e-13)
     for wrong in ([0.5, 0.4], [2.1], [], [np.nan]):
-        with pytest.raises(InvalidInput, match="times"):
+        with pytest.raises(InvalidInputError, match="times"):
             run.at(wrong)
 
 
@@ -229,46 +229,48 @@ def test_files_keep_controlled_runs(tmp_path):
         (lambda: HHT(rtol=float("nan")), r"HHT\.rtol"),
         (lambda: HHT([0.0, 0.1]), r"HHT\.step"),
         (lambda: FixedSteps(-0.1), r"FixedSteps\.step: must be positive"),
-        (lambda: ControlledSteps(0.5), r"ControlledSteps\.rtol"),
-        (lambda: ControlledSteps(1e-3, atol=-1.0), r"ControlledSteps\.atol"),
-        (lambda: ControlledSteps(1e-3, max_steps=0), r"ControlledSteps\.max_steps"),
-        (lambda: GivenSteps((0.0,)), r"GivenSteps\.times: must be two or more.*got 1 instant"),
-        (lambda: GivenSteps(((0.0, 0.1),)), r"got an array of shape \(1, 2\)"),
-        (lambda: GivenSteps(0.1), r"got an array of shape \(\)"),
+        (lambda: AdaptiveSteps(0.5), r"AdaptiveSteps\.rtol"),
+        (lambda: AdaptiveSteps(1e-3, atol=-1.0), r"AdaptiveSteps\.atol"),
+        (lambda: AdaptiveSteps(1e-3, max_steps=0), r"AdaptiveSteps\.max_steps"),
         (
-            lambda: GivenSteps((0.0, 0.2, 0.1)),
+            lambda: PrescribedSteps((0.0,)),
+            r"PrescribedSteps\.times: must be two or more.*got 1 instant",
+        ),
+        (lambda: PrescribedSteps(((0.0, 0.1),)), r"got an array of shape \(1, 2\)"),
+        (lambda: PrescribedSteps(0.1), r"got an array of shape \(\)"),
+        (
+            lambda: PrescribedSteps((0.0, 0.2, 0.1)),
             r"times\[2\] = 0.1 after times\[1\] = 0.2\. Sort",
         ),
-        (lambda: GivenSteps((0.0, 0.1, 0.1)), "must increase"),
-        (lambda: GivenSteps((0.1, 0.2)), "must begin at 0, as every run does; got 0.1"),
-        (lambda: GivenSteps((0.0, float("nan"))), "finite numbers; got NaN"),
-        (lambda: GivenSteps((0.0, "1")), r"GivenSteps\.times: must be an array of finite numbers"),
+        (lambda: PrescribedSteps((0.0, 0.1, 0.1)), "must increase"),
+        (lambda: PrescribedSteps((0.1, 0.2)), "must begin at 0, as every run does; got 0.1"),
+        (lambda: PrescribedSteps((0.0, float("nan"))), "finite numbers; got NaN"),
+        (
+            lambda: PrescribedSteps((0.0, "1")),
+            r"PrescribedSteps\.times: must be an array of finite numbers",
+        ),
     ],
 )
 def test_settings_out_of_range_are_refused_by_name(make, match):
-    with pytest.raises(InvalidInput, match=match):
+    with pytest.raises(InvalidInputError, match=match):
         make()
 
 
 def test_an_end_that_is_no_given_instant_is_refused_with_both():
-    match = (
-        r"end, GivenSteps\.times\[-1\] = 1; got 2\.0\. Run to t_end = 1, or give instants up to 2"
-    )
-    with pytest.raises(InvalidInput, match=match):
-        simulate(CartesianPendulum(), 2.0, HHT(GivenSteps((0.0, 0.5, 1.0))))
+    match = r"end, PrescribedSteps\.times\[-1\] = 1; got 2\.0\. Run to t_end = 1, or give instants up to 2"
+    with pytest.raises(InvalidInputError, match=match):
+        simulate(CartesianPendulum(), 2.0, HHT(PrescribedSteps((0.0, 0.5, 1.0))))
 
 
 SPELLINGS = [
     (HHT(0.01), HHT(step=0.01)),
     (HHT(0.01), HHT(FixedSteps(np.float64(0.01)))),
-    (HHT(rtol=1e-5), HHT(steps=ControlledSteps(1e-5))),
+    (HHT(rtol=1e-5), HHT(steps=AdaptiveSteps(1e-5))),
     (
-        HHT(ControlledSteps(1e-5, 1e-3, 10, True), -0.1),
-        HHT(
-            steps=ControlledSteps(1e-5, atol=1e-3, max_steps=10, sensitivities=True), hht_alpha=-0.1
-        ),
+        HHT(AdaptiveSteps(1e-5, 1e-3, 10, True), -0.1),
+        HHT(steps=AdaptiveSteps(1e-5, atol=1e-3, max_steps=10, sensitivities=True), hht_alpha=-0.1),
     ),
-    (HHT(GivenSteps([0, 1, 2])), HHT(steps=GivenSteps(times=(0.0, 1.0, 2.0)))),
+    (HHT(PrescribedSteps([0, 1, 2])), HHT(steps=PrescribedSteps(times=(0.0, 1.0, 2.0)))),
 ]
 
 
@@ -277,7 +279,7 @@ def test_short_and_full_form_are_the_same(short, full):
     assert short == full
     assert hash(short) == hash(full)
     # What is printed can be typed back.
-    names = {x.__name__: x for x in (HHT, FixedSteps, ControlledSteps, GivenSteps)}
+    names = {x.__name__: x for x in (HHT, FixedSteps, AdaptiveSteps, PrescribedSteps)}
     for same in (eval(repr(short), names), pickle.loads(pickle.dumps(short))):
         assert same == short
         assert same.newton_tolerance == short.newton_tolerance
@@ -285,8 +287,8 @@ def test_short_and_full_form_are_the_same(short, full):
 
 
 def test_many_instants_print_in_short():
-    shown = repr(GivenSteps(np.arange(1000.0)))
-    assert shown == "GivenSteps(times=(0.0, 1.0, 2.0, ..., 999.0))"
+    shown = repr(PrescribedSteps(np.arange(1000.0)))
+    assert shown == "PrescribedSteps(times=(0.0, 1.0, 2.0, ..., 999.0))"
 
 
 class Exploding(CartesianPendulum):
@@ -309,7 +311,7 @@ class Kicked(CartesianPendulum):
 
 @pytest.mark.parametrize("kind", [Exploding, Kicked])
 def test_trouble_on_the_way_is_an_outcome(kind):
-    run = simulate(kind(), 1.0, HHT(ControlledSteps(1e-3, max_steps=2000)))
+    run = simulate(kind(), 1.0, HHT(AdaptiveSteps(1e-3, max_steps=2000)))
     assert not run.outcome.success
     assert 0.2 < run.t[-1] <= 0.35
     assert run.outcome.time == run.t[-1]
@@ -328,6 +330,6 @@ def test_a_run_that_ends_in_its_first_step_has_the_derivatives_of_its_start(inte
 
 
 def test_the_limit_of_steps_is_an_outcome():
-    run = simulate(CartesianPendulum(), 2.0, HHT(ControlledSteps(1e-6, max_steps=50)))
+    run = simulate(CartesianPendulum(), 2.0, HHT(AdaptiveSteps(1e-6, max_steps=50)))
     assert run.outcome.verdict is Verdict.STEP_LIMIT
     assert len(run.t) <= 51

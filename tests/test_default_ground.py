@@ -12,12 +12,11 @@ from ancfdae import (
     ComplexStep,
     CurvedBeam,
     Cylindrical,
-    Direct,
+    DirectDifferentiation,
     Integral,
     Material,
     Pin,
     PlanarJoint,
-    Rectangle,
     Revolute,
     RigidBody,
     Scene,
@@ -25,10 +24,11 @@ from ancfdae import (
     Universal,
     assemble,
     gradient,
-    position,
     simulate,
 )
 from ancfdae.model.elements import Quantity
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 
 FLAT = Rectangle(0.05, 0.04)
 SOFT = Material(1000.0, 1e6, 0.3)
@@ -89,7 +89,7 @@ def test_the_gradient_is_the_limit_of_differences_of_the_users_call(d, beam, at)
     names = [f"base.ground_{axis}" for axis in "xyz"[:d]]
     found = [
         gradient(scene, objective, 0.05, method, design=names, method=by).gradient
-        for by in (Direct(), Adjoint(), ComplexStep())
+        for by in (DirectDifferentiation(), Adjoint(), ComplexStep())
     ]
     np.testing.assert_allclose(found[1], found[0], rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(found[2], found[0], rtol=1e-8, atol=1e-10)

@@ -5,13 +5,11 @@ import pytest
 import scipy
 
 from ancfdae import (
+    DOP853,
     Beam,
-    Drive,
-    Explicit,
-    Harmonic,
     Material,
     Pin,
-    Rectangle,
+    RotationDriver,
     Scene,
     assemble,
     differentiate,
@@ -19,7 +17,9 @@ from ancfdae import (
 )
 from ancfdae.integrators.dop853 import Dop853
 from ancfdae.integrators.index_1 import stacked
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.laws import Harmonic
+from ancfdae.sections import Rectangle
 from validation.scenes import pendulum
 
 # States, rates and coefficients are of size 1 to 40, and sums have sixteen terms.
@@ -94,7 +94,7 @@ def _swinging():
 
 
 def test_steps_at_the_limit_of_stability_are_hardly_rejected(swinging):
-    run = simulate(swinging, 0.25, Explicit(1e-3, 1))
+    run = simulate(swinging, 0.25, DOP853(1e-3, 1))
     steps, residuals = run.statistics.steps, run.statistics.residuals
     # At the limit of stability: the fastest wave of the section, 4108 rad/s, has w h = 5.7.
     assert 5.5 < 4108 * 0.25 / steps < 5.96
@@ -105,7 +105,7 @@ def test_steps_at_the_limit_of_stability_are_hardly_rejected(swinging):
 
 
 def test_derivatives_are_those_of_runs(swinging):
-    explicit, share = Explicit(1e-11, 1), 1e-4
+    explicit, share = DOP853(1e-11, 1), 1e-4
     found = differentiate(swinging, 0.02, explicit).sensitivities
     for i, b in enumerate(swinging.b):
         moved = share * b * np.eye(2)[i]
@@ -123,7 +123,7 @@ def test_derivatives_are_those_of_runs(swinging):
 
 def test_constant_constraints_hold_to_round_off(swinging):
     assert swinging.traits.constant_constraints
-    run = differentiate(swinging, 0.05, Explicit(1e-4, 2))
+    run = differentiate(swinging, 0.05, DOP853(1e-4, 2))
     B, b = swinging.constraint_pattern, run.sensitivities
     Phi_q, size = swinging.constraint_q(0.0, run.q[0]), np.max(np.abs(run.q[-1]))
     for q, v, q_b, v_b in zip(run.q, run.v, b.q_b, b.v_b, strict=True):
@@ -137,7 +137,7 @@ def test_states_move_to_the_nearest_on_constant_constraints():
     rod = Beam("a", (0.3, 0.2), (0.8, 0.2), 2, Rectangle(0.05, 0.04), Material(4000, 1e6, 0.3))
     system = assemble(Scene([rod], [Pin(rod.at_start)], (0, -9.81)), ["a.density", "a.height"])
     assert system.traits.constant_constraints
-    problem = Problem.of(system, 1.0).differentiated()
+    problem = InitialValueProblem.of(system, 1.0).differentiated()
     first, b = problem.initial, problem.derivative
     rows = stacked(first.q, first.v, b.q_b, b.v_b)
     rows = rows + np.random.default_rng(1).uniform(-1e-2, 1e-2, rows.shape)
@@ -157,7 +157,10 @@ def test_states_move_to_the_nearest_on_constant_constraints():
 
 def test_which_constraints_are_constant():
     rod = Beam("a", (0, 0), (0.5, 0), 1, Rectangle(0.05, 0.04), Material(4000, 1e6, 0.3))
-    base, drive = Pin(rod.at_start, name="base"), Drive(rod.at_start, Harmonic(0.5, 4.0), name="m")
+    base, drive = (
+        Pin(rod.at_start, name="base"),
+        RotationDriver(rod.at_start, Harmonic(0.5, 4.0), name="m"),
+    )
     for joints, design, constant in (
         ([base], ["a.height"], True),
         ([base], ["base.point_y"], False),

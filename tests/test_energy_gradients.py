@@ -10,13 +10,13 @@ from ancfdae import (
     Beam,
     Clamp,
     ComplexStep,
-    Direct,
+    DirectDifferentiation,
     Integral,
     Material,
     Scene,
     gradient,
-    position,
 )
+from ancfdae.observables import position
 
 from element_kinds import ENERGIES, SECTIONS, all_at_once, moved
 
@@ -45,7 +45,7 @@ def test_direct_and_adjoint_are_complex_step_and_differences(d, section, energy)
         design = [name for name in design if name not in idle]
     objective = Integral((position(beam.at_end, 1) - 0.1) ** 2 + position(beam.at_end, 0))
     call = (objective, 0.02, HHT(0.002, newton_tolerance=1e-14))
-    direct = gradient(scene, *call, design=design, method=Direct())
+    direct = gradient(scene, *call, design=design, method=DirectDifferentiation())
     b = np.array([scene.with_values({}).element_parameters()[0, w] for w in columns(beam, design)])
     b[design.index("rod.length")] = beam.length
     scale = np.max(np.abs(direct.gradient * b))
@@ -61,7 +61,10 @@ def test_direct_and_adjoint_are_complex_step_and_differences(d, section, energy)
         # Central differences of the call: h^2 = 1e-8 times the third derivative, and 1e-12/1e-4.
         high, low = (
             gradient(
-                moved(scene, design, b + h * along), *call, design=design[:1], method=Direct()
+                moved(scene, design, b + h * along),
+                *call,
+                design=design[:1],
+                method=DirectDifferentiation(),
             ).value
             for h in (1e-4, -1e-4)
         )

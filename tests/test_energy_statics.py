@@ -8,20 +8,18 @@ import pytest
 from ancfdae import (
     Adjoint,
     Beam,
-    Circle,
     Clamp,
     ComplexStep,
-    Direct,
+    DirectDifferentiation,
     Material,
     PointForce,
     Scene,
-    Tube,
     equilibrium,
+    equilibrium_gradient,
     modes,
-    position,
-    reaction,
-    static_gradient,
 )
+from ancfdae.observables import position, reaction
+from ancfdae.sections import Circle, Tube
 
 from element_kinds import ENERGIES, SECTIONS, all_at_once, moved
 
@@ -59,17 +57,17 @@ def test_statics_by_every_method(d, section, energy):
     b = np.array([value_of(scene, name) for name in design])
     for observable in (position(beam.at_end, 1), reaction("wall", 1)):
         direct, adjoint = (
-            static_gradient(scene, observable, design=design, method=method)
-            for method in (Direct(), Adjoint())
+            equilibrium_gradient(scene, observable, design=design, method=method)
+            for method in (DirectDifferentiation(), Adjoint())
         )
         # The reaction is the load: its derivatives vanish, up to round-off of its size.
         scale = max(np.max(np.abs(direct.gradient * b)), abs(direct.value))
         assert np.max(np.abs(direct.gradient - adjoint.gradient) * np.abs(b)) < 1e-9 * scale
         for every, along in all_at_once(design, b, 2):
-            steps = static_gradient(scene, observable, design=[every], method=ComplexStep())
+            steps = equilibrium_gradient(scene, observable, design=[every], method=ComplexStep())
             assert abs(direct.gradient @ along - steps.gradient[0]) < 1e-9 * scale
     tip = position(beam.at_end, 1)
-    slopes = static_gradient(scene, tip, design=design).gradient
+    slopes = equilibrium_gradient(scene, tip, design=design).gradient
     # That values given to the scene are those of the variables, one direction shows.
     for _, along in all_at_once(design, b, 1):
         low, high = (
@@ -89,7 +87,7 @@ def test_modes_about_an_equilibrium_by_both_methods_and_differences(d, section, 
         at = equilibrium(scene, **({"design": design} if options else {}))
         return modes(scene, 2, at=at, **options)
 
-    direct = lowest(scene, design=design, method=Direct())
+    direct = lowest(scene, design=design, method=DirectDifferentiation())
     adjoint = lowest(scene, design=design, method=Adjoint())
     slopes = direct.frequencies_b * b / direct.frequencies[:, None]
     other = adjoint.frequencies_b * b / adjoint.frequencies[:, None]
@@ -107,7 +105,7 @@ def test_nearly_incompressible_material_does_not_lock():
     scene = replace(scene, beams=[replace(beam, elements=8, initial_strain=0.0)])
     tip = position(beam.at_end, 1)
     found = [
-        static_gradient(
+        equilibrium_gradient(
             scene.with_values({"rod.poisson_ratio": nu}), tip, design=["rod.length"]
         ).value
         for nu in (0.3, 0.4999)

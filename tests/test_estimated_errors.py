@@ -6,22 +6,20 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    DOP853,
     HHT,
+    AdaptiveSteps,
     ComplexStep,
-    ControlledSteps,
-    EstimatedErrors,
-    Explicit,
-    FormulaSystem,
-    Point,
     Terminal,
-    Traits,
     assemble,
-    custom,
     differentiate,
     error_bars,
     load_solution,
     simulate,
 )
+from ancfdae.extend import FormulaSystem, MaterialPoint, SystemProperties
+from ancfdae.observables import custom
+from ancfdae.results import ErrorEstimates
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import pendulum
 
@@ -49,12 +47,12 @@ def true_errors(system, run, exact):
         (CartesianPendulum, 2.0, [HHT(2.0**-4), HHT(2.0**-8), HHT(rtol=1e-3)]),
         (SliderCrank, 10.0, [HHT(2.0**-2), HHT(2.0**-5, hht_alpha=-0.05), HHT(rtol=1e-3)]),
         # At 2^-6 s the waves of the soft beam are not resolved: q is right to 1e-3, q_b to 0.2.
-        (soft, 0.25, [HHT(2.0**-6), HHT(2.0**-9), HHT(ControlledSteps(1e-2, sensitivities=True))]),
+        (soft, 0.25, [HHT(2.0**-6), HHT(2.0**-9), HHT(AdaptiveSteps(1e-2, sensitivities=True))]),
     ],
 )
 def test_estimates_are_of_the_size_of_the_errors(build, t_end, settings):
     system = build()
-    exact = differentiate(system, t_end, Explicit(1e-7))
+    exact = differentiate(system, t_end, DOP853(1e-7))
     for integrator in settings:
         run = differentiate(system, t_end, integrator)
         motion, derivatives = true_errors(system, run, exact)
@@ -68,7 +66,7 @@ def test_first_steps_of_a_stiff_damped_beam_are_unremarkable():
     stiff = assemble(pendulum(youngs_modulus=2e11, damping_time=1e-3), ())
     for step, steps in ((2.0**-6, 1), (2.0**-7, 4)):
         run = simulate(stiff, steps * step, HHT(step, hht_alpha=-0.1))
-        away = abs(np.linalg.norm(run.position(Point("pendulum", 0.5))[-1]) - 0.6)
+        away = abs(np.linalg.norm(run.position(MaterialPoint("pendulum", 0.5))[-1]) - 0.6)
         # The rod bends and stretches by less than a micrometre.
         assert away < 1e-6
         assert run.estimated_errors.motion < 1e-3
@@ -96,7 +94,7 @@ def test_motion_alone_has_no_error_of_derivatives():
     both = differentiate(CartesianPendulum(), 1.0, HHT(2.0**-5))
     assert run.estimated_errors.derivatives is None
     assert run.estimated_errors.motion == both.estimated_errors.motion > 0
-    assert simulate(CartesianPendulum(), 1.0, Explicit(1e-4)).estimated_errors is None
+    assert simulate(CartesianPendulum(), 1.0, DOP853(1e-4)).estimated_errors is None
     other = differentiate(CartesianPendulum(), 1.0, HHT(2.0**-5), method=ComplexStep())
     assert other.estimated_errors.motion == pytest.approx(run.estimated_errors.motion, rel=1e-9)
 
@@ -106,7 +104,7 @@ class Runaway(FormulaSystem):
 
     n_q, n_lam = 1, 0
     design_names = ("b1", "b2")
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
 
     def with_values(self, b):
         return Runaway(b)
@@ -130,7 +128,7 @@ def test_what_blew_up_has_infinite_errors():
     run = differentiate(system, 340 * step, HHT(step))
     assert run.outcome.success
     assert np.max(run.q) > 1e160
-    assert run.estimated_errors == EstimatedErrors(math.inf, (math.inf, math.inf))
+    assert run.estimated_errors == ErrorEstimates(math.inf, (math.inf, math.inf))
     place = Terminal(custom(lambda t, q, v, lam, b: q[:, 0] / 1e160, "place"))
     assert error_bars(system, place, 340 * step, HHT(step)).resolved is False
 
@@ -139,5 +137,5 @@ def test_files_keep_them(tmp_path):
     run = differentiate(CartesianPendulum(), 1.0, HHT(2.0**-5))
     again = load_solution(run.save(tmp_path / "run.npz"))
     assert again.estimated_errors == run.estimated_errors
-    plain = simulate(CartesianPendulum(), 1.0, Explicit(1e-4))
+    plain = simulate(CartesianPendulum(), 1.0, DOP853(1e-4))
     assert load_solution(plain.save(tmp_path / "plain.npz")).estimated_errors is None

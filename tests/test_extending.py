@@ -16,7 +16,7 @@ from ancfdae import (
     Beam,
     Clamp,
     ComplexStep,
-    Direct,
+    DirectDifferentiation,
     Moment,
     PointForce,
     RigidBody,
@@ -59,7 +59,7 @@ def test_derivatives_by_every_method_are_those_of_the_call(part):
     call = part.SCENE, objective, part.END, part.INTEGRATOR
     direct, adjoint, steps = (
         gradient(*call, design=part.DESIGN, method=method)
-        for method in (Direct(), Adjoint(), ComplexStep())
+        for method in (DirectDifferentiation(), Adjoint(), ComplexStep())
     )
     b = assemble(part.SCENE, part.DESIGN).b
     size = np.max(np.abs(direct.gradient * b))

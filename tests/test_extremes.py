@@ -5,26 +5,24 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ancfdae import (
+    DOP853,
     HHT,
+    AdaptiveSteps,
     Adjoint,
     ComplexStep,
-    ControlledSteps,
-    Direct,
-    Explicit,
-    FormulaSystem,
-    GivenSteps,
+    DirectDifferentiation,
     Integral,
-    Interrupted,
-    InvalidInput,
-    Traits,
-    custom,
+    PrescribedSteps,
     differentiate,
     gradient,
     simulate,
 )
-from ancfdae.errors import Verdict
+from ancfdae.errors import Interrupted, InvalidInputError
+from ancfdae.extend import FormulaSystem, SystemProperties
 from ancfdae.integrators.hht.equations import Coefficients, Node
 from ancfdae.integrators.hht.small_steps import ConstraintRow, constraint_increment
+from ancfdae.observables import custom
+from ancfdae.results import Verdict
 from validation.extremes.rows import Case, measure
 from validation.extremes.scenes import Rod, Units
 
@@ -69,7 +67,7 @@ def test_constraints_that_move_hold_at_tiny_steps(system):
 def tiny(h, alpha, count):
     """Steps whose sizes jump by up to a factor of three."""
     times = np.cumsum([0.0, *(h * (1 + 0.5 * np.sin(np.arange(count))))])
-    return HHT(GivenSteps(tuple(times)), alpha)
+    return HHT(PrescribedSteps(tuple(times)), alpha)
 
 
 @pytest.mark.parametrize("alpha", [-0.05, -0.3])
@@ -88,7 +86,7 @@ def test_derivatives_at_tiny_steps_are_those_of_the_complex_step(build, h, count
     system, integrator = build(), tiny(h, alpha, count)
     direct, check = (
         differentiate(system, integrator.steps.times[-1], integrator, method=method)
-        for method in (Direct(), ComplexStep())
+        for method in (DirectDifferentiation(), ComplexStep())
     )
     for name, bound in (("q_b", 1e-12), ("v_b", 1e-10), ("a_b", 2e-6), ("lam_b", 2e-6)):
         ours, theirs = (getattr(run.sensitivities, name) for run in (direct, check))
@@ -96,7 +94,7 @@ def test_derivatives_at_tiny_steps_are_those_of_the_complex_step(build, h, count
     objective = Integral(custom(lambda t, q, v, lam, b: lam[:, 0] ** 2, "reaction"))
     back, forth = (
         gradient(system, objective, integrator.steps.times[-1], integrator, method=method).gradient
-        for method in (Adjoint(), Direct())
+        for method in (Adjoint(), DirectDifferentiation())
     )
     assert np.linalg.norm(back - forth) < 1e-7 * np.linalg.norm(forth)
 
@@ -104,7 +102,7 @@ def test_derivatives_at_tiny_steps_are_those_of_the_complex_step(build, h, count
 def test_derivatives_of_the_rigid_pendulum_stay_usable_at_tiny_steps():
     h, system = 1e-6, CartesianPendulum(-1.0, 2.0)
     run = differentiate(system, 400 * h, HHT(h, hht_alpha=-0.05))
-    exact = differentiate(system, 400 * h, Explicit(1e-12)).sensitivities
+    exact = differentiate(system, 400 * h, DOP853(1e-12)).sensitivities
     for name in ("a_b", "lam_b"):
         ours, theirs = getattr(run.sensitivities, name)[-1], getattr(exact, name)[-1]
         assert np.max(np.abs(ours - theirs)) < 1e-5 * np.max(np.abs(theirs)), name
@@ -112,7 +110,7 @@ def test_derivatives_of_the_rigid_pendulum_stay_usable_at_tiny_steps():
 
 def test_derivatives_along_take_small_steps_into_account():
     system, h = CartesianPendulum(-1.0, 2.0), 1e-6
-    integrator = HHT(ControlledSteps(1e-9, max_steps=400, sensitivities=True))
+    integrator = HHT(AdaptiveSteps(1e-9, max_steps=400, sensitivities=True))
     run = differentiate(system, 1e-4, integrator)
     assert np.median(np.diff(run.t)) < 10 * h
     batched = integrator.differentiate(system, run)
@@ -142,7 +140,7 @@ class Carriage(FormulaSystem):
 
     n_q, n_lam = 2, 1
     design_names = ("A", "w")
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
 
     def with_values(self, b):
         return Carriage(b)
@@ -224,11 +222,11 @@ def test_steps_whose_forces_are_mostly_round_off_are_counted():
 
 @pytest.mark.parametrize("step", [1e-200, 1e-160, 1e200])
 def test_a_step_whose_square_is_no_number_is_refused(step):
-    with pytest.raises(InvalidInput, match=r"HHT\.step"):
+    with pytest.raises(InvalidInputError, match=r"HHT\.step"):
         HHT(step)
 
 
 @pytest.mark.parametrize("t_end", [1e-160, 1e200])
 def test_an_end_whose_square_is_no_number_is_refused(t_end):
-    with pytest.raises(InvalidInput, match="t_end"):
+    with pytest.raises(InvalidInputError, match="t_end"):
         simulate(CartesianPendulum(), t_end, HHT(rtol=1e-3))

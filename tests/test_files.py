@@ -17,7 +17,7 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 sys.path.insert(0, "tests")
-from ancfdae import HHT, NotSaved, load_solution, observations, plotting, position, sweep
+from ancfdae import HHT, SaveError, load_solution, observations, plotting, position, sweep
 from validation.scenes import pendulum
 from mechanisms import CartesianPendulum
 
@@ -28,13 +28,13 @@ resource.setrlimit(resource.RLIMIT_FSIZE, ({LIMIT}, {LIMIT}))
 def refused(call):
     try:
         call()
-    except NotSaved as error:
+    except SaveError as error:
         print(error)
 
 for name in ("new.npz", "new.h5", "run.npz", "run.h5"):
     refused(lambda: solution.save(folder / name))
 drop = [position(pendulum().beams[0].at_end, 1)]
-refused(lambda: observations(pendulum(), drop, 32.0, HHT(2.0**-6), keep=1, file=folder / "x.npy"))
+refused(lambda: record_observables(pendulum(), drop, 32.0, HHT(2.0**-6), keep=1, file=folder / "x.npy"))
 rows = folder / "rows.jsonl"
 refused(lambda: sweep(system, [[1.0, 9.0], [2.0, 9.0]], lambda s: np.ones(3000), file=rows))
 scene, shown = pendulum(elements=1), solution.at(np.linspace(0, 1, 40))

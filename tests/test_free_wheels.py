@@ -11,24 +11,23 @@ from ancfdae import (
     Beam,
     Bushing,
     Clamp,
-    Configuration,
     FollowerForce,
-    JointFriction,
     Material,
-    MotionKind,
     Pin,
     PointMass,
-    Rectangle,
     RigidBody,
+    RotationalFriction,
     Scene,
     Spherical,
-    TorsionSpring,
+    TorsionalSpringDamper,
     assemble,
     modes,
     suggest_step,
 )
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.rigid import with_zeros
+from ancfdae.results import LinearisationPoint, ModeKind
+from ancfdae.sections import Rectangle
 
 # Units of length, mass and time in their SI units, inverted.
 UNITS = [(1.0, 1.0, 1.0), (1e3, 1e-3, 1.0), (1e3, 1.0, 1e3), (0.3, 1.0, 1e-3), (1.0, 3.0, 7.0)]
@@ -71,7 +70,7 @@ def test_a_free_wheel_is_a_point_mass(d, elements, damped, follower, units):
     free = 1 if d == 2 else 3
     given = {"damped": damped, "follower": follower}
     found = modes(arm(d, elements, units, **given), 4 + free)
-    assert found.kinds[:free] == (MotionKind.RIGID,) * free
+    assert found.kinds[:free] == (ModeKind.RIGID,) * free
     expected = modes(arm(d, elements, UNITS[0], wheel=False, **given), 4).exponents
     np.testing.assert_allclose(found.exponents[free : free + 4] * units[2], expected, rtol=1e-8)
 
@@ -82,9 +81,9 @@ def test_a_free_wheel_is_a_point_mass(d, elements, damped, follower, units):
 def test_what_hangs_in_springs_turns_freely(d, damped, units):
     free = 2 if d == 2 else 6
     scene = arm(d, 4, units, damped=damped, hung=True)
-    assert modes(scene, free).kinds == (MotionKind.RIGID,) * free
+    assert modes(scene, free).kinds == (ModeKind.RIGID,) * free
     found = modes(scene, free + 3)
-    assert found.kinds[:free] == (MotionKind.RIGID,) * free
+    assert found.kinds[:free] == (ModeKind.RIGID,) * free
     expected = modes(arm(d, 4, UNITS[0], wheel=False, damped=damped, hung=True), free + 3)
     slow = [s for s in expected.exponents if s.imag][:3]
     np.testing.assert_allclose(found.exponents[free : free + 3] * units[2], slow, rtol=1e-8)
@@ -95,12 +94,12 @@ def test_friction_in_its_bearing_is_all_that_a_wheel_loses(units):
     m, kg, s = units
     scene = arm(2, 4, units, damped=True)
     viscous = 1e-6 * kg * m**2 / s
-    bearing = JointFriction(scene.bodies[0].at(0.0, 0.0), coulomb=0.0, smooth_speed=1.0 / s,
+    bearing = RotationalFriction(scene.bodies[0].at(0.0, 0.0), coulomb=0.0, smooth_speed=1.0 / s,
                             viscous=viscous, name="bearing")  # fmt: skip
     with_friction = Scene(scene.beams, scene.joints, bodies=scene.bodies, loads=[bearing])
     found = modes(with_friction, 60)  # All: decays come after vibrations, the slowest first.
     decay = [e.real for e, kind in zip(found.exponents, found.kinds, strict=True)
-             if kind is MotionKind.DECAYING]  # fmt: skip
+             if kind is ModeKind.DECAYING]  # fmt: skip
     np.testing.assert_allclose(decay[0] * s, -1e-6 / 1e-4, rtol=1e-8)
 
 
@@ -119,11 +118,11 @@ def test_a_rod_that_topples_comes_before_its_wheel(units, damped):
     rod = RigidBody("rod", (0, 0.5 * m), mass=0.3 * kg, inertia=0.02 * kg * m**2)
     wheel = RigidBody("wheel", (0, m), mass=WHEEL * kg, inertia=1e-4 * kg * m**2)
     foot, top = rod.at(0, -0.5 * m), rod.at(0, 0.5 * m)
-    damper = TorsionSpring(foot, 0.0, 0.1 * kg * m**2 / s)
+    damper = TorsionalSpringDamper(foot, 0.0, 0.1 * kg * m**2 / s)
     given = {"gravity": (0, -9.81 * m / s**2), "loads": [damper] if damped else []}
     pins = [Pin(foot), Pin(top, wheel.at(0, 0))]
     found = modes(Scene([], pins, bodies=[rod, wheel], **given), 4)
-    assert found.kinds[:2] == (MotionKind.GROWING, MotionKind.RIGID)
+    assert found.kinds[:2] == (ModeKind.GROWING, ModeKind.RIGID)
     # (I + m l^2) s^2 + c s = (m_rod l/2 + m_wheel l) g
     inertia, stiffness = 0.02 + 0.3 * 0.25 + WHEEL, 9.81 * (0.15 + WHEEL)
     c = 0.1 if damped else 0.0
@@ -138,7 +137,9 @@ def test_what_is_found_beside_rigid_motions_keeps_the_change_of_the_last_sweep()
     """Values of motions that were mixed are as doubtful as the worst of them."""
     scene = arm(2, 4, UNITS[0])
     system = assemble(scene)
-    small = Linearised.of(system, Configuration(system.start()[0], np.zeros(system.n_lam)), None)
+    small = Linearised.of(
+        system, LinearisationPoint(system.start()[0], np.zeros(system.n_lam)), None
+    )
     X = modes(scene, 3).shapes
     # The wheel and the first bending, mixed, and named zero by the values that come with them.
     mixed = np.stack([X[:, 0] + X[:, 1], X[:, 0] - X[:, 1], X[:, 2]], axis=1) / np.sqrt([2, 2, 1])

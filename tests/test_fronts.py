@@ -8,19 +8,19 @@ from ancfdae import (
     HHT,
     Adjoint,
     Beam,
-    Circle,
-    Direct,
+    DirectDifferentiation,
     Material,
     Scene,
     Spherical,
     Terminal,
     assemble,
     gradient,
-    position,
 )
 from ancfdae.numerics.fronts import Fronts
 from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
+from ancfdae.observables import position
+from ancfdae.sections import Circle
 
 EPS = float(np.finfo(float).eps)
 
@@ -73,8 +73,8 @@ def grid(nodes, spread, seed):
     B = np.zeros((m, n))
     for row, (i, j) in enumerate(chosen):
         B[row, [i, j]] = random.uniform(0.5, 2, 2)
-    K_pattern = Pattern((n, n), *np.nonzero(dense))
-    B_pattern = Pattern((m, n), *np.nonzero(B))
+    K_pattern = SparsityPattern((n, n), *np.nonzero(dense))
+    B_pattern = SparsityPattern((m, n), *np.nonzero(B))
     return (K_pattern, dense[dense != 0]), (B_pattern, B[B != 0])
 
 
@@ -135,7 +135,7 @@ def test_constraints_that_depend_on_each_other_are_no_success():
     K, B = grid(5, 1.0, seed=6)
     rows = np.append(B[0].rows, B[0].rows[B[0].rows == 0] + B[0].shape[0])
     columns = np.append(B[0].columns, B[0].columns[B[0].rows == 0])
-    twice = Pattern((B[0].shape[0] + 1, B[0].shape[1]), rows, columns)
+    twice = SparsityPattern((B[0].shape[0] + 1, B[0].shape[1]), rows, columns)
     values = np.append(B[1], B[1][B[0].rows == 0])
     solve = Fronts(K[0], twice).factor(((1.0, K[1]),), values)
     right = np.zeros(25 + 6)
@@ -164,7 +164,8 @@ def test_the_gradient_of_a_net_is_the_limit_of_differences():
 
     design = ["x3.youngs_modulus", "scene.gravity_z"]
     one, other = (
-        gradient(*fallen(1e7), design=design, method=how) for how in (Direct(), Adjoint())
+        gradient(*fallen(1e7), design=design, method=how)
+        for how in (DirectDifferentiation(), Adjoint())
     )
     # Transposed solves of the same matrices: round-off of ten steps.
     assert np.allclose(one.gradient, other.gradient, rtol=1e-9)

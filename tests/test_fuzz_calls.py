@@ -22,27 +22,22 @@ import ancfdae
 from ancfdae import (
     HHT,
     Adjoint,
-    AncfdaeError,
-    Configuration,
     DesignVariable,
-    Direct,
-    Equilibrium,
-    Evaluate,
-    Integrator,
-    MechanicalSystem,
+    DirectDifferentiation,
+    Evaluator,
     Misfit,
-    Objective,
-    Observable,
     Pin,
     Scene,
-    Solution,
     Terminal,
     assemble,
     equilibrium,
-    kinetic_energy,
     plotting,
     simulate,
 )
+from ancfdae.errors import AncfdaeError
+from ancfdae.extend import Integrator, MechanicalSystem, Objective, Observable
+from ancfdae.observables import kinetic_energy
+from ancfdae.results import Equilibrium, LinearisationPoint, Solution
 from ancfdae.sensitivity.method import GradientMethod, Method
 
 from junk import JUNK, ROD, TIP
@@ -61,7 +56,7 @@ GOOD: dict[str, list[Any]] = {
     "t_end": [0.05, 0.04],
     "integrator": [STEP, HHT(0.005)],
     "design": [["rod.height"], [DesignVariable("h", {"rod.height": 2.0})]],
-    "method": [Direct(), Adjoint()],
+    "method": [DirectDifferentiation(), Adjoint()],
     "objective": [OBJECTIVE],
     "objectives": [[OBJECTIVE, 2 * OBJECTIVE]],
     "observable": [TIP],
@@ -75,7 +70,7 @@ GOOD: dict[str, list[Any]] = {
     "time_limit": [5.0],
     "executor": [None],
     "designs": [[{"rod.height": 0.04}], [[0.04], [0.05]]],
-    "what": [Evaluate(OBJECTIVE, 0.05, STEP)],
+    "what": [Evaluator(OBJECTIVE, 0.05, STEP)],
     "functions": [{"tip": OBJECTIVE}],
     "scale": [1.0, [0.05]],
     "strict": [True],
@@ -111,13 +106,13 @@ GOOD: dict[str, list[Any]] = {
 RESPONSES = ancfdae.Responses(SYSTEM, {"tip": OBJECTIVE}, 0.05, STEP)
 FIT = Misfit([TIP], [0.02], [[1.0]]).fit(SYSTEM, 0.05, STEP)
 MODES = ancfdae.modes(SYSTEM)
-TRADE = ancfdae.tradeoff(SYSTEM, OBJECTIVE, 0.05, [STEP], reference=HHT(0.005))
+TRADE = ancfdae.work_precision(SYSTEM, OBJECTIVE, 0.05, [STEP], reference=HHT(0.005))
 DERIVED = ancfdae.differentiate(SYSTEM, 0.05, STEP)
 PRESSED = replace(
     SCENE, gravity=(0.0, 0.0), loads=[ancfdae.PointForce(ROD.at_end, (0.0, 0.0), name="load")]
 )
 CRITICAL = ancfdae.critical_load(PRESSED, "load.force_x", -1e7)
-TURNING = replace(SCENE, frame=ancfdae.TurningFrame(1.0), gravity=(0.0, 0.0))
+TURNING = replace(SCENE, frame=ancfdae.RotatingFrame(1.0), gravity=(0.0, 0.0))
 
 
 def campbell(rates: Any, count: Any) -> ancfdae.Campbell:
@@ -128,7 +123,9 @@ def critical_load(parameter: Any, to: Any, design: Any = None) -> ancfdae.Critic
     return ancfdae.critical_load(PRESSED, parameter, to, design=design)
 
 
-def within(t_end: Any, observables: Any, tolerance: Any, at_times: Any = None) -> ancfdae.Observed:
+def within(
+    t_end: Any, observables: Any, tolerance: Any, at_times: Any = None
+) -> ancfdae.ObservableEstimates:
     return simulate(SCENE, t_end, tolerance=tolerance, observables=observables, at=at_times)
 
 
@@ -139,9 +136,14 @@ def gradient_within(objective: Any, tolerance: Any, design: Any) -> ancfdae.Grad
 CALLS = [
     *(ancfdae.simulate, ancfdae.differentiate, ancfdae.gradient, ancfdae.gradients),
     *(ancfdae.observe, ancfdae.evaluate, ancfdae.modes, ancfdae.equilibrium),
-    *(ancfdae.static_gradient, ancfdae.error_bars, ancfdae.adjoint_error, ancfdae.tradeoff),
+    *(
+        ancfdae.equilibrium_gradient,
+        ancfdae.error_bars,
+        ancfdae.estimate_adjoint_error,
+        ancfdae.work_precision,
+    ),
     *(ancfdae.sweep, ancfdae.mass_properties, ancfdae.suggest_step, ancfdae.Responses, assemble),
-    *(ancfdae.taylor_test, ancfdae.observations, ancfdae.check_system),
+    *(ancfdae.taylor_test, ancfdae.record_observables, ancfdae.check_system),
     *(RUN.at, RUN.position, RUN.slope, RUN.reaction, RUN.to_dataframe, DERIVED.design_index),
     *(RESPONSES.values, RESPONSES.constraint, RESPONSES.__getitem__, FIT.residuals, Misfit),
     *(MODES.shape_b, SCENE.with_values, SCENE.beam, SCENE.member, SCENE.numbers, SCENE.value),
@@ -184,7 +186,7 @@ VALID: dict[str, Callable[[Any], bool]] = {
     "functions": lambda x: isinstance(x, Mapping),
     "strict": lambda x: isinstance(x, bool | np.bool_),
     "count": number,
-    "at": lambda x: x is None or isinstance(x, Configuration | Equilibrium | Solution),
+    "at": lambda x: x is None or isinstance(x, LinearisationPoint | Equilibrium | Solution),
     "start": lambda x: x is None or isinstance(x, Equilibrium),
     "max_steps": number,
     "rates": lambda x: np.ndim(x) == 1 and len(x) > 0,
@@ -250,9 +252,9 @@ def with_junk(call: Callable[..., Any], **junk: Any) -> tuple[Any, dict[str, Any
 @settings(max_examples=int(os.environ.get("FUZZ", "60")), deadline=None)
 @given(calls())
 @example(with_junk(ancfdae.simulate, progress="x"))
-@example(with_junk(ancfdae.adjoint_error, progress=object()))
-@example(with_junk(ancfdae.tradeoff, progress=3))
-@example(with_junk(ancfdae.tradeoff, time_limit=1e308))
+@example(with_junk(ancfdae.estimate_adjoint_error, progress=object()))
+@example(with_junk(ancfdae.work_precision, progress=3))
+@example(with_junk(ancfdae.work_precision, time_limit=1e308))
 @example(with_junk(ancfdae.error_bars, levels=np.zeros(3)))
 @example(with_junk(ancfdae.gradient, model=SYSTEM, design=0.5))
 @example(with_junk(ancfdae.mass_properties, model=SYSTEM, design=int))
@@ -268,7 +270,7 @@ def with_junk(call: Callable[..., Any], **junk: Any) -> tuple[Any, dict[str, Any
 @example(with_junk(ancfdae.sweep, file=__file__))
 @example(with_junk(ancfdae.sweep, file=""))
 @example(with_junk(ancfdae.sweep, file="no such folder/rows"))
-@example(with_junk(ancfdae.observations, keep=1, file="no such folder/rows.npy"))
+@example(with_junk(ancfdae.record_observables, keep=1, file="no such folder/rows.npy"))
 @example(with_junk(RUN.save, path=""))
 @example(with_junk(RUN.slope, along=np.zeros(3)))
 @example(with_junk(RUN.reaction, joint=np.zeros(3)))

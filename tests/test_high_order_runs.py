@@ -6,32 +6,31 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    DOP853,
     HHT,
     IDA,
     IDAS,
     Adjoint,
     AtTimes,
     Beam,
-    Direct,
-    Drive,
-    Explicit,
-    Harmonic,
+    DirectDifferentiation,
     IndexReduction,
     Integral,
     Material,
     Pin,
-    Point,
-    Rectangle,
+    RotationDriver,
     Scene,
     SmoothMaximum,
     Terminal,
     assemble,
-    custom,
     differentiate,
     gradient,
-    position,
     simulate,
 )
+from ancfdae.extend import MaterialPoint
+from ancfdae.laws import Harmonic
+from ancfdae.observables import custom, position
+from ancfdae.sections import Rectangle
 
 from mechanisms import CartesianPendulum, chain
 from members import constraint_b, velocity_side
@@ -57,7 +56,7 @@ def idas(*values):
 def every_method(rtol, intervals=2):
     """All integrators of high order at a tolerance."""
     return [
-        Explicit(rtol, intervals),
+        DOP853(rtol, intervals),
         IDA(rtol, intervals, form=GGL),
         IDA(rtol, intervals, form=INDEX_1),
         idas(IDAS(rtol, intervals, form=GGL)),
@@ -73,7 +72,7 @@ def name_of(value):
 
 @lru_cache(maxsize=1)
 def reference():
-    return differentiate(driven(), T_END, Explicit(1e-11, 2))
+    return differentiate(driven(), T_END, DOP853(1e-11, 2))
 
 
 def errors(run, exact):
@@ -111,7 +110,7 @@ def test_hht_tends_to_the_same_end():
 
 @pytest.mark.parametrize("integrator", every_method(1e-8), ids=name_of)
 def test_error_falls_with_the_tolerance(integrator):
-    exact, found = simulate(swinging(), 1.0, Explicit(1e-11, 2)), []
+    exact, found = simulate(swinging(), 1.0, DOP853(1e-11, 2)), []
     for rtol in (1e-4, 1e-6, 1e-8):
         changed = type(integrator)(**{**vars(integrator), "rtol": rtol})
         found.append(np.max(errors(simulate(swinging(), 1.0, changed), exact)))
@@ -155,7 +154,7 @@ def test_constraints_drift_as_much_as_the_form_says(integrator):
     acceleration = np.max(np.abs(np.sum(run.q * run.a, axis=1) + np.sum(run.v**2, axis=1)))
     # Accelerations are recomputed from each state, and keep their equation to round-off.
     assert acceleration < 1e-12 * np.max(np.abs(run.lam))
-    if isinstance(integrator, Explicit):
+    if isinstance(integrator, DOP853):
         # Projected by one Newton step: what is left is the square of the drift.
         assert max(off_place, off_speed) < 1e-10
     elif integrator.form is GGL:
@@ -167,10 +166,10 @@ def test_constraints_drift_as_much_as_the_form_says(integrator):
 def test_explicit_runs_stay_on_driven_constraints():
     # Linear in q, but stages of a step integrate the drive with an error.
     rod = Beam("a", (0, 0), (0.5, 0), 2, Rectangle(0.05, 0.04), Material(4000, 1e6, 0.3))
-    joints = [Pin(rod.at_start), Drive(rod.at_start, Harmonic(0.5, 4.0), name="m")]
+    joints = [Pin(rod.at_start), RotationDriver(rod.at_start, Harmonic(0.5, 4.0), name="m")]
     system = assemble(Scene([rod], joints, (0, -9.81), project_start=True), ["m.frequency"])
     assert system.traits.linear_constraints
-    run = differentiate(system, 0.125, Explicit(1e-4, 2))
+    run = differentiate(system, 0.125, DOP853(1e-4, 2))
     B, b = system.constraint_pattern, run.sensitivities
     for t, q, v, q_b in zip(run.t, run.q, run.v, b.q_b, strict=True):
         Phi_q = system.constraint_q(t, q)
@@ -190,7 +189,7 @@ def test_statistics_count_what_was_done(integrator):
     assert 5 < s.steps < s.residuals < len(calls)
     assert s.factorisations > 0
     assert s.wall_seconds > 0
-    assert s.iterations == (0 if isinstance(integrator, Explicit) else s.residuals)
+    assert s.iterations == (0 if isinstance(integrator, DOP853) else s.residuals)
 
 
 @pytest.mark.parametrize("integrator", every_method(1e-6, 1), ids=name_of)
@@ -230,15 +229,17 @@ OBJECTIVES = {
 
 @lru_cache(maxsize=8)
 def exact_gradient(name):
-    return gradient(swinging(), OBJECTIVES[name], 1.0, Explicit(1e-11, 4), method=Direct())
+    return gradient(
+        swinging(), OBJECTIVES[name], 1.0, DOP853(1e-11, 4), method=DirectDifferentiation()
+    )
 
 
 @pytest.mark.parametrize("name", OBJECTIVES)
 @pytest.mark.parametrize(
     ("integrator", "method"),
     [
-        (IDA(1e-8, 4, form=GGL), Direct()),
-        idas(IDAS(1e-8, 4, form=GGL), Direct()),
+        (IDA(1e-8, 4, form=GGL), DirectDifferentiation()),
+        idas(IDAS(1e-8, 4, form=GGL), DirectDifferentiation()),
         idas(IDAS(1e-8, 4, form=GGL), Adjoint()),
         idas(IDAS(1e-8, 4, form=INDEX_1), Adjoint()),
     ],
@@ -254,18 +255,18 @@ def test_gradients_of_composed_objectives(name, integrator, method):
 
 @pytest.mark.idas
 def test_adjoint_of_idas_on_a_driven_scene():
-    system, tip = driven(), position(Point("b", 1.0), 1)
+    system, tip = driven(), position(MaterialPoint("b", 1.0), 1)
     results = [
         gradient(system, Integral(tip**2), T_END, integrator, method=method).gradient
         for integrator, method in (
             (IDAS(1e-7, 2, form=GGL), Adjoint()),
-            (Explicit(1e-9, 2), Direct()),
+            (DOP853(1e-9, 2), DirectDifferentiation()),
         )
     ]
     np.testing.assert_allclose(results[0] * system.b, results[1] * system.b, rtol=1e-4, atol=1e-11)
 
 
-@pytest.mark.parametrize("integrator", [IDA(1e-8), idas(IDAS(1e-8)), Explicit()], ids=name_of)
+@pytest.mark.parametrize("integrator", [IDA(1e-8), idas(IDAS(1e-8)), DOP853()], ids=name_of)
 def test_direct_is_the_default_method(integrator):
     found = gradient(swinging(), OBJECTIVES["smooth maximum"], 0.1, integrator)
-    assert isinstance(found.method, Direct)
+    assert isinstance(found.method, DirectDifferentiation)

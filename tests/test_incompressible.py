@@ -9,20 +9,20 @@ from ancfdae import (
     HHT,
     Adjoint,
     Beam,
-    Direct,
+    DirectDifferentiation,
     EnhancedContinuum,
     Material,
-    NodeState,
+    NodalState,
     Pin,
-    Rectangle,
     Scene,
     Terminal,
-    Verdict,
     assemble,
     gradient,
-    position,
     simulate,
 )
+from ancfdae.observables import position
+from ancfdae.results import Verdict
+from ancfdae.sections import Rectangle
 
 L, H, E, RHO, G, ANGLE, N = 1.0, 2e-3, 1e7, 1000.0, 9.81, 0.02, 8
 
@@ -41,7 +41,7 @@ def hanging(nu, d, shift=0.0):
     across, along = nodes[..., 0].copy(), nodes[..., -1].copy()
     nodes[..., 0], nodes[..., -1] = c * across - x * along, x * across + c * along
     nodes[:, 0] += zero
-    start = [NodeState("rod", nodes)]
+    start = [NodalState("rod", nodes)]
     return Scene([rod], [Pin(rod.at_start)], gravity=np.multiply(G, down), start=start), rod
 
 
@@ -105,7 +105,7 @@ def test_its_gradient_is_that_of_the_call():
 
     found = [
         gradient(scene, tip, 0.1, HHT(step=1e-3), design=design, method=m).gradient
-        for m in (Direct(), Adjoint())
+        for m in (DirectDifferentiation(), Adjoint())
     ]
     # Waves of the thickness have (omega h)^2 = 1.1e6, whose round-off a hundred steps may add up to
     # 2.4e-8; found 1.2e-8.
@@ -146,7 +146,7 @@ def test_a_motion_that_mirrors_sections_is_no_success(nu):
     angle = np.arctan(ANGLE)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     nodes[:, 2] = rod.reference().slopes[:, 1] @ turn
-    scene = Scene([rod], [Pin(rod.at_start)], gravity=(0, -G), start=[NodeState("rod", nodes)])
+    scene = Scene([rod], [Pin(rod.at_start)], gravity=(0, -G), start=[NodalState("rod", nodes)])
     done = simulate(scene, 0.3, HHT(step=1e-3))
     assert not done.outcome.success
     assert done.outcome.verdict is Verdict.FOLDED

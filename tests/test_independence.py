@@ -5,7 +5,7 @@ import pytest
 
 from ancfdae import Revolute, RigidBody, RigidBox, Scene, Spherical, assemble
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.errors import RedundantConstraints
+from ancfdae.errors import RedundantConstraintsError
 
 LENGTH = 0.2
 
@@ -41,6 +41,6 @@ def test_a_joint_that_a_long_chain_has_already_is_named(joint):
         return joint(sides[0], *axis, sides[1], name="twice")
 
     rows = 5 if joint is Revolute else 3
-    with pytest.raises(RedundantConstraints, match=rf"'twice'.*{rows} redundant") as told:
+    with pytest.raises(RedundantConstraintsError, match=rf"'twice'.*{rows} redundant") as told:
         saddle_point(chain(24, twice), 0.0)
     assert "'bar 3" not in str(told.value)

@@ -10,40 +10,34 @@ from ancfdae import (
     BEAM_3D,
     CABLE_2D,
     CABLE_3D,
+    DOP853,
     HHT,
     IDA,
     Adjoint,
     Beam,
-    Circle,
     Clamp,
     ComplexStep,
     CurvedBeam,
-    Explicit,
     Integral,
-    InvalidInput,
     Material,
     Pin,
     PointForce,
     Radau,
-    Rectangle,
     RigidBody,
     Scene,
     Terminal,
-    UnknownName,
     assemble,
-    axial_force,
     check_system,
     equilibrium,
+    equilibrium_gradient,
     gradient,
-    maximum_stress,
     modes,
-    position,
-    reaction,
-    static_gradient,
-    von_mises,
 )
+from ancfdae.errors import InvalidInputError, UnknownNameError
 from ancfdae.model.elements import Batch, ElementParameter, SaintVenantKirchhoff, elastic
 from ancfdae.model.elements.invariants import prepare
+from ancfdae.observables import axial_force, maximum_von_mises, position, reaction, von_mises
+from ancfdae.sections import Circle, Rectangle
 from ancfdae.studies.meshes import model_kinds
 
 import element_forces
@@ -153,9 +147,9 @@ def test_stress_force_and_reaction_are_those_of_the_strain(element):
         (axial_force(point), stress * area),
         (reaction("wall", 0), -stress * area),
         (von_mises(point), stress),
-        (maximum_stress("wire", 1e-2 * stress), stress),
+        (maximum_von_mises("wire", 1e-2 * stress), stress),
     ):
-        found = static_gradient(scene, observable, design=["wire.initial_strain"])
+        found = equilibrium_gradient(scene, observable, design=["wire.initial_strain"])
         # SMALL_STRAIN = 1e-9 is added to bending stress of a cable in space: 1e-6 of 1e-3.
         assert found.value == pytest.approx(expected, rel=2e-6)
         assert found.gradient == pytest.approx([expected / 1e-3], rel=2e-6)
@@ -238,7 +232,7 @@ def test_a_net_that_is_taut_by_itself_stands_where_force_densities_have_it():
     joints += [Pin(cable.at_start, cables[0].at_start) for cable in cables[1:]]
     scene = Scene(cables, joints, loads=[PointForce(cables[0].at_start, load)])
     place = position(cables[0].at_start, 2)
-    found = static_gradient(scene, place, design=[f"c{k}.initial_strain" for k in range(4)])
+    found = equilibrium_gradient(scene, place, design=[f"c{k}.initial_strain" for k in range(4)])
 
     def height(strains):
         x, length = np.zeros(3, dtype=strains.dtype), np.linalg.norm(walls, axis=1)
@@ -281,7 +275,7 @@ def test_gradients_agree_and_are_the_limit_of_differences(element):
     wire = scene.beams[0]
     for objective in (
         Terminal(position(wire.at_end, 1)),
-        Integral(maximum_stress("wire", 1e4)),
+        Integral(maximum_von_mises("wire", 1e4)),
         Integral(axial_force(wire.at(0.6)) ** 2),
     ):
         call = objective, 2.0**-5, HHT(2.0**-8)
@@ -303,8 +297,8 @@ def test_every_integrator_takes_it():
     scene = slack(BEAM_2D)
     objective = Terminal(position(scene.beams[0].at_end, 1))
     soft = Scene(scene.beams[:1], [scene.joints[0]], scene.gravity)
-    for integrator in (Radau(rtol=1e-7), IDA(rtol=1e-8), Explicit(rtol=1e-6)):
-        its = soft if isinstance(integrator, Explicit) else scene
+    for integrator in (Radau(rtol=1e-7), IDA(rtol=1e-8), DOP853(rtol=1e-6)):
+        its = soft if isinstance(integrator, DOP853) else scene
         names = DESIGN[::2] if its is soft else DESIGN
         found = gradient(its, objective, 2.0**-6, integrator, design=names)
         exact = gradient(its, objective, 2.0**-6, HHT(2.0**-13), design=names)
@@ -321,23 +315,23 @@ def test_a_strained_scene_is_a_system(element):
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, 0.5, -0.5, "0.1", None, True, (0.1, 0.2)])
 def test_strains_that_make_no_sense_are_refused(wrong):
-    with pytest.raises(InvalidInput, match="initial_strain"):
+    with pytest.raises(InvalidInputError, match="initial_strain"):
         replace(slack(BEAM_2D).beams[0], initial_strain=wrong)
 
 
 def test_what_is_rigid_has_none():
     scene = slack(BEAM_2D)
     wire = scene.beams[0]
-    with pytest.raises(InvalidInput, match="rigid"):
+    with pytest.raises(InvalidInputError, match="rigid"):
         replace(wire, rigid=True)
     rigid = replace(wire, rigid=True, initial_strain=0.0)
     block = RigidBody("block", (0, 0), 1.0, 1.0)
     for body, beams, bodies in ((rigid, [rigid], []), (block, [], [block])):
-        with pytest.raises(UnknownName, match="initial_strain"):
+        with pytest.raises(UnknownNameError, match="initial_strain"):
             Scene(beams, bodies=bodies).with_values({f"{body.name}.initial_strain": 1e-3})
-    with pytest.raises(InvalidInput, match="whole beam"):
+    with pytest.raises(InvalidInputError, match="whole beam"):
         scene.with_values({"wire.initial_strain[0]": 1e-3})
-    with pytest.raises(InvalidInput, match=r"wire\.initial_strain"):
+    with pytest.raises(InvalidInputError, match=r"wire\.initial_strain"):
         scene.with_values({"wire.initial_strain": 0.7})
     # A model without strain leaves it out.
     assert not any(x.initial_strain for x in next(model_kinds(scene, {})).build().beams)

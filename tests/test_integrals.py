@@ -6,39 +6,35 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    DOP853,
     HHT,
     IDA,
     IDAS,
     Adjoint,
     Beam,
-    Direct,
-    Explicit,
+    DirectDifferentiation,
     FiniteDifference,
-    Harmonic,
     Integral,
-    Interrupted,
     Material,
-    NonFiniteObjective,
     Pin,
     PointForce,
-    Rectangle,
     Scene,
     SmoothMaximum,
     Terminal,
-    Verdict,
     assemble,
-    custom,
     differentiate,
     error_bars,
     gradient,
-    multiplier,
-    position,
-    reaction,
-    tradeoff,
+    work_precision,
 )
+from ancfdae.errors import Interrupted, NonFiniteObjectiveError
 from ancfdae.integrators.integrand import Points
 from ancfdae.integrators.quadrature import KRONROD, SHARES
 from ancfdae.integrators.sundials.step_points import _between, _panels
+from ancfdae.laws import Harmonic
+from ancfdae.observables import custom, multiplier, position, reaction
+from ancfdae.results import Verdict
+from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.objectives.totals import Total
 from ancfdae.sensitivity.observables.quantities import elapsed_time
 from ancfdae.sensitivity.observables.states import states_of
@@ -51,7 +47,7 @@ RTOL = 1e-6
 KINDS = [
     pytest.param(IDA, id="IDA"),
     pytest.param(IDAS, id="IDAS", marks=pytest.mark.idas),
-    pytest.param(Explicit, id="Explicit"),
+    pytest.param(DOP853, id="DOP853"),
 ]
 
 
@@ -106,7 +102,9 @@ def over_panels(system, objective, t_end, integrator):
 def test_one_interval_gives_what_a_thousand_panels_give(name, kind):
     build, objective, t_end = CASES[name]
     system = build()
-    ours = numbers(gradient(system, objective, t_end, kind(RTOL, intervals=1), method=Direct()))
+    ours = numbers(
+        gradient(system, objective, t_end, kind(RTOL, intervals=1), method=DirectDifferentiation())
+    )
     panels = over_panels(system, objective, t_end, kind(RTOL, intervals=256))
     # Both are integrals of the same steps, each within its own error of the order of RTOL; the
     # nine instants of one panel alone miss the gradient by 1e-3 to 1.
@@ -118,7 +116,7 @@ def test_one_interval_gives_what_a_thousand_panels_give(name, kind):
 def test_adjoint_of_idas_takes_densities_at_its_own_states(name):
     build, objective, t_end = CASES[name]
     t_end /= 4
-    exact = gradient(build(), objective, t_end, Explicit(1e-10)).gradient
+    exact = gradient(build(), objective, t_end, DOP853(1e-10)).gradient
     found = gradient(build(), objective, t_end, IDAS(1e-8, intervals=1), method=Adjoint()).gradient
     # The error of a run is 10 to 200 times the tolerance, and there are two, forward and back.
     assert np.max(np.abs(found / exact - 1)) < 1e-5
@@ -126,7 +124,7 @@ def test_adjoint_of_idas_takes_densities_at_its_own_states(name):
 
 def test_differences_of_runs_see_the_same_integral():
     system, objective = CartesianPendulum(), Integral(custom(lambda t, q, v, lam, b: q[:, 0] ** 2))
-    integrator = Explicit(1e-12, intervals=1)
+    integrator = DOP853(1e-12, intervals=1)
     exact = gradient(system, objective, 5.0, integrator)
     found = gradient(
         system, objective, 5.0, integrator, method=FiniteDifference(1e-4, central=True)
@@ -136,10 +134,10 @@ def test_differences_of_runs_see_the_same_integral():
     np.testing.assert_allclose(found.gradient, exact.gradient, rtol=1e-6)
 
 
-@pytest.mark.parametrize("kind", [IDA, Explicit])
+@pytest.mark.parametrize("kind", [IDA, DOP853])
 @pytest.mark.parametrize("sharpness", [30.0, 3000.0])
 def test_integrands_sharper_than_the_motion_are_resolved(kind, sharpness):
-    # exp(3000 x) has a peak of 1e-2 s, passed in one step or two; the steps of Explicit are 0.1 s.
+    # exp(3000 x) has a peak of 1e-2 s, passed in one step or two; the steps of DOP853 are 0.1 s.
     system, integrator = CartesianPendulum(), kind(1e-8, intervals=1)
     objective = SmoothMaximum(custom(lambda t, q, v, lam, b: q[:, 0]), sharpness)
     panels = over_panels(system, objective, 2.0, dataclasses.replace(integrator, intervals=400))
@@ -151,7 +149,7 @@ def test_integrands_sharper_than_the_motion_are_resolved(kind, sharpness):
 @pytest.mark.parametrize("kind", KINDS)
 def test_error_bars_hold(kind):
     system, objective, t_end = soft_pendulum(), CASES["pendulum"][1], 0.05
-    exact = numbers(gradient(system, objective, t_end, Explicit(1e-11)))
+    exact = numbers(gradient(system, objective, t_end, DOP853(1e-11)))
     held = []
     for rtol in (2e-5, 1.3e-5, 1e-5, 7e-6):
         found = error_bars(system, objective, t_end, kind(rtol, intervals=1))
@@ -165,12 +163,12 @@ def test_error_bars_hold(kind):
 
 def test_tradeoff_ranks_by_the_integral_itself():
     objective = Integral(custom(lambda t, q, v, lam, b: q[:, 0] ** 2))
-    rough, fine, finest = tradeoff(
+    rough, fine, finest = work_precision(
         CartesianPendulum(),
         objective,
         2.0,
         [HHT(2.0**-5), HHT(2.0**-8), IDA(1e-9, intervals=1)],
-        reference=Explicit(1e-10, intervals=1),
+        reference=DOP853(1e-10, intervals=1),
     ).rows
     assert finest.gradient < fine.gradient < 0.1 * rough.gradient
     assert finest.objective < fine.objective < 0.1 * rough.objective
@@ -208,14 +206,14 @@ SQUARED_MULTIPLIER = Integral(custom(lambda t, q, v, lam, b: lam[:, 0] ** 2, "mu
 def test_integrals_of_a_system_of_ones_own_cost_little_beside_its_motion(kind, objective, most):
     system, integrator = Counted(), kind(1e-8)
     motion = forces_of(differentiate, system, 2.0, integrator)
-    both = forces_of(gradient, system, objective, 2.0, integrator, method=Direct())
-    # Explicit keeps the dense output of steps whose stages are too few: three stages beside twelve,
+    both = forces_of(gradient, system, objective, 2.0, integrator, method=DirectDifferentiation())
+    # DOP853 keeps the dense output of steps whose stages are too few: three stages beside twelve,
     # and the repetition of the first steps that need it.
-    assert motion <= both < (max(most, 1.3) if kind is Explicit else most) * motion
+    assert motion <= both < (max(most, 1.3) if kind is DOP853 else most) * motion
 
 
 def test_steps_whose_stages_are_too_few_are_not_all_repeated():
-    system, integrator = CartesianPendulum(), Explicit(1e-8, intervals=1)
+    system, integrator = CartesianPendulum(), DOP853(1e-8, intervals=1)
     objective = Integral(custom(lambda t, q, v, lam, b: q[:, 0] ** 2))
     plain = differentiate(system, 5.0, integrator)
     run = gradient(system, objective, 5.0, integrator).solution
@@ -234,7 +232,9 @@ def test_reactions_to_forces_that_move_nothing_are_seen_between_the_steps(kind):
     loaded = dataclasses.replace(quiet, loads=[hidden])
     squared = Integral(reaction("pin", 1) ** 2)
     found, without = (
-        gradient(assemble(scene, design), squared, t_end, kind(1e-5), method=Direct())
+        gradient(
+            assemble(scene, design), squared, t_end, kind(1e-5), method=DirectDifferentiation()
+        )
         for scene in (loaded, quiet)
     )
     # Of 4000 rad the mean of sin^2 is 1/2 to 1e-4; the product with the other reaction, of 100 N,
@@ -242,7 +242,7 @@ def test_reactions_to_forces_that_move_nothing_are_seen_between_the_steps(kind):
     assert found.value - without.value == pytest.approx(force**2 * t_end / 2, rel=1e-3)
 
 
-@pytest.mark.parametrize("kind", [IDA, Explicit])
+@pytest.mark.parametrize("kind", [IDA, DOP853])
 def test_a_function_may_read_multipliers_later(kind):
     system, integrator = CartesianPendulum(), kind(1e-8, intervals=1)
     late = custom(lambda t, q, v, lam, b: np.where(t < 1.5, q[:, 0], q[:, 0] + 0 * lam[:, 0]))
@@ -336,13 +336,13 @@ def panel(h):
 
 def test_a_value_that_is_not_finite_is_named_with_its_time():
     objective = Integral(np.sqrt(0.5 - elapsed_time()))
-    for kind in (IDA, Explicit):
-        with pytest.raises(NonFiniteObjective, match="the observable is not finite") as caught:
+    for kind in (IDA, DOP853):
+        with pytest.raises(NonFiniteObjectiveError, match="the observable is not finite") as caught:
             gradient(CartesianPendulum(), objective, 1.0, kind(1e-6))
         assert caught.value.time == pytest.approx(0.5, abs=0.1)
 
 
-@pytest.mark.parametrize("kind", [IDA, Explicit])
+@pytest.mark.parametrize("kind", [IDA, DOP853])
 def test_an_interrupt_in_an_integrand_keeps_the_run(kind):
     def x(t, q, v, lam, b):
         if np.any(t.real > 1.0):
@@ -360,6 +360,6 @@ def test_an_interrupt_in_an_integrand_keeps_the_run(kind):
 )
 def test_leaves_that_read_multipliers_say_so(leaf):
     # Without their word multipliers are not given: the integral is then not a number.
-    for integrator in (Explicit(1e-6, intervals=1), IDA(1e-6, intervals=1)):
+    for integrator in (DOP853(1e-6, intervals=1), IDA(1e-6, intervals=1)):
         found = gradient(soft_pendulum(), Integral(leaf**2), 2.0**-10, integrator)
         assert np.all(np.isfinite(numbers(found)))

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInputError
 from ancfdae.kernels import gram, stressed
 from ancfdae.model.elements import (
     ALL_ELEMENTS,
@@ -586,7 +586,7 @@ def test_folded_reference_is_refused(name):
     # The centre of curvature of the arc lies 0.54 m away, of the helix 0.58 m; half of 1.4 m is
     # beyond both.
     values[HEIGHT] = 1.4
-    with pytest.raises(InvalidInput, match="determinant") as error:
+    with pytest.raises(InvalidInputError, match="determinant") as error:
         case.prepare(values)
     assert "reference configuration" in error.value.where
     assert error.value.repair

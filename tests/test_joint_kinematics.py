@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from ancfdae import (
     Cylindrical,
-    Guide,
     PlanarJoint,
     Prismatic,
+    TranslationDriver,
 )
 from ancfdae.model.parts import Elements
 
@@ -134,7 +134,7 @@ def test_a_joint_holds_sections_by_themselves(case, frame, other):
         for e in np.eye(3):
             rate = pose.rate(pose.change(point, lambda k, U, e=e: e * (k == 1)))
             assert np.max(np.abs(rate)) <= ROUND_OFF
-        if isinstance(pose.joint, Cylindrical | Guide | PlanarJoint | Prismatic):
+        if isinstance(pose.joint, Cylindrical | TranslationDriver | PlanarJoint | Prismatic):
             continue  # stretched directions times the distance are no turn
         for stretched in (2, 3):
             rate = pose.rate(pose.change(point, lambda k, U, s=stretched: U * (k == s)))

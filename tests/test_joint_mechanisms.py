@@ -12,39 +12,36 @@ from ancfdae import (
     Beam,
     Clamp,
     ComplexStep,
-    Direct,
-    Direction,
+    DirectDifferentiation,
     DistributedForce,
-    Drive,
-    Guide,
-    Harmonic,
+    InitialVelocity,
     Material,
-    MechanicalSystem,
     Moment,
-    MovingBase,
+    MovingSupport,
     Pin,
     PlanarJoint,
-    Point,
     PointForce,
     PointOnLine,
     Prismatic,
-    Rectangle,
     Revolute,
     RigidBody,
-    RigidMotion,
+    RotationDriver,
     Scene,
     Terminal,
-    Uniform,
+    TranslationDriver,
     Universal,
     Weld,
     assemble,
     equilibrium,
     gradient,
-    position,
     simulate,
 )
+from ancfdae.extend import MaterialPoint, MechanicalSystem, StateDirection
+from ancfdae.laws import ConstantAcceleration, Harmonic
 from ancfdae.model import joints
 from ancfdae.model.joints.joint import Joint
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 
 from examples import all_examples
 
@@ -160,7 +157,10 @@ def test_a_hinge_with_a_resting_motor_is_a_clamp_on_every_mesh(axis, elements, b
     a = Beam("a", (0, 0, 0), (L, 0, 0), elements, section, STEEL)
     b = Beam("b", (0, -0.5, 0), (0, 0, 0), 1, section, STEEL, rigid=True)
     other = b.at_end if between else None
-    held = [Revolute(a.at_start, axis, other), Drive(a.at_start, Uniform(0.0), axis, other)]
+    held = [
+        Revolute(a.at_start, axis, other),
+        RotationDriver(a.at_start, ConstantAcceleration(0.0), axis, other),
+    ]
     held += [Clamp(b.at_start)] if between else []
     for force, EI in (((0, F, 0), EI_z), ((0, 0, F), EI_y)):
         beams = [a, b] if between else [a]
@@ -179,7 +179,7 @@ def test_a_hinge_between_bending_beams_carries_moments_across_its_axis():
         held = [
             Clamp(a.at_start),
             Revolute(b.at_start, (0, 0, 1), a.at_end),
-            Drive(b.at_start, Uniform(0.0), other=a.at_end),
+            RotationDriver(b.at_start, ConstantAcceleration(0.0), other=a.at_end),
         ]
         for force, EI in (((0, F, 0), EI_z), ((0, 0, F), EI_y)):
             scene = Scene([a, b], held, loads=[PointForce(b.at_end, force)])
@@ -211,13 +211,13 @@ def test_a_universal_joint_fluctuates_as_it_must():
     first, second = body("first", (-1, 0, 0)), body("second", tuple(out))
     held = [
         Revolute(first.origin, (1, 0, 0)),
-        Drive(first.origin, Uniform(speed), (1, 0, 0)),
+        RotationDriver(first.origin, ConstantAcceleration(speed), (1, 0, 0)),
         Universal(first.at(1.0), (0, 0, 1), tuple(cross), second.at(*-out)),
         PointOnLine(second.origin, tuple(out)),
     ]
     start = [
-        RigidMotion("first", (speed, 0, 0), (0, 0, 0)),
-        RigidMotion("second", tuple(speed * np.cos(bend) * out), (0, 0, 0)),
+        InitialVelocity("first", (speed, 0, 0), (0, 0, 0)),
+        InitialVelocity("second", tuple(speed * np.cos(bend) * out), (0, 0, 0)),
     ]
     solution = run(Scene([], held, start=start, bodies=[first, second]), 2.0)
     arm = solution.position(second.at(*(0.1 * cross))) - solution.position(second.origin)
@@ -280,14 +280,14 @@ def test_the_motors_of_a_two_link_arm_give_the_torques_of_inverse_dynamics():
     upper, fore = body("upper", (length, 0), 2), body("fore", (2 * length, 0), 2)
     held = [
         Pin(upper.at(-length)),
-        Drive(upper.origin, laws[0], name="shoulder"),
+        RotationDriver(upper.origin, laws[0], name="shoulder"),
         Pin(fore.at(-length), upper.origin),
-        Drive(fore.origin, laws[1], other=upper.origin, name="elbow"),
+        RotationDriver(fore.origin, laws[1], other=upper.origin, name="elbow"),
     ]
     w1, w2 = (float(law.at(0.0, 1)) for law in laws)
     start = [
-        RigidMotion("upper", w1, (0, 0)),
-        RigidMotion("fore", w1 + w2, (length, 0), velocity=(0, length * w1)),
+        InitialVelocity("upper", w1, (0, 0)),
+        InitialVelocity("fore", w1 + w2, (length, 0), velocity=(0, length * w1)),
     ]
     errors = []
     for step in (2**-8, 2**-9):
@@ -314,7 +314,7 @@ def test_a_motor_between_bending_links_turns_one_section_against_the_other(axis)
     b = Beam("b", (0.5, 0, *z), (1.0, 0, *z), 1, Rectangle(0.04, 0.04), soft)
     elbow = Pin(b.at_start, a.at_end) if d == 2 else Revolute(b.at_start, axis, a.at_end)
     law = from_rest(0.8, 5.0)
-    held = [Clamp(a.at_start), elbow, Drive(b.at_start, law, axis, a.at_end)]
+    held = [Clamp(a.at_start), elbow, RotationDriver(b.at_start, law, axis, a.at_end)]
     # cos(pi / 2) is not quite zero.
     solution = run(Scene([a, b], held, (0, -9.81, *z), project_start=True))
     first, second = (complete(solution, point, d) for point in (a.at_end, b.at_start))
@@ -343,7 +343,7 @@ def test_a_beam_on_a_base_that_shakes_feels_the_inertia_of_its_frame():
     # Seen from the base there is a force -m a everywhere: a gravity that swings.
     law, L, h = from_rest(0.02, 30.0), 0.5, 0.02
     rod = Beam("rod", (0, 0), (L, 0), 2, Rectangle(h, h), Material(1000.0, 1e8, 0.3))
-    shaken = run(Scene([rod], [MovingBase(rod.at_start, (0, 1), law)], project_start=True), 0.25)
+    shaken = run(Scene([rod], [MovingSupport(rod.at_start, (0, 1), law)], project_start=True), 0.25)
     moved = shaken.position(rod.at_end)[:, 1] - law.at(shaken.t)
     inertia = DistributedForce(
         "rod", (0, 1000.0 * h * h), law=Harmonic(0.02 * 30**2, 30.0, np.pi / 2)
@@ -360,9 +360,9 @@ def test_a_base_that_moves_in_a_plane_and_turns_is_made_of_four_joints():
     laws = from_rest(0.3, 4.0), from_rest(-0.2, 5.0), from_rest(1.1, 3.0)
     held = [
         PlanarJoint(tool.origin, (0, 0, 1)),
-        Guide(tool.origin, (1, 0, 0), laws[0]),
-        Guide(tool.origin, (0, 1, 0), laws[1], name="y"),
-        Drive(tool.origin, laws[2]),
+        TranslationDriver(tool.origin, (1, 0, 0), laws[0]),
+        TranslationDriver(tool.origin, (0, 1, 0), laws[1], name="y"),
+        RotationDriver(tool.origin, laws[2]),
     ]
     solution = run(Scene([], held, project_start=True, bodies=[tool]))
     x, y, angle = (law.at(solution.t) for law in laws)
@@ -385,7 +385,7 @@ def test_no_joint_of_rigid_bodies_or_of_a_beam_and_one_is_redundant(d):
     for first in (box, rod):
         beams, bodies = ([rod], [ball]) if first is rod else ([], [box, ball])
         where = rod.at(0.4) if first is rod else box.origin
-        points = (where, Point("arm"))
+        points = (where, MaterialPoint("arm"))
         for name, joint in all_examples(joints, Joint, beams, points, bodies=bodies).items():
             system = assemble(Scene(beams, [joint], bodies=bodies))
             rng = np.random.default_rng(1)
@@ -406,9 +406,9 @@ def driven_arm():
     c = Beam("c", (1.0, 0), (1.0, 0.3), 1, section, soft)
     held = [
         Pin(a.at_start),
-        Drive(a.at_start, Harmonic(0.5, 4.0), name="shoulder"),
+        RotationDriver(a.at_start, Harmonic(0.5, 4.0), name="shoulder"),
         Pin(b.at_start, a.at_end),
-        Drive(b.at_start, Harmonic(0.7, 5.0), other=a.at_end, name="elbow"),
+        RotationDriver(b.at_start, Harmonic(0.7, 5.0), other=a.at_end, name="elbow"),
         Weld(c.at_start, b.at_end),
     ]
     scene = Scene([a, b, c], held, (0, -9.81), project_start=True)
@@ -424,12 +424,14 @@ def spatial_chain():
     tool = RigidBody("tool", (1.0, 0.3, 0.3), 0.2, (1.2e-3, 1.1e-3, 2e-3))
     held = [
         Revolute(a.at_start, (0.1, 0.2, 1.0), name="base"),
-        Drive(a.at_start, from_rest(0.5, 4.0), (0.1, 0.2, 1.0), name="shoulder"),
+        RotationDriver(a.at_start, from_rest(0.5, 4.0), (0.1, 0.2, 1.0), name="shoulder"),
         Revolute(b.at_start, (0.5, 0.2, 1.0), a.at_end, name="hinge"),
-        Drive(b.at_start, from_rest(0.4, 5.0), (0.5, 0.2, 1.0), a.at_end, name="elbow"),
+        RotationDriver(b.at_start, from_rest(0.4, 5.0), (0.5, 0.2, 1.0), a.at_end, name="elbow"),
         Universal(c.at_start, (0.0, 0.1, 1.0), (1.0, 0.2, 0.0), b.at_end, name="cardan"),
         Prismatic(tool.origin, (0.3, 0.9, 0.1), c.at_end, name="slide"),
-        Guide(tool.origin, (0.3, 0.9, 0.1), from_rest(0.05, 3.0), c.at_end, name="rack"),
+        TranslationDriver(
+            tool.origin, (0.3, 0.9, 0.1), from_rest(0.05, 3.0), c.at_end, name="rack"
+        ),
     ]
     scene = Scene([a, b, c], held, (0, -9.81, 3.0), project_start=True, bodies=[tool])
     design = ["cardan.axis_y", "elbow.amplitude", "slide.axis_x", "rack.amplitude", "b.width"]
@@ -443,7 +445,7 @@ def test_gradients_with_relative_drives_are_those_of_complex_steps(made):
         type(method).__name__: np.asarray(
             gradient(system, objective, 2**-4, HHT(2**-7), method=method).gradient
         )
-        for method in (ComplexStep(), Direct(), Adjoint())
+        for method in (ComplexStep(), DirectDifferentiation(), Adjoint())
     }
     exact = values.pop("ComplexStep")
     scale = np.max(np.abs(exact))
@@ -466,7 +468,7 @@ def test_rates_of_forces_see_the_products_of_a_motor_turn():
     rng = np.random.default_rng(0)
     q, v, a, lam = (rng.uniform(-1, 1, n) for n in (*(system.n_q,) * 3, system.n_lam))
     states = system.start()[0] + 0.01 * q, v, a, 1e6 * lam  # reactions as large as stiffnesses
-    along, mu = Direction(1.0, v, a), rng.uniform(-1, 1, system.n_q)
+    along, mu = StateDirection(1.0, v, a), rng.uniform(-1, 1, system.n_q)
     ours = system.along_pull_back(0.3, states, along, mu)
     derived = MechanicalSystem.along_pull_back(system, 0.3, states, along, mu)
     for value, expected in zip(ours, derived, strict=True):
@@ -481,7 +483,7 @@ def test_joints_are_evaluated_once_and_not_for_variables_that_do_not_reach_them(
     calls = {"coefficients": 0, "moving": 0, "factors": 0}
 
     def counted(name):
-        own = getattr(Drive, name)
+        own = getattr(RotationDriver, name)
 
         def call(self, *arguments):
             calls[name] += 1
@@ -490,9 +492,9 @@ def test_joints_are_evaluated_once_and_not_for_variables_that_do_not_reach_them(
         return call
 
     for name in calls:
-        monkeypatch.setattr(Drive, name, counted(name))
+        monkeypatch.setattr(RotationDriver, name, counted(name))
     rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.04, 0.04), Material(1000.0, 1e8, 0.3))
-    motor = Drive(rod.at_start, Harmonic(0.3, 5.0), name="motor")
+    motor = RotationDriver(rod.at_start, Harmonic(0.3, 5.0), name="motor")
     scene = Scene([rod], [Pin(rod.at_start), motor], (0, -9.81), project_start=True)
     heights = [f"rod.height[{k}]" for k in range(8)]
 
@@ -519,7 +521,10 @@ def test_an_axis_off_the_beam_holds_the_section_as_a_clamp_does(degrees):
     length, H, soft, P = 0.3, 0.1, Material(1000.0, 1e7, NU), 5.0
     rod = Beam("rod", (0, 0, 0), (length, 0, 0), 4, Rectangle(H, H), soft)
     axis = (np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees)), 0.0)
-    joints = [Revolute(rod.at_start, axis), Drive(rod.at_start, Uniform(0.0), axis)]
+    joints = [
+        Revolute(rod.at_start, axis),
+        RotationDriver(rod.at_start, ConstantAcceleration(0.0), axis),
+    ]
     scene = Scene([rod], joints, loads=[PointForce(rod.at_end, (0.0, P, 0.0))])
     found = equilibrium(scene).solution.nodes("rod")[-1, -1, 0, 1]
     # Timoshenko's beam with Cowper's factor. 4 elements leave 3e-4; a hinge that takes the
@@ -533,7 +538,10 @@ def tip_beside_a_hinge(degrees, force):
     """Displacement and slopes at the tip of a rod on a driven hinge about y, or off the section."""
     rod = Beam("rod", (0, 0, 0), (0.3, 0, 0), 4, Rectangle(0.1, 0.1), Material(1000.0, 1e7, NU))
     axis = (np.sin(np.deg2rad(degrees)), np.cos(np.deg2rad(degrees)), 0.0)
-    joints = [Revolute(rod.at_start, axis), Drive(rod.at_start, Uniform(0.0), axis)]
+    joints = [
+        Revolute(rod.at_start, axis),
+        RotationDriver(rod.at_start, ConstantAcceleration(0.0), axis),
+    ]
     scene = Scene([rod], joints, loads=[PointForce(rod.at_end, force)])
     return equilibrium(scene).solution.nodes("rod")[-1, -1]
 

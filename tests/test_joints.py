@@ -22,35 +22,33 @@ from ancfdae import (
     Clamp,
     Cylindrical,
     Distance,
-    Drive,
-    Guide,
-    Harmonic,
-    Law,
+    InitialVelocity,
     Material,
-    MovingBase,
+    MovingSupport,
     Pin,
     PlanarJoint,
-    Point,
     PointOnLine,
     Prismatic,
-    Rectangle,
     Revolute,
-    RigidMotion,
+    RotationDriver,
     SaintVenantKirchhoff,
     Scene,
     Spherical,
-    Uniform,
+    TranslationDriver,
     Universal,
     Weld,
     assemble,
     simulate,
 )
 from ancfdae.assembly.part_inputs import Rigidity
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInputError
+from ancfdae.extend import Law, MaterialPoint
+from ancfdae.laws import ConstantAcceleration, Harmonic
 from ancfdae.model import joints
 from ancfdae.model.joints.frames import SectionFrame, across, unit
 from ancfdae.model.joints.joint import DrivenJoint, Joint
 from ancfdae.model.parts import Elements, Normal
+from ancfdae.sections import Rectangle
 
 from by_hand import turns_by_hand, vector_by_hand
 from curves import CURVE, rates_of
@@ -72,11 +70,11 @@ from members import (
     velocity_side_total,
 )
 from scenes import FLAT, STEEL, THICK, arc
-from setting import DERIVATIVE, VALUE, Setting, assert_close, concrete_subclasses
+from setting import DERIVATIVE, VALUE, MeasuredSetting, assert_close, concrete_subclasses
 
 # ---------------------------------------------------------------- variants
 
-UNIFORM = Uniform(speed=2.0, offset=0.3, acceleration=1.5)
+UNIFORM = ConstantAcceleration(speed=2.0, offset=0.3, acceleration=1.5)
 HARMONIC = Harmonic(amplitude=0.4, frequency=3.0, phase=0.2, offset=0.1)
 
 
@@ -103,8 +101,8 @@ def planar_joints():
         "clamp, node": Clamp(rod.at(0.5)),
         "distance, node": Distance(rod.at_end, 0.7, ground=(1.1, 0.1)),
         "line, node": PointOnLine(rod.at(0.5), (0.8, -0.3)),
-        "drive, node": Drive(rod.at(0.5), UNIFORM),
-        "guide, node": Guide(rod.at_end, (0.6, -0.8), HARMONIC),
+        "drive, node": RotationDriver(rod.at(0.5), UNIFORM),
+        "guide, node": TranslationDriver(rod.at_end, (0.6, -0.8), HARMONIC),
         "weld, nodes": Weld(rod.at_end, arm.at_start),
         "prismatic, node": Prismatic(rod.at(0.5), (0.8, -0.3)),
     }
@@ -118,10 +116,10 @@ def spatial_joints():
         "revolute, nodes": Revolute(rod.at_end, (0.0, 1.0, 0.0), arm.at_start),
         "distance, node": Distance(rod.at_end, 0.7, ground=(1.1, 0.1, 0.5)),
         "line, node": PointOnLine(rod.at(0.5), (0.0, 0.0, 2.0)),
-        "drive, node": Drive(rod.at(0.5), HARMONIC),
-        "drive, nodes": Drive(rod.at_end, UNIFORM, other=arm.at_start),
-        "drive, twist inside": Drive(rod.at(0.3), HARMONIC, axis=(0.8, 0.5, 0.0)),
-        "guide, node": Guide(rod.at_end, (0.6, -0.8, 0.3), UNIFORM),
+        "drive, node": RotationDriver(rod.at(0.5), HARMONIC),
+        "drive, nodes": RotationDriver(rod.at_end, UNIFORM, other=arm.at_start),
+        "drive, twist inside": RotationDriver(rod.at(0.3), HARMONIC, axis=(0.8, 0.5, 0.0)),
+        "guide, node": TranslationDriver(rod.at_end, (0.6, -0.8, 0.3), UNIFORM),
         "weld, nodes": Weld(rod.at_end, arm.at_start),
         "prismatic, node": Prismatic(rod.at(0.5), (0.8, -0.3, 0.1)),
         "cylindrical, node": Cylindrical(rod.at(0.5), (0.0, 0.0, 1.0)),
@@ -152,7 +150,7 @@ def named_by_hand(system, q, name):
     return vector_by_hand(system, q, name[0], int(name[1]))
 
 
-class JointSetting(Setting):
+class JointSetting(MeasuredSetting):
     """One joint alone; the design is everything that its equations can depend on."""
 
     def __init__(self, name):
@@ -241,10 +239,10 @@ def equations_by_hand(s, q, t):
             gap = places[0] - np.array(joint.through)
         along = np.array(joint.direction) / np.linalg.norm(joint.direction)
         return np.zeros(0), np.linalg.norm(gap - (gap @ along) * along)
-    if isinstance(joint, Guide):
+    if isinstance(joint, TranslationDriver):
         direction = np.array(joint.direction) / np.linalg.norm(joint.direction)
         return np.array([direction @ gap - joint.travel.at(t)]), None
-    if isinstance(joint, MovingBase):
+    if isinstance(joint, MovingSupport):
         direction = np.array(joint.direction) / np.linalg.norm(joint.direction)
         turns = turns_by_hand(s.system, q, start, joint.point)
         return np.append(gap - joint.travel.at(t) * direction, turns), None
@@ -277,7 +275,18 @@ def kind_of(joint):
 
 
 #: Kinds whose equations are written by hand, between sections where True.
-BY_HAND = {(kind, False) for kind in (Clamp, Distance, Drive, Guide, MovingBase, Pin, PointOnLine)}
+BY_HAND = {
+    (kind, False)
+    for kind in (
+        Clamp,
+        Distance,
+        RotationDriver,
+        TranslationDriver,
+        MovingSupport,
+        Pin,
+        PointOnLine,
+    )
+}
 BY_HAND |= {(kind, True) for kind in (Distance, Pin)}
 #: Kinds that test_joint_kinematics compares with the motions that they let through.
 BY_MOTIONS = {kind_of(value.values[0].joint) for value in MOTIONS}
@@ -517,7 +526,7 @@ def test_a_section_carries_a_direction_by_a_combination_of_its_own_slopes():
     slopes = np.eye(3) + 0.2 * rng.uniform(-1, 1, (3, 3))
     direction = rng.uniform(-1, 1, 3)
     reference = np.vstack([rng.uniform(-1, 1, (2, 3)), slopes, rng.uniform(-1, 1, (3, 3))])
-    weights = SectionFrame(Point("rod", 0.0), reference, 2).carried(direction)
+    weights = SectionFrame(MaterialPoint("rod", 0.0), reference, 2).carried(direction)
     assert_close(weights @ reference, direction, 1e-15 * 10)
     assert not np.any(weights[[0, 1, 5, 6, 7]])
 
@@ -572,7 +581,7 @@ def test_revolute_keeps_the_point_and_the_axis():
     axis, hinge = unit(np.array([0.3, -0.8, 0.0])), rod.at(0.1, y=0.01)
     scene = Scene([rod], [Revolute(hinge, axis)], gravity=(2.0, -1.0, -9.81))
     solution = simulated(scene)
-    place = solution.position(Point("rod", 0.1, y=0.01))
+    place = solution.position(MaterialPoint("rod", 0.1, y=0.01))
     assert np.max(np.abs(place - place[0])) <= HOLDS
     moved = carried(solution, rod, hinge, axis)
     # The axis lies in the section, which keeps it and nothing but its length.
@@ -591,7 +600,9 @@ def test_revolute_between_beams_keeps_the_axis_of_the_other_beam():
     bearing = Revolute(rod.at_start, (0.0, 1.0, 0.3))
     joints = [bearing, Revolute(arm.at_start, axis, rod.at_end)]
     solution = simulated(Scene([rod, arm], joints, gravity=(2.0, -9.81, 3.0)))
-    apart = solution.position(Point("arm", 0.0)) - solution.position(Point("rod", 1.0))
+    apart = solution.position(MaterialPoint("arm", 0.0)) - solution.position(
+        MaterialPoint("rod", 1.0)
+    )
     assert np.max(np.abs(apart)) <= HOLDS
     own = carried(solution, arm, arm.at_start, axis)
     there = carried(solution, rod, rod.at_end, axis)
@@ -620,10 +631,10 @@ def test_cylindrical_joint_lets_a_section_turn_about_and_slide_along_its_axis(be
         scene = Scene([arm], [Cylindrical(arm.at(0.2), axis)], gravity)
     solution = simulated(scene)
     moved = carried(solution, arm, arm.at(0.2), axis)
-    there, apart = np.broadcast_to(axis, moved.shape), solution.position(Point("arm", 0.2))
+    there, apart = np.broadcast_to(axis, moved.shape), solution.position(MaterialPoint("arm", 0.2))
     if between:
         there = carried(solution, rod, rod.at_end, axis)
-        apart = apart - solution.position(Point("rod", 1.0))
+        apart = apart - solution.position(MaterialPoint("rod", 1.0))
     else:
         apart = apart - apart[0]
     assert np.max(angles(moved, there)) <= (STRAINS if between else 10 * HOLDS)
@@ -647,7 +658,7 @@ def test_point_on_line_stays_on_the_line():
     direction = np.array([1.0, -0.4, -0.5])
     joints = [PointOnLine(rod.at(0.2, z=0.01), direction)]
     solution = simulated(Scene([rod], joints, gravity=(2.0, -1.0, -9.81)))
-    travel = solution.position(Point("rod", 0.2, y=0.0, z=0.01))
+    travel = solution.position(MaterialPoint("rod", 0.2, y=0.0, z=0.01))
     travel = travel - travel[0]
     assert np.max(np.abs(np.cross(travel, unit(direction)))) <= 10 * HOLDS
     assert np.max(np.abs(travel @ unit(direction))) > 0.1
@@ -669,8 +680,10 @@ def test_distance_keeps_the_distance_to_ground_and_between_beams():
         Pin(arm.at_start),
     ]
     solution = simulated(Scene([rod, arm], joints, gravity=(0.0, -9.81)))
-    stay = np.linalg.norm(solution.position(Point("rod", 0.0)) - ground, axis=1)
-    apart = solution.position(Point("rod", 0.7, y=0.02)) - solution.position(Point("arm", 0.5))
+    stay = np.linalg.norm(solution.position(MaterialPoint("rod", 0.0)) - ground, axis=1)
+    apart = solution.position(MaterialPoint("rod", 0.7, y=0.02)) - solution.position(
+        MaterialPoint("arm", 0.5)
+    )
     assert np.max(np.abs(stay - 0.5)) <= 10 * HOLDS
     assert np.max(np.abs(np.linalg.norm(apart, axis=1) - link)) <= 10 * HOLDS
 
@@ -683,10 +696,10 @@ def test_drive_turns_the_section_by_its_law_over_full_turns(d, sense):
     speed, grow = sense * 10.0, sense * 4.0
     spin = speed if d == 2 else (0.0, 0.0, speed)
     bearing = Pin(crank.at_start) if d == 2 else Revolute(crank.at_start, (0, 0, 1))
-    motor = Drive(crank.at(0.1), Uniform(speed, acceleration=grow))
-    start = [RigidMotion("crank", spin, (0.0, 0.0, *z))]
+    motor = RotationDriver(crank.at(0.1), ConstantAcceleration(speed, acceleration=grow))
+    start = [InitialVelocity("crank", spin, (0.0, 0.0, *z))]
     solution = simulated(Scene([crank], [bearing, motor], start=start), 1.25)
-    height = solution.slope(Point("crank", 0.1), 1)
+    height = solution.slope(MaterialPoint("crank", 0.1), 1)
     angle = np.unwrap(np.arctan2(height[:, 1], height[:, 0]))
     turned, t = angle - angle[0], solution.t
     assert np.max(np.abs(turned - (speed * t + grow * t**2 / 2))) <= 100 * HOLDS
@@ -696,10 +709,10 @@ def test_drive_turns_the_section_by_its_law_over_full_turns(d, sense):
 def test_guide_moves_the_point_by_its_law():
     rod = Beam("rod", (0.0, 0.0), (0.8, 0.3), 2, BAR, SOFT)
     direction, law = np.array([2.0, 1.0]), Harmonic(0.2, 6.0)
-    guide = Guide(rod.at(0.2, y=0.01), direction, law)
-    start = [RigidMotion("rod", 0.0, (0.0, 0.0), velocity=1.2 * unit(direction))]
+    guide = TranslationDriver(rod.at(0.2, y=0.01), direction, law)
+    start = [InitialVelocity("rod", 0.0, (0.0, 0.0), velocity=1.2 * unit(direction))]
     solution = simulated(Scene([rod], [guide], gravity=(0.0, -9.81), start=start))
-    place = solution.position(Point("rod", 0.2, y=0.01))
+    place = solution.position(MaterialPoint("rod", 0.2, y=0.01))
     travel = (place - place[0]) @ unit(direction)
     assert np.max(np.abs(travel - 0.2 * np.sin(6.0 * solution.t))) <= 10 * HOLDS
     assert np.max(np.abs(travel)) > 0.15
@@ -730,14 +743,14 @@ def test_spatial_pendulum_on_a_hinge_is_the_planar_one_on_a_pin():
 )
 def test_spatial_joints_are_refused_in_the_plane(joint):
     rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, BAR, SOFT)
-    with pytest.raises(InvalidInput, match="needs a scene in space"):
+    with pytest.raises(InvalidInputError, match="needs a scene in space"):
         Scene([rod], [joint(rod.at_start)])
 
 
 def test_a_universal_joint_with_parallel_axes_is_refused():
     rod = Beam("rod", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1, BAR, SOFT)
     for cross in ((0.0, 0.0, 2.0), (0.0, 1e-7, -1.0)):
-        with pytest.raises(InvalidInput, match="must not be parallel"):
+        with pytest.raises(InvalidInputError, match="must not be parallel"):
             Universal(rod.at_start, (0.0, 0.0, 1.0), cross)
     Universal(rod.at_start, (0.0, 0.0, 1.0), (0.0, 1e-5, 1.0))
 
@@ -758,7 +771,7 @@ def test_points_take_part_by_position_or_slope_as_each_joint_says():
 def test_a_clamp_of_oblique_slopes_feels_turns_and_shear_but_no_stretch_of_the_section():
     slopes = np.array([[0.3, 1.2, 0.2], [0.1, -0.4, 0.9]])
     linear = (
-        Clamp(Point("rod", 0.0))
+        Clamp(MaterialPoint("rod", 0.0))
         .coefficients(np.zeros(0), np.vstack([[0.0, 0.0, 0.0], slopes]))
         .linear[:, 1:]
     )

@@ -11,24 +11,21 @@ from ancfdae import (
     CABLE_2D,
     HHT,
     Adjoint,
-    AtRest,
     Beam,
     Bushing,
     Clamp,
     ComplexStep,
     CurvedBeam,
-    Direct,
+    DirectDifferentiation,
     EnhancedContinuum,
-    InvalidInput,
+    EquilibriumStart,
     Material,
     Moment,
-    NodeState,
+    NodalState,
     Pin,
     PointForce,
     PointMass,
     PointOnLine,
-    PointSection,
-    Rectangle,
     SaintVenantKirchhoff,
     Scene,
     Spherical,
@@ -37,11 +34,13 @@ from ancfdae import (
     Weld,
     assemble,
     equilibrium,
+    equilibrium_gradient,
     gradients,
     load_solution,
     simulate,
-    static_gradient,
 )
+from ancfdae.errors import InvalidInputError
+from ancfdae.sections import QuadratureSection, Rectangle
 from ancfdae.sensitivity.observables.observable import observe
 from ancfdae.sensitivity.observables.section_forces import axial_force, bending_moment, shear_force
 from ancfdae.sensitivity.observables.vectors import position
@@ -209,7 +208,9 @@ def test_springs_masses_and_bushings_push_as_forces_do():
 def test_a_moment_leaves_forces_alone_where_the_axis_is_off_the_centroid():
     """A moment within a bar whose axis is off its centroid jumps the strain of the axis."""
     y = 0.05 + H / np.sqrt(12) * np.array([-1.0, 1.0])
-    section = PointSection(places=[(k, z) for k in y for z in (-0.03, 0.03)], areas=4 * [W * H / 4])
+    section = QuadratureSection(
+        places=[(k, z) for k in y for z in (-0.03, 0.03)], areas=4 * [W * H / 4]
+    )
     rod = straight(4, section=section)
     state = at_rest(Scene([rod], [Clamp(rod.at_start)], loads=[Moment(rod.at(0.5), 1.0)]))
     for force in (axial_force, shear_force):
@@ -288,7 +289,7 @@ def test_a_cable_has_none_because_its_slopes_carry_bending():
     assert assemble(scene).n_q == 9 * 4
     v = at_rest(scene)[0].position(rod.at(0.5))[0, 1]
     assert v == pytest.approx((L / 2) ** 3 / (3 * EI), rel=SMALL)
-    with pytest.raises(InvalidInput, match=r"kinks.*resists bending"):
+    with pytest.raises(InvalidInputError, match=r"kinks.*resists bending"):
         Beam("rod", (0.0, 0.0), (L, 0.0), 8, PLATE, STEEL, element=CABLE_2D, kinks=(0.5,))
 
 
@@ -297,12 +298,12 @@ def test_a_cable_has_none_because_its_slopes_carry_bending():
     [((0.3,), "between elements"), ((0.0,), "between elements"), ((2.0,), "in \\[0, 1\\]")],
 )
 def test_kinks_lie_at_inner_nodes(kinks, rule):
-    with pytest.raises(InvalidInput, match=rule):
+    with pytest.raises(InvalidInputError, match=rule):
         straight(8, kinks=kinks)
 
 
 def test_nothing_lies_before_the_start():
-    with pytest.raises(InvalidInput, match="nothing lies before"):
+    with pytest.raises(InvalidInputError, match="nothing lies before"):
         straight(8).at(0.0, before=True)
     assert str(straight(8).at(0.5, before=True)) == "rod@0.5 before"
 
@@ -310,7 +311,7 @@ def test_nothing_lies_before_the_start():
 def test_a_point_at_a_node_is_no_design_variable():
     rod = straight(8)
     scene = Scene([rod], [Clamp(rod.at_start)], loads=[PointForce(rod.at(0.5), (0, 1), name="f")])
-    with pytest.raises(InvalidInput, match="inside an element"):
+    with pytest.raises(InvalidInputError, match="inside an element"):
         assemble(scene, design=["f.point_fraction"])
 
 
@@ -327,8 +328,8 @@ def test_an_equilibrium_with_another_load_is_a_start(tmp_path):
     other = PointForce(rod.at(0.25), (0.0, 1e3), name="on")
     held = equilibrium(hung(rod, load)).solution
     for scene in (
-        hung(straight(4), other, start=[AtRest(loads=[load])]),
-        hung(straight(4, kinks=(0.5,)), other, start=[NodeState("rod", held.ends("rod")[0])]),
+        hung(straight(4), other, start=[EquilibriumStart(loads=[load])]),
+        hung(straight(4, kinks=(0.5,)), other, start=[NodalState("rod", held.ends("rod")[0])]),
     ):
         run = simulate(scene, 2.0**-9, HHT(2.0**-10))
         assert run.ends("rod").shape == (len(run.t), 4, 2, 3, 2)
@@ -351,8 +352,8 @@ def test_an_equilibrium_with_another_load_is_a_start(tmp_path):
 def test_a_start_with_a_jump_needs_a_kink():
     rod = straight(4)
     held = equilibrium(hung(rod, PointForce(rod.at(0.5), (0.0, 1e3)))).solution
-    with pytest.raises(InvalidInput, match=r"at node 2.*kinks=\["):
-        hung(rod, start=[NodeState("rod", held.ends("rod")[0])])
+    with pytest.raises(InvalidInputError, match=r"at node 2.*kinks=\["):
+        hung(rod, start=[NodalState("rod", held.ends("rod")[0])])
 
 
 # ---------------------------------------------------------------- derivatives
@@ -382,8 +383,8 @@ def test_derivatives_agree_at_rest_and_in_motion(d):
     ]
     for observable in observables:
         found = [
-            static_gradient(scene, observable, design=design, method=method).gradient
-            for method in (Direct(), Adjoint(), ComplexStep())
+            equilibrium_gradient(scene, observable, design=design, method=method).gradient
+            for method in (DirectDifferentiation(), Adjoint(), ComplexStep())
         ]
         # Round-off of a search: that of forces, 1e-16 E A of 1e4 N, times the condition 1e3.
         for other in found[1:]:
@@ -393,7 +394,7 @@ def test_derivatives_agree_at_rest_and_in_motion(d):
     objectives = [Terminal(observable) for observable in observables]
     by_method = [
         gradients(scene, objectives, 2.0**-8, HHT(2.0**-10), design=design, method=method)
-        for method in (Direct(), Adjoint(), ComplexStep())
+        for method in (DirectDifferentiation(), Adjoint(), ComplexStep())
     ]
     for direct, *others in zip(*by_method, strict=True):
         for other in others:
@@ -407,7 +408,7 @@ def test_a_gradient_is_the_limit_of_the_calls_a_user_makes():
     scene, rod = loaded(2)
     observable, h = position(rod.at(0.5), 1), 1e-5
     for target in ("rod.length", "rod.turn", "push.force_y"):
-        exact = static_gradient(scene, observable, design=[target]).gradient[0]
+        exact = equilibrium_gradient(scene, observable, design=[target]).gradient[0]
         b = scene._held(target)[0]
         ends = [
             seen(at_rest(scene.with_values({target: b * (1 + s * h)})), observable) for s in (1, -1)

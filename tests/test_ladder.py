@@ -12,24 +12,22 @@ from ancfdae import (
     CurvedBeam,
     DesignVariable,
     Integral,
-    InvalidInput,
     Material,
-    NoModel,
     Pin,
-    Rectangle,
     Scene,
     assemble,
     choose_model,
     error_bars,
     gradient,
-    position,
     simulate,
-    tradeoff,
-    von_mises,
+    work_precision,
 )
+from ancfdae.errors import InvalidInputError, NoAccurateModelError
 from ancfdae.model.design import as_design
+from ancfdae.observables import position, von_mises
+from ancfdae.sections import Rectangle
 from ancfdae.studies.ladder import Question, _is_fine, _mesh_bar
-from ancfdae.studies.ladder_result import ModelLadder, Rung, RungRun, error
+from ancfdae.studies.ladder_result import ModelComparison, ModelVariant, VariantRun, error
 from ancfdae.studies.meshes import coarsest, known_design, model_kinds, with_mesh
 from validation.design.coupler_path import hoeken
 
@@ -106,9 +104,12 @@ def test_parts_add_up_to_at_least_the_distance_from_the_richest(ladder):
 
 def made_up(*rows):
     """A ladder of rungs of one run each: work, seconds, value and gradient; the last is exact."""
-    runs = [RungRun(0.1, work, seconds, np.array(numbers)) for work, seconds, *numbers in rows]
-    rungs = [Rung(f"model {k}", 0, "done", runs=(x,), bar=np.zeros(2)) for k, x in enumerate(runs)]
-    return ModelLadder(tuple(rungs), ("b",), 0.01, np.zeros(2), np.full(2, np.nan))
+    runs = [VariantRun(0.1, work, seconds, np.array(numbers)) for work, seconds, *numbers in rows]
+    rungs = [
+        ModelVariant(f"model {k}", 0, "done", runs=(x,), bar=np.zeros(2))
+        for k, x in enumerate(runs)
+    ]
+    return ModelComparison(tuple(rungs), ("b",), 0.01, np.zeros(2), np.full(2, np.nan))
 
 
 def test_both_value_and_gradient_are_within_the_tolerance():
@@ -121,7 +122,9 @@ def test_both_value_and_gradient_are_within_the_tolerance():
     assert found.recommend(0.01, "gradient").rung.name == "model 0"
     assert found.recommend(0.01, "objective").rung.name == "model 1"
     assert found.recommend(0.06).rung.name == "model 0"
-    with pytest.raises(NoModel, match="in the objective and the gradient; the best is model 3"):
+    with pytest.raises(
+        NoAccurateModelError, match="in the objective and the gradient; the best is model 3"
+    ):
         replace(found, mesh_bar=np.array([0.1, 0.2])).recommend(0.01)
 
 
@@ -146,7 +149,10 @@ def test_work_is_steps_times_unknowns(ladder):
 
 def test_a_step_may_take_an_eighth_of_the_tolerance_or_of_the_error_of_the_model():
     question = Question(SINK, T_END, (), np.ones(2), 0.1, 8192)
-    numbers, exact = np.array([1.5, 2.0]), Rung("", 0, "", runs=(RungRun(0, 0, 0, np.ones(2)),))
+    numbers, exact = (
+        np.array([1.5, 2.0]),
+        ModelVariant("", 0, "", runs=(VariantRun(0, 0, 0, np.ones(2)),)),
+    )
     for kind in np.eye(2):
         assert question.is_small(kind * 0.1 / 8 * 0.999, np.ones(2), None)
         assert not question.is_small(kind * 0.1 / 8 * 1.001, np.ones(2), None)
@@ -160,7 +166,9 @@ def test_a_mesh_may_take_a_quarter_of_the_tolerance_by_elements_of_second_order(
     # Of two meshes, Roache's index at order p: 3 d / (2^p - 1), p = 2 (docs/reports/elements).
     def meshes(d):
         numbers = np.ones(2) + d, np.ones(2)
-        return [Rung("", k, "", runs=(RungRun(0, 0, 0, x),)) for k, x in enumerate(numbers)]
+        return [
+            ModelVariant("", k, "", runs=(VariantRun(0, 0, 0, x),)) for k, x in enumerate(numbers)
+        ]
 
     for kind in np.eye(2):
         np.testing.assert_allclose(_mesh_bar(meshes(0.01 * kind))[0], 3 * 0.01 * kind / 3)
@@ -174,10 +182,12 @@ def test_a_mesh_may_take_a_quarter_of_the_tolerance_by_elements_of_second_order(
 
 
 def test_what_cannot_be_reached_is_said(ladder):
-    with pytest.raises(NoModel, match=r"error of 1e-12 in the objective; the best is") as told:
+    with pytest.raises(
+        NoAccurateModelError, match=r"error of 1e-12 in the objective; the best is"
+    ) as told:
         ladder.recommend(1e-12, "objective")
     assert told.value.best.error == min(x.error for x in ladder.choices("objective"))
-    with pytest.raises(InvalidInput, match="objective, gradient"):
+    with pytest.raises(InvalidInputError, match="objective, gradient"):
         ladder.choices("states")
 
 
@@ -216,9 +226,9 @@ def test_a_variable_of_an_element_follows_it_to_other_meshes():
     thick = scene.with_values({"arm.height[1]": 0.06})
     sizes = [section.height for section in with_mesh(thick, (), 1)[0].beams[0].section]
     assert sizes == [0.05, 0.05, 0.06, 0.06]
-    with pytest.raises(InvalidInput, match="one section and one material"):
+    with pytest.raises(InvalidInputError, match="one section and one material"):
         with_mesh(thick, (), -1)
-    with pytest.raises(InvalidInput, match="coarser"):
+    with pytest.raises(InvalidInputError, match="coarser"):
         with_mesh(scene, (pair,), -1)
     assert [coarsest(swinging(n)) for n in (1, 2, 3, 4, 8)] == [0, -1, 0, -2, -2]
 
@@ -231,7 +241,7 @@ def test_a_beam_with_another_number_of_elements_is_the_same_beam():
     assert np.array_equal(simulate(again, 0.02, HHT(0.01)).position(beam.at_end), moved)
     frames = np.repeat(np.eye(2)[None], 2, axis=0)
     curved = CurvedBeam("arc", [[0, 0], [1, 0]], frames, Rectangle(0.1, 0.1), beam.material)
-    with pytest.raises(InvalidInput, match="nodes are given"):
+    with pytest.raises(InvalidInputError, match="nodes are given"):
         curved.with_elements(2)
 
 
@@ -271,13 +281,13 @@ def test_bars_of_mesh_and_step_hold_together_and_by_themselves(meshes):
 )
 def test_meshes_that_make_no_sense_are_refused(changes, rule):
     call = {"model": swinging(), "design": DESIGN} | changes
-    with pytest.raises(InvalidInput, match=rule):
+    with pytest.raises(InvalidInputError, match=rule):
         error_bars(objective=SINK, t_end=T_END, integrator=HHT(0.01), **call)
 
 
 def test_tradeoff_ranks_models_beside_settings():
     settings = [HHT(T_END / n) for n in (32, 128)]
-    trade = tradeoff(
+    trade = work_precision(
         swinging(),
         SINK,
         T_END,
@@ -320,5 +330,5 @@ def test_stress_gradients_where_coordinates_of_others_lie_between():
 )
 def test_questions_that_make_no_sense_are_refused(changes, rule):
     call = {"scene": swinging(), "tolerance": 0.1, "design": DESIGN} | changes
-    with pytest.raises(InvalidInput, match=rule):
+    with pytest.raises(InvalidInputError, match=rule):
         choose_model(objective=SINK, t_end=T_END, **call)

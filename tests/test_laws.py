@@ -8,28 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ancfdae import (
-    Beam,
-    Change,
+from ancfdae import Beam, Material, Pin, RotationDriver, Scene, assemble, distributed_variables
+from ancfdae.errors import InvalidInputError, UnknownNameError
+from ancfdae.extend import Law
+from ancfdae.laws import (
     Constant,
-    Drive,
+    ConstantAcceleration,
     Harmonic,
-    InvalidInput,
-    Law,
-    Material,
-    Pin,
-    Ramp,
-    Rectangle,
     RunUp,
-    Scene,
+    SmoothStep,
     Spline,
-    Uniform,
-    UnknownName,
+    Transition,
     UserLaw,
-    assemble,
-    distribution,
 )
 from ancfdae.model import laws
+from ancfdae.sections import Rectangle
 
 from curves import rates_of
 from examples import LAW_TIME, law_examples, public_classes
@@ -112,38 +105,59 @@ def test_every_parameter_is_its_own(law):
 def test_laws_are_what_their_formulas_say():
     t = np.linspace(-0.5, 3.0, 9)
     assert np.array_equal(Constant(0.4).at(t), np.full(9, 0.4))
-    assert Uniform(2.0, 0.3, 1.5).at(t) == pytest.approx(0.3 + 2 * t + 0.75 * t * t, rel=1e-14)
+    assert ConstantAcceleration(2.0, 0.3, 1.5).at(t) == pytest.approx(
+        0.3 + 2 * t + 0.75 * t * t, rel=1e-14
+    )
     expected = 0.1 + 0.4 * np.sin(3 * t + 0.2)
     assert Harmonic(0.4, 3.0, 0.2, 0.1).at(t) == pytest.approx(expected, abs=1e-15)
-    assert Ramp(2.0, 5.0, 2.0, 1.0).at([0.0, 1.0, 2.0, 3.0, 4.0]).tolist() == [2, 2, 3.5, 5, 5]
+    assert SmoothStep(2.0, 5.0, 2.0, 1.0).at([0.0, 1.0, 2.0, 3.0, 4.0]).tolist() == [
+        2,
+        2,
+        3.5,
+        5,
+        5,
+    ]
 
 
 def test_a_run_up_has_the_rate_of_a_ramp_and_holds_it():
     t = np.linspace(-1.0, 5.0, 25)
-    run_up, ramp = RunUp(6.0, 2.0, 0.3, 1.0), Ramp(0.0, 6.0, 2.0, 1.0)
+    run_up, ramp = RunUp(6.0, 2.0, 0.3, 1.0), SmoothStep(0.0, 6.0, 2.0, 1.0)
     for order in range(3):
         assert run_up.at(t, order + 1) == pytest.approx(ramp.at(t, order), abs=1e-13)
     assert run_up.at([0.0, 1.0, 3.0, 4.0]) == pytest.approx([0.3, 0.3, 6.3, 12.3], abs=1e-13)
 
 
 def test_a_change_is_one_law_before_and_another_after():
-    law = Change(Change(Constant(0.2), Uniform(2.0, 0.5), 0.4, 1.0), Harmonic(0.3, 5.0), 0.5, 2.0)
-    for t, piece in ((0.7, Constant(0.2)), (1.7, Uniform(2.0, 0.5)), (2.9, Harmonic(0.3, 5.0))):
+    law = Transition(
+        Transition(Constant(0.2), ConstantAcceleration(2.0, 0.5), 0.4, 1.0),
+        Harmonic(0.3, 5.0),
+        0.5,
+        2.0,
+    )
+    for t, piece in (
+        (0.7, Constant(0.2)),
+        (1.7, ConstantAcceleration(2.0, 0.5)),
+        (2.9, Harmonic(0.3, 5.0)),
+    ):
         for order in range(4):
             assert law.at(t, order) == pytest.approx(piece.at(t, order), abs=1e-13)
-    assert Change(Constant(2.0), Constant(5.0), 2.0, 1.0).at(2.2) == pytest.approx(
-        Ramp(2.0, 5.0, 2.0, 1.0).at(2.2), abs=1e-14
+    assert Transition(Constant(2.0), Constant(5.0), 2.0, 1.0).at(2.2) == pytest.approx(
+        SmoothStep(2.0, 5.0, 2.0, 1.0).at(2.2), abs=1e-14
     )
 
 
 def test_both_laws_of_a_change_are_design_targets():
-    law = Change(Uniform(2.0), Uniform(3.0), 1.0, 1.0)
-    names = [f"{side}_{x}" for side in ("before", "after") for x in Uniform(2.0).parameters()]
+    law = Transition(ConstantAcceleration(2.0), ConstantAcceleration(3.0), 1.0, 1.0)
+    names = [
+        f"{side}_{x}"
+        for side in ("before", "after")
+        for x in ConstantAcceleration(2.0).parameters()
+    ]
     assert list(law.parameters()) == [*names, "duration", "begin"]
     changed = law.with_parameters({"after_speed": 4.0})
-    assert (changed.before, changed.after) == (Uniform(2.0), Uniform(4.0))
+    assert (changed.before, changed.after) == (ConstantAcceleration(2.0), ConstantAcceleration(4.0))
     rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.05, 0.04), Material(1e3, 1e7, 0.3))
-    scene = Scene([rod], [Pin(rod.at_start), Drive(rod.at_start, law, name="motor")])
+    scene = Scene([rod], [Pin(rod.at_start), RotationDriver(rod.at_start, law, name="motor")])
     assert assemble(scene, ["motor.before_speed"]).b == pytest.approx([2.0])
 
 
@@ -162,7 +176,7 @@ def test_a_spline_passes_through_its_values_and_is_constant_outside(count):
 
 def test_a_spline_through_two_values_is_a_ramp():
     t = np.linspace(0, 4, 41)
-    spline, ramp = Spline((1.0, 3.0), (2.0, 5.0)), Ramp(2.0, 5.0, 2.0, 1.0)
+    spline, ramp = Spline((1.0, 3.0), (2.0, 5.0)), SmoothStep(2.0, 5.0, 2.0, 1.0)
     for order in range(4):
         assert spline.at(t, order) == pytest.approx(ramp.at(t, order), abs=1e-11)
 
@@ -226,15 +240,15 @@ def test_user_law_divides_by_whole_numbers_and_by_functions():
         (lambda: Spline((0.0, 1.0), "ab"), "sequence of numbers"),
         (lambda: Spline((0.0, float("nan")), (0.0, 1.0)), "finite"),
         (lambda: Spline((0.0, 1.0), (0.0, 1.0), period=1.0), "must exceed"),
-        (lambda: Ramp(0.0, 1.0, 0.0), "positive"),
+        (lambda: SmoothStep(0.0, 1.0, 0.0), "positive"),
         (lambda: Constant("fast"), "finite"),
         (lambda: RunUp(1.0, 0.0), "positive"),
-        (lambda: Change(Constant(1.0), 2.0, 1.0, 0.0), "Law"),
-        (lambda: UserLaw(lambda t: np.where(t < 1, 0.0, 1.0)), "joined by Change"),
+        (lambda: Transition(Constant(1.0), 2.0, 1.0, 0.0), "Law"),
+        (lambda: UserLaw(lambda t: np.where(t < 1, 0.0, 1.0)), "joined by Transition"),
     ],
 )
 def test_what_is_no_law_is_refused(law, words):
-    with pytest.raises(InvalidInput, match=words):
+    with pytest.raises(InvalidInputError, match=words):
         law()
 
 
@@ -243,15 +257,15 @@ def test_what_is_no_law_is_refused(law, words):
 
 def test_control_values_are_design_targets_by_their_index():
     rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.05, 0.04), Material(1e3, 1e7, 0.3))
-    motor = Drive(rod.at_start, Spline((0.0, 1.0, 2.0), (0.1, 0.2, 0.4)), name="motor")
+    motor = RotationDriver(rod.at_start, Spline((0.0, 1.0, 2.0), (0.1, 0.2, 0.4)), name="motor")
     scene = Scene([rod], [Pin(rod.at_start), motor])
-    system = assemble(scene, distribution("motor.value", 3))
+    system = assemble(scene, distributed_variables("motor.value", 3))
     assert system.design_names == ("motor.value[0]", "motor.value[1]", "motor.value[2]")
     assert system.b.tolist() == [0.1, 0.2, 0.4]
     changed = scene.with_values({"motor.value[1]": 0.3})
     assert changed.joints[1].angle.values == (0.1, 0.3, 0.4)
     for target in ("motor.value", "motor.value[3]", "motor.speed"):
-        with pytest.raises(UnknownName, match=r"motor\.value\[2\]"):
+        with pytest.raises(UnknownNameError, match=r"motor\.value\[2\]"):
             assemble(scene, [target])
     # The curve at the middle of the first interval depends on all of them.
     Phi_b = constraint_b(system, 0.5, system.start()[0])
@@ -262,5 +276,5 @@ def test_user_law_that_treats_series_unlike_numbers_is_refused():
     def twice(t):
         return t * (1.0 if isinstance(t, np.ndarray) else 2.0)
 
-    with pytest.raises(InvalidInput, match="same values for numbers and for Taylor series"):
+    with pytest.raises(InvalidInputError, match="same values for numbers and for Taylor series"):
         UserLaw(twice).check()

@@ -12,10 +12,10 @@ from ancfdae import (
     Scene,
     assemble,
 )
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.numerics import linear_solvers
 from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 from members import (
     force_q,
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.rounding
 def test_pattern_products_are_those_of_the_dense_matrix(shape):
     rng = np.random.default_rng(1)
     rows, columns = rng.integers(0, shape[0], 60), rng.integers(0, shape[1], 60)
-    pattern = Pattern(shape, rows, columns)
+    pattern = SparsityPattern(shape, rows, columns)
     raw = rng.uniform(-1, 1, 60) + 1j * rng.uniform(-1, 1, 60)
     expected = np.zeros(shape, dtype=complex)
     np.add.at(expected, (rows, columns), raw)
@@ -234,7 +234,7 @@ def test_places_are_kept_beside_a_pattern_without_weak_references():
     weights, values = system.weights, np.ones(B.size)
     first = SaddlePoint(K, B, weights, values)
     assert SaddlePoint(K, B, weights, values)._places is first._places
-    other = Pattern(B.shape, B.rows, B.columns)
+    other = SparsityPattern(B.shape, B.rows, B.columns)
     assert SaddlePoint(K, other, weights, values)._places is not first._places
     assert SaddlePoint(K, B, weights, values)._places is first._places
     assert not weakref.getweakrefs(K)

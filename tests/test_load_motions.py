@@ -4,45 +4,43 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    DOP853,
     HHT,
     IDA,
     Adjoint,
-    AtRest,
     Beam,
     Bushing,
     Clamp,
     ComplexStep,
     ContinuousAdjoint,
-    Direct,
-    Explicit,
+    DirectDifferentiation,
+    EquilibriumStart,
     FiniteDifference,
-    Harmonic,
+    InitialVelocity,
     Integral,
-    JointFriction,
     Material,
     Moment,
+    MotorTorque,
     Pin,
     PointForce,
-    Ramp,
-    Rectangle,
     Revolute,
-    RigidMotion,
+    RotationalFriction,
     Scene,
-    SlideFriction,
     Spherical,
-    Spline,
     SpringDamper,
-    Torque,
-    TorsionSpring,
+    TorsionalSpringDamper,
+    TranslationalFriction,
     assemble,
-    distribution,
+    distributed_variables,
     gradient,
     modes,
-    position,
     simulate,
     taylor_test,
 )
+from ancfdae.laws import Harmonic, SmoothStep, Spline
 from ancfdae.model.loads.sections import turn
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 
 from oracle import plain_ancf as ancf
 
@@ -103,7 +101,7 @@ def test_a_torque_against_ground_about_z_is_a_moment_about_z(d, seed):
     here = beam.at(0.7)
     systems = [
         assemble(Scene([beam], loads=[load]))
-        for load in (Torque(here, 2.0), Moment(here, 2.0 if d == 2 else (0.0, 0.0, 2.0)))
+        for load in (MotorTorque(here, 2.0), Moment(here, 2.0 if d == 2 else (0.0, 0.0, 2.0)))
     ]
     q, v = systems[0].start()
     q = q + (0.05 * rng.uniform(-1, 1, len(q)) if d == 2 else 0.0)
@@ -120,7 +118,7 @@ def test_a_torque_against_ground_about_z_is_a_moment_about_z(d, seed):
 def test_a_rod_on_a_torsional_spring_swings_as_a_rigid_body(d):
     k = 0.02
     beam = rod(d)
-    scene = Scene([beam], [bearing(beam)], loads=[TorsionSpring(beam.at_start, k)])
+    scene = Scene([beam], [bearing(beam)], loads=[TorsionalSpringDamper(beam.at_start, k)])
     # The rod bends by k L/(3 EI) of its turn.
     omega = modes(scene, 1).frequencies[0]
     assert omega == pytest.approx(np.sqrt(k / INERTIA), rel=1e-3)
@@ -131,7 +129,7 @@ def test_two_rods_on_a_spring_between_them_swing_against_each_other():
     k, left = 0.02, Beam("left", (0.0, 0.0), (-LENGTH, 0.0), 1, BAR, STIFF)
     right = rod()
     joints = [Pin(left.at_start), Pin(right.at_start, ground=(0.0, 0.0))]
-    spring = TorsionSpring(right.at_start, k, other=left.at_start)
+    spring = TorsionalSpringDamper(right.at_start, k, other=left.at_start)
     # Together they turn freely; against each other each half of the spring is twice as stiff.
     omega = np.sort(modes(Scene([left, right], joints, loads=[spring]), 2).frequencies)
     assert omega[1] == pytest.approx(np.sqrt(2 * k / INERTIA), rel=1e-3)
@@ -152,8 +150,8 @@ def test_a_bushing_holds_a_rod_by_its_stiffnesses():
 @pytest.mark.parametrize("d", [2, 3])
 def test_dry_friction_stops_a_rod_after_the_time_of_its_spin(d):
     beam, spin, torque = rod(d), 2.0, 0.1
-    motion = RigidMotion("rod", spin if d == 2 else (0, 0, spin), (0.0,) * d)
-    friction = JointFriction(beam.at_start, torque, smooth_speed=0.02)
+    motion = InitialVelocity("rod", spin if d == 2 else (0, 0, spin), (0.0,) * d)
+    friction = RotationalFriction(beam.at_start, torque, smooth_speed=0.02)
     scene = Scene([beam], [bearing(beam)], loads=[friction], start=[motion])
     stop = INERTIA * spin / torque
     solution = simulate(scene, 1.2 * stop, HHT(step=stop / 400))
@@ -170,8 +168,8 @@ def test_dry_friction_stops_a_rod_after_the_time_of_its_spin(d):
 
 def test_viscous_friction_lets_a_slider_run_out_exponentially():
     beam, v, damping, mass = rod(), 1.5, 0.4, 1000 * 0.05 * 0.01 * LENGTH
-    start = [RigidMotion("rod", 0.0, (0.0, 0.0), velocity=(v, 0.0))]
-    friction = SlideFriction(beam.at(0.5), (1.0, 0.0), 0.0, 1.0, viscous=damping)
+    start = [InitialVelocity("rod", 0.0, (0.0, 0.0), velocity=(v, 0.0))]
+    friction = TranslationalFriction(beam.at(0.5), (1.0, 0.0), 0.0, 1.0, viscous=damping)
     solution = simulate(Scene([beam], loads=[friction], start=start), 1.0, HHT(step=2**-8))
     found = solution.position(beam.at(0.5))[-1, 0] - 0.5
     # Second order in steps of 4e-3 of a time constant of 1.25 s, 1e-6; stretching waves are 1e-7.
@@ -182,8 +180,8 @@ def test_a_rod_on_a_spring_follows_a_harmonic_torque_as_theory_says():
     k, T, frequency = 0.5, 0.001, 1.3
     beam = rod()
     loads = [
-        TorsionSpring(beam.at_start, k),
-        Torque(beam.at_start, T, law=Harmonic(1.0, frequency), name="motor"),
+        TorsionalSpringDamper(beam.at_start, k),
+        MotorTorque(beam.at_start, T, law=Harmonic(1.0, frequency), name="motor"),
     ]
     scene = Scene([beam], [bearing(beam)], loads=loads)
     solution = simulate(scene, 4.0, HHT(step=2**-6, hht_alpha=-0.01))
@@ -204,11 +202,13 @@ def driven(elements=2, youngs_modulus=1e6):
     soft = Material(1000.0, youngs_modulus, 0.3)
     beam = Beam("rod", (0.0, 0.0), (1.0, 0.0), elements, Rectangle(0.05, 0.04), soft)
     loads = [
-        Torque(beam.at_start, 1.0, name="motor", law=Spline((0.0, 0.2, 0.4, 0.6), (2, 9, -4, 6))),
+        MotorTorque(
+            beam.at_start, 1.0, name="motor", law=Spline((0.0, 0.2, 0.4, 0.6), (2, 9, -4, 6))
+        ),
         PointForce(beam.at_end, (0.5, 1.0), name="pull", law=Harmonic(1.0, 9.0, 0.4)),
-        SpringDamper(beam.at(0.5), 9.0, 0.3, 0.2, ground=(0.5, 0.4), law=Ramp(0.0, 1.0, 0.3)),
-        JointFriction(beam.at_start, 0.3, 0.8, 0.05, 0.5, 2.0),
-        TorsionSpring(beam.at_start, 2.0, 0.1, 0.3),
+        SpringDamper(beam.at(0.5), 9.0, 0.3, 0.2, ground=(0.5, 0.4), law=SmoothStep(0.0, 1.0, 0.3)),
+        RotationalFriction(beam.at_start, 0.3, 0.8, 0.05, 0.5, 2.0),
+        TorsionalSpringDamper(beam.at_start, 2.0, 0.1, 0.3),
     ]
     return Scene([beam], [Pin(beam.at_start)], (0.0, -9.81), loads=loads), beam
 
@@ -218,7 +218,7 @@ def test_integrators_agree_on_loads_that_depend_on_time():
     design = ["motor.value[0]", "pull.frequency"]
     objective = Integral(position(beam.at_end, 1) ** 2)
     t_end = 2**-4
-    exact = gradient(scene, objective, t_end, Explicit(1e-8), design=design)
+    exact = gradient(scene, objective, t_end, DOP853(1e-8), design=design)
     # HHT-I3 is second order: (omega h)^2/12 of waves of 1e3 rad/s is 5e-3.
     for integrator, tolerance in ((HHT(step=2**-12), 5e-3), (IDA(1e-8), 1e-6)):
         run = gradient(scene, objective, t_end, integrator, design=design)
@@ -228,13 +228,18 @@ def test_integrators_agree_on_loads_that_depend_on_time():
 
 def test_gradients_in_the_control_values_of_a_torque():
     scene, beam = driven()
-    design = [*distribution("motor.value", 4), "pull.phase", "pull.force_y", "motor.torque"]
+    design = [
+        *distributed_variables("motor.value", 4),
+        "pull.phase",
+        "pull.force_y",
+        "motor.torque",
+    ]
     design += ["friction(rod@0).smooth_speed", "torsion-spring(rod@0).free_angle"]
     objective = Integral(position(beam.at_end, 1) ** 2)
     arguments = (scene, objective, 0.375, HHT(step=2**-7))
     direct, adjoint, step, continuous = (
         gradient(*arguments, design=design, method=method).gradient
-        for method in (Direct(), Adjoint(), ComplexStep(), ContinuousAdjoint())
+        for method in (DirectDifferentiation(), Adjoint(), ComplexStep(), ContinuousAdjoint())
     )
     size = np.max(np.abs(step))
     assert direct == pytest.approx(step, abs=1e-10 * size)
@@ -287,12 +292,14 @@ def test_values_of_gradients_pass_a_taylor_test():
 
 def test_a_scene_starts_at_rest_under_its_loads_at_the_start_time():
     beam = rod(elements=2)
-    grown = PointForce(beam.at_end, (0.0, -1.0), law=Ramp(0.0, 1.0, 1.0))
-    half = PointForce(beam.at_end, (0.0, -1.0), law=Ramp(0.5, 1.0, 1.0))
+    grown = PointForce(beam.at_end, (0.0, -1.0), law=SmoothStep(0.0, 1.0, 1.0))
+    half = PointForce(beam.at_end, (0.0, -1.0), law=SmoothStep(0.5, 1.0, 1.0))
     plain = PointForce(beam.at_end, (0.0, -0.5))
     held = [Clamp(beam.at_start)]
     ends = [
-        simulate(Scene([beam], held, loads=[load], start=[AtRest()]), 0.01, HHT(step=0.01))
+        simulate(
+            Scene([beam], held, loads=[load], start=[EquilibriumStart()]), 0.01, HHT(step=0.01)
+        )
         for load in (grown, half, plain)
     ]
     place = [solution.position(beam.at_end)[0, 1] for solution in ends]
@@ -319,7 +326,9 @@ def test_a_spatial_motor_in_an_elbow_turns_both_arms():
     upper = Beam("upper", (0.0, 0.0, 0.0), (0.5, 0.0, 0.0), 1, BAR, STIFF)
     lower = Beam("lower", (0.5, 0.0, 0.0), (1.0, 0.0, 0.0), 1, BAR, STIFF)
     joints = [Spherical(upper.at_start), Revolute(lower.at_start, (0, 0, 1), upper.at_end)]
-    motor = Torque(lower.at_start, 0.01, (0, 0, 1), other=upper.at_end, law=Ramp(0.0, 1.0, 0.2))
+    motor = MotorTorque(
+        lower.at_start, 0.01, (0, 0, 1), other=upper.at_end, law=SmoothStep(0.0, 1.0, 0.2)
+    )
     solution = simulate(Scene([upper, lower], joints, loads=[motor]), 0.5, HHT(step=2**-7))
     assert solution.outcome.success
     place = solution.position(lower.at_end) - solution.position(upper.at_end)

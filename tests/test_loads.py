@@ -19,20 +19,17 @@ from ancfdae import (
     Clamp,
     DistributedForce,
     FollowerForce,
-    InvalidInput,
-    JointFriction,
+    InitialVelocity,
     Material,
     Moment,
-    Point,
+    MotorTorque,
     PointForce,
-    Rectangle,
     RigidBody,
-    RigidMotion,
+    RotationalFriction,
     Scene,
-    SlideFriction,
     SpringDamper,
-    Torque,
-    TorsionSpring,
+    TorsionalSpringDamper,
+    TranslationalFriction,
     assemble,
     check_system,
     critical_load,
@@ -40,17 +37,20 @@ from ancfdae import (
     modes,
     simulate,
 )
+from ancfdae.errors import InvalidInputError
+from ancfdae.extend import MaterialPoint
 from ancfdae.model import loads
 from ancfdae.model.bodies import Quantity
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.loads.load import Load
+from ancfdae.sections import Rectangle
 
 from by_hand import vector_by_hand
 from examples import LAW_TIME, all_examples, law_examples, public_classes
 from members import force_b, force_q, force_q_times, force_rate, force_rate_total, force_v
 from oracle import plain_ancf as ancf
 from scenes import FLAT, STEEL, THICK, arc
-from setting import DERIVATIVE, STEP, VALUE, Setting, assert_close, concrete_subclasses
+from setting import DERIVATIVE, STEP, VALUE, MeasuredSetting, assert_close, concrete_subclasses
 
 # Elastic forces of 1e-3 N beside loads of 10 N lose nothing in the difference.
 GEL = Material(density=1000.0, youngs_modulus=1.0, poisson_ratio=0.3)
@@ -105,7 +105,7 @@ def kinked(scene):
     return replace(scene, beams=[b.with_kinks(scene.kinks.get(b.name, ())) for b in scene.beams])
 
 
-class LoadSetting(Setting):
+class LoadSetting(MeasuredSetting):
     """One load alone; the design is everything that its force can depend on."""
 
     def __init__(self, name):
@@ -158,7 +158,7 @@ def force_by_hand(s, q, v):
         )
         parts = zip(load.force_components, slopes, strict=True)
         return [load.point], [sum(f * r / np.linalg.norm(r) for f, r in parts)]
-    if isinstance(load, Moment | Torque | TorsionSpring | JointFriction):
+    if isinstance(load, Moment | MotorTorque | TorsionalSpringDamper | RotationalFriction):
         return [], []
     assert isinstance(load, SpringDamper), f"write what a {type(load).__name__} means"
     points = [load.point] if load.other is None else [load.point, load.other]
@@ -190,7 +190,10 @@ def power_by_hand(s, virtual):
         return total
     if isinstance(s.load, Moment):
         return moment_power(s, virtual)
-    if isinstance(s.load, Torque | TorsionSpring | JointFriction | SlideFriction | Bushing):
+    if isinstance(
+        s.load,
+        MotorTorque | TorsionalSpringDamper | RotationalFriction | TranslationalFriction | Bushing,
+    ):
         return coordinate_power(s, virtual)
     points, forces = force_by_hand(s, s.q, s.v)
     pairs = zip(points, forces, strict=True)
@@ -268,14 +271,14 @@ def coordinates_by_hand(s, q):
     """Values of the coordinates that a load works on, each with how it shows its rate."""
     load, d = s.load, s.scene.dimension
     found = []
-    if isinstance(load, SlideFriction | Bushing):
+    if isinstance(load, TranslationalFriction | Bushing):
         e, e_o = (vector_by_hand(s.system, x, load.point, 0) for x in (q, s.start))
         if load.other is not None:
             e = e - vector_by_hand(s.system, q, load.other, 0)
             e_o = e_o - vector_by_hand(s.system, s.start, load.other, 0)
         elif isinstance(load, Bushing):
             e, e_o = e - e_o, 0 * e_o
-        if isinstance(load, SlideFriction):
+        if isinstance(load, TranslationalFriction):
             a = directions_by_hand(s, q, [load.direction])[0]
             return [a @ e / np.sqrt(a @ a)]
         found += list(directions_by_hand(s, q, np.eye(d)) @ e - e_o)
@@ -298,9 +301,9 @@ def coordinate_power(s, virtual):
         [np.imag(x) / STEP for x in coordinates_by_hand(s, s.q + 1j * STEP * y)]
         for y in (s.v, virtual)
     )
-    if isinstance(load, Torque):
+    if isinstance(load, MotorTorque):
         resisting = [-load.torque]
-    elif isinstance(load, TorsionSpring):
+    elif isinstance(load, TorsionalSpringDamper):
         stretched = values[0] - load.free_angle
         resisting = [load.stiffness * stretched + load.damping * rates[0]]
     elif isinstance(load, Bushing):
@@ -384,7 +387,7 @@ def test_resultant_of_a_load_is_its_force(one):
     if isinstance(one.load, DistributedForce):
         length = one.scene.beam(one.load.beam).length
         expected = length * np.array(one.load.force_per_length)
-    elif isinstance(one.load, SlideFriction | Bushing):
+    elif isinstance(one.load, TranslationalFriction | Bushing):
         # Of a translation of everything: nothing between two beams.
         expected = [power_by_hand(one, field) for field in translation.reshape(-1, d).T]
     else:
@@ -505,15 +508,17 @@ def test_power_of_spring_and_damper_is_the_loss_of_energy(name, seed):
 
 def test_a_spring_depends_on_velocities_where_it_damps():
     ground = (0.0, 1.0)
-    assert not SpringDamper(Point("rod", 1.0), 30.0, ground=ground).uses_velocity(())
+    assert not SpringDamper(MaterialPoint("rod", 1.0), 30.0, ground=ground).uses_velocity(())
     for damping in (0.5, 1.0):
-        assert SpringDamper(Point("rod", 1.0), 30.0, damping, ground=ground).uses_velocity(())
+        assert SpringDamper(MaterialPoint("rod", 1.0), 30.0, damping, ground=ground).uses_velocity(
+            ()
+        )
 
 
 def test_damper_takes_the_energy_out_of_a_swinging_beam():
     steel = Material(density=1000.0, youngs_modulus=1e7, poisson_ratio=0.3)
     rod = Beam("rod", (0.0, 0.0), (0.8, 0.0), 1, FLAT, steel)
-    start = [RigidMotion("rod", 0.0, (0.0, 0.0), velocity=(1.0, 0.5))]
+    start = [InitialVelocity("rod", 0.0, (0.0, 0.0), velocity=(1.0, 0.5))]
     energies, lost = [], []
     for damping in (0.0, 0.5):
         spring = SpringDamper(rod.at(0.5), 40.0, damping, 0.3, ground=(0.2, -0.5))
@@ -522,9 +527,9 @@ def test_damper_takes_the_energy_out_of_a_swinging_beam():
         solution = simulate(scene, 0.5, HHT(step=2**-9, hht_alpha=-0.01))
         assert solution.outcome.success
         system = assemble(scene)
-        e = solution.position(Point("rod", 0.5)) - [0.2, -0.5]
+        e = solution.position(MaterialPoint("rod", 0.5)) - [0.2, -0.5]
         l = np.linalg.norm(e, axis=1)
-        rate = np.sum(e * solution.velocity(Point("rod", 0.5)), axis=1) / l
+        rate = np.sum(e * solution.velocity(MaterialPoint("rod", 0.5)), axis=1) / l
         stored = 0.5 * 40.0 * (l - 0.3) ** 2 + system.energies.strain(solution.q)
         energy = system.energies.kinetic(solution.v) + stored
         power = damping * rate**2
@@ -836,7 +841,13 @@ def test_loads_that_follow_are_those_without_an_energy(follows):
 
 
 def test_loads_with_an_energy_are_known():
-    springs = {Bushing, JointFriction, SlideFriction, SpringDamper, TorsionSpring}
+    springs = {
+        Bushing,
+        RotationalFriction,
+        TranslationalFriction,
+        SpringDamper,
+        TorsionalSpringDamper,
+    }
     assert {kind for kind in concrete_subclasses(Load) if kind.elastic} == springs
 
 
@@ -879,7 +890,7 @@ def on_springs(**more):
         for k, x, name in ((50.0, -1.0, "one"), (-20.0, 1.0, "other"))
     ]
     hold = Bushing(ball.at(0, 0), (0.0, 100.0), (0.0, 0.1), 1.0, 0.1, name="bushing")
-    turn = TorsionSpring(ball.at(0, 0), 1.0, 0.1, name="turn")
+    turn = TorsionalSpringDamper(ball.at(0, 0), 1.0, 0.1, name="turn")
     return Scene(bodies=[ball], loads=[*springs, hold, turn])
 
 
@@ -905,6 +916,6 @@ def test_a_negative_stiffness_is_one():
 )
 def test_a_negative_damping_or_length_is_refused(target):
     field = target.partition(".")[2]
-    with pytest.raises(InvalidInput, match=rf"{field}.*must not be negative; got -0\.1"):
+    with pytest.raises(InvalidInputError, match=rf"{field}.*must not be negative; got -0\.1"):
         on_springs().with_values({target: -0.1})
     on_springs().with_values({target: 0.0})

@@ -1,23 +1,13 @@
-"""`simulate(keep=)` and `observations` return the values of the full run at the kept times."""
+"""`simulate(keep=)` and `record_observables` return the values of the full run at the kept times."""
 
 import numpy as np
 import pytest
 
-from ancfdae import (
-    HHT,
-    IDA,
-    Interrupted,
-    InvalidInput,
-    Verdict,
-    assemble,
-    custom,
-    kinetic_energy,
-    observations,
-    observe,
-    position,
-    simulate,
-)
-from ancfdae.model.bodies import Point
+from ancfdae import HHT, IDA, assemble, record_observables, simulate
+from ancfdae.errors import Interrupted, InvalidInputError
+from ancfdae.model.bodies import MaterialPoint
+from ancfdae.observables import custom, kinetic_energy, observe, position
+from ancfdae.results import Verdict
 from ancfdae.sensitivity.observables.states import states_of
 from ancfdae.studies import observing, parts
 from validation.scenes import pendulum
@@ -26,7 +16,7 @@ from mechanisms import CartesianPendulum
 
 SCENE = pendulum(elements=1, youngs_modulus=1e6)
 STEP, T_END = 2.0**-8, 23 * 2.0**-8
-TIP = position(Point("pendulum", 1.0), 1)
+TIP = position(MaterialPoint("pendulum", 1.0), 1)
 # Newton's method begins a part with a matrix of its own. Its tolerance of 1e-14 in the forces is
 # 1e-9 in accelerations: positions within it are divided by beta h^2 = 6e-6.
 CLOSE = {"rtol": 1e-8, "atol": 1e-9}
@@ -64,7 +54,7 @@ def test_observables_are_kept_here_and_on_disk(whole, tmp_path):
     own = [TIP, kinetic_energy()]
     file = tmp_path / "run.npy"
     for options in ({}, {"file": file}):
-        seen = observations(SCENE, own, T_END, HHT(STEP), keep=4, **options)
+        seen = record_observables(SCENE, own, T_END, HHT(STEP), keep=4, **options)
         for k, each in enumerate(own):
             values = observe(each, whole, assemble(SCENE))[[0, 4, 8, 12, 16, 20, 23]]
             np.testing.assert_allclose(seen.values[:, k], values, **CLOSE)
@@ -98,7 +88,7 @@ def test_a_run_that_ends_early_keeps_what_it_has(tmp_path):
     assert thin.outcome.verdict is Verdict.INTERRUPTED
     np.testing.assert_array_equal(thin.t, [0, 0.125, 0.25, 0.375, 0.5])
     with pytest.raises(Interrupted) as stopped:
-        observations(Stopping(), [custom(own)], *given, keep=2, file=tmp_path / "run.npy")
+        record_observables(Stopping(), [custom(own)], *given, keep=2, file=tmp_path / "run.npy")
     seen = stopped.value.result
     np.testing.assert_array_equal(seen.values[:, 0], thin.q[:, 0])
     stored = np.load(tmp_path / "run.npy")
@@ -118,7 +108,7 @@ def test_an_interrupt_between_parts_keeps_the_rows_so_far(monkeypatch):
     monkeypatch.setattr(observing, "states_of", late)
     monkeypatch.setattr(parts, "_NUMBERS", 4 * 8)  # parts of four steps
     with pytest.raises(Interrupted) as stopped:
-        observations(CartesianPendulum(), [custom(own)], 1.0, HHT(2.0**-4), keep=2)
+        record_observables(CartesianPendulum(), [custom(own)], 1.0, HHT(2.0**-4), keep=2)
     seen = stopped.value.result
     assert seen.outcome.verdict is Verdict.INTERRUPTED
     np.testing.assert_array_equal(seen.t, [0, 0.125, 0.25, 0.375, 0.5])
@@ -142,10 +132,10 @@ def test_an_interrupt_between_parts_keeps_the_rows_so_far(monkeypatch):
 )
 def test_bad_input_is_refused(change, match):
     given = {"observables": [TIP], "integrator": HHT(STEP), "keep": 2} | change
-    with pytest.raises(InvalidInput, match=match):
-        observations(SCENE, t_end=T_END, **given)
+    with pytest.raises(InvalidInputError, match=match):
+        record_observables(SCENE, t_end=T_END, **given)
 
 
 def test_a_run_that_goes_on_is_not_thinned(whole):
-    with pytest.raises(InvalidInput, match="keep: a run that continues another must keep all"):
+    with pytest.raises(InvalidInputError, match="keep: a run that continues another must keep all"):
         simulate(SCENE, T_END, HHT(STEP), after=whole, keep=2)

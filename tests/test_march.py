@@ -16,49 +16,45 @@ import pytest
 from ancfdae import (
     CABLE_2D,
     HHT,
+    AdaptiveSteps,
     Adjoint,
     Beam,
     Clamp,
-    ControlledSteps,
-    Direct,
+    DirectDifferentiation,
     Distance,
-    Drive,
-    GivenSteps,
-    Guide,
-    Harmonic,
-    InconsistentStart,
     Integral,
     Material,
     Pin,
-    Point,
     PointForce,
     PointMass,
-    Rectangle,
+    PrescribedSteps,
     RigidBody,
+    RotationDriver,
     Scene,
     Terminal,
-    UserLaw,
+    TranslationDriver,
     assemble,
     differentiate,
     gradient,
     kernels,
-    multiplier,
-    position,
     simulate,
-    velocity,
 )
 from ancfdae.equations import reaction
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.errors import RedundantConstraints
+from ancfdae.errors import InconsistentStartError, RedundantConstraintsError
+from ancfdae.extend import MaterialPoint
 from ancfdae.integrators.hht.compiled import CompiledPasses, CompiledSteps
 from ancfdae.integrators.hht.linear_passes import LinearSteps
 from ancfdae.integrators.hht.newton import StepSolver
+from ancfdae.laws import Harmonic, UserLaw
 from ancfdae.model import joints, loads
 from ancfdae.model.bodies import Quantity
-from ancfdae.model.design import numbers
+from ancfdae.model.design import design_numbers
 from ancfdae.model.joints.joint import Joint
-from ancfdae.model.loads.load import LAW, Load
+from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.numerics.linear_solvers import SaddlePoint
+from ancfdae.observables import multiplier, position, velocity
+from ancfdae.sections import Rectangle
 from validation.scenes import crank_slider, pendulum
 
 from examples import all_examples, law_examples, public_classes, scene_of
@@ -126,7 +122,7 @@ def test_every_joint_is_the_same_in_the_kernel(kind):
         scene = replace(scene_of(members, joint), gravity=gravity, project_start=True)
         try:
             compared(scene)
-        except (InconsistentStart, RedundantConstraints):
+        except (InconsistentStartError, RedundantConstraintsError):
             continue
         ran.add(type(joint).__name__)
     assert len(ran) >= len(public_classes(joints, Joint)) - (9 if kind != "spatial" else 3), ran
@@ -135,7 +131,11 @@ def test_every_joint_is_the_same_in_the_kernel(kind):
 @pytest.mark.parametrize("law", law_examples().values(), ids=law_examples())
 def test_every_law_is_the_same_in_the_kernel(law):
     rod, arm = KINDS["planar"]
-    held = [Pin(rod.at_start), Pin(rod.at_end, arm.at_start), Guide(arm.at_end, (0.6, 0.8), law)]
+    held = [
+        Pin(rod.at_start),
+        Pin(rod.at_end, arm.at_start),
+        TranslationDriver(arm.at_end, (0.6, 0.8), law),
+    ]
     pulled = [PointForce(rod.at_end, (3.0, -2.0), law=law), PointForce(arm.at_end, (1.0, 1.0))]
     compared(Scene([rod, arm], held, (0, -9.81), loads=pulled, project_start=True))
 
@@ -170,7 +170,7 @@ def test_small_steps_take_the_increment_of_the_constraints_in_the_kernel():
     # in a run of ten such steps a hundred times that.
     rod, arm = KINDS["planar"]
     joint = [Pin(rod.at_start), Distance(rod.at_end, 0.7, arm.at_end)]
-    joint.append(Drive(rod.at_start, Harmonic(0.5, 4.0)))
+    joint.append(RotationDriver(rod.at_start, Harmonic(0.5, 4.0)))
     scene = Scene([rod, arm], joint, (0, -9.81), project_start=True)
     compared(scene, HHT(1e-9), 1e-8, 1e-6)
 
@@ -180,13 +180,13 @@ def test_small_steps_of_a_drive_take_its_direction_where_it_is():
     # the Gauss points of a step exchanged the acceleration would err by a part 3e-5. Quiet
     # constraints leave 1e-9 of the motion in a step, in ten steps a hundred times that at most.
     rod = RigidBody("rod", (0.0, 0.0), 1.0, 0.02, centre=(0.2, 0.1))
-    joint = [Pin(rod.at(0, 0)), Drive(rod.at(0, 0), Harmonic(0.5, 40.0))]
+    joint = [Pin(rod.at(0, 0)), RotationDriver(rod.at(0, 0), Harmonic(0.5, 40.0))]
     compared(Scene([], joint, (0, -9.81), bodies=[rod], project_start=True), HHT(1e-5), 1e-4, 1e-7)
 
 
 def test_steps_that_jump_are_the_same_in_the_kernel():
     t = np.cumsum([0.0, STEP, 3 * STEP, STEP / 2, 2 * STEP])
-    compared(pendulum(), HHT(GivenSteps(tuple(t.tolist()))), float(t[-1]))
+    compared(pendulum(), HHT(PrescribedSteps(tuple(t.tolist()))), float(t[-1]))
 
 
 def test_the_first_step_is_measured_by_the_forces_at_its_beginning():
@@ -220,7 +220,7 @@ def test_the_motion_that_a_step_hands_on_is_that_of_its_end():
 
 
 def test_controlled_steps_are_the_same_in_the_kernel():
-    compared(pendulum(), HHT(steps=ControlledSteps(1e-4)), 0.1)
+    compared(pendulum(), HHT(steps=AdaptiveSteps(1e-4)), 0.1)
 
 
 def test_more_steps_than_a_packet_are_the_same_in_the_kernel():
@@ -260,7 +260,7 @@ def test_threads_march_side_by_side_as_alone():
     assert all(np.array_equal(x, y) for x, y in zip(alone, together, strict=True))
 
 
-@pytest.mark.parametrize("method", [Direct(), Adjoint()], ids=repr)
+@pytest.mark.parametrize("method", [DirectDifferentiation(), Adjoint()], ids=repr)
 def test_gradients_in_threads_are_those_alone_to_the_last_bit(method):
     scene, h = crank_slider(), 2.0**-10
     objective = Integral(position(scene.beams[-1].at_end, 0))
@@ -305,7 +305,7 @@ def test_passes_of_every_element_are_the_same_in_the_kernel(kind, damping):
     system = assemble(Scene([rod, arm], joined, gravity, assemble=True), design)
     objective = Integral(position(arm.at_end, 1))
     assert_same_passes(system, objective, HHT(STEP), COUNT * STEP)
-    given = GivenSteps((0.0, STEP, 1.5 * STEP, 2.25 * STEP))
+    given = PrescribedSteps((0.0, STEP, 1.5 * STEP, 2.25 * STEP))
     assert_same_passes(system, Terminal(position(arm.at_end, 0)), HHT(given), 2.25 * STEP)
 
 
@@ -313,7 +313,7 @@ def test_passes_of_driven_joints_are_the_same_in_the_kernel():
     # Phi depends on time and design, and in the distance on products, which have a curvature;
     # objectives have seeds on q, v and lam.
     rod, arm = KINDS["planar"]
-    held = [Pin(rod.at_start), Drive(rod.at_start, Harmonic(0.5, 40.0))]
+    held = [Pin(rod.at_start), RotationDriver(rod.at_start, Harmonic(0.5, 40.0))]
     held.append(Distance(rod.at_end, 0.3, arm.at_end, name="bar"))
     scene = Scene([rod, arm], held, (0, -9.81), project_start=True)
     system = assemble(scene, ["rod.youngs_modulus", "arm.density", "rod.length", "bar.length"])
@@ -339,12 +339,12 @@ def test_passes_of_every_load_are_the_same_in_the_kernel():
 class Across(Load):
     """A force across the velocity of a point, as on a spinning ball: its Q_v is antisymmetric."""
 
-    point: Point
+    point: MaterialPoint
     strength: float
 
     kind = "across"
     damping_fields = ("strength",)
-    design_fields = (*numbers("strength"), LAW)
+    design_fields = (*design_numbers("strength"), LAW_FIELD)
 
     def vectors(self, elements):
         return ((self.point, Quantity.POSITION),)
@@ -379,7 +379,9 @@ def test_passes_go_on_where_a_matrix_is_not_positive_definite(monkeypatch):
         only_the_kernel(patch)
         patch.setattr(LinearSteps, "solve", refuse)
         patch.setattr(LinearSteps, "solve_transposed", refuse)
-        direct = gradient(system, objective, 4 * STEP, integrator, method=Direct()).gradient
+        direct = gradient(
+            system, objective, 4 * STEP, integrator, method=DirectDifferentiation()
+        ).gradient
         adjoint = gradient(system, objective, 4 * STEP, integrator, method=Adjoint()).gradient
     np.testing.assert_allclose(direct, known, rtol=1e-9)
     np.testing.assert_allclose(adjoint, known, rtol=1e-9)

@@ -8,18 +8,16 @@ import pytest
 
 from ancfdae import (
     Beam,
-    Circle,
-    InvalidInput,
+    InitialVelocity,
     Material,
     PointMass,
-    Rectangle,
     RigidBody,
-    RigidMotion,
     Scene,
-    UnknownName,
     assemble,
     mass_properties,
 )
+from ancfdae.errors import InvalidInputError, UnknownNameError
+from ancfdae.sections import Circle, Rectangle
 from ancfdae.sensitivity.observables.mass import (
     angular_momentum,
     centre_of_mass,
@@ -86,7 +84,7 @@ def test_masses_and_moments_add_up_about_any_point():
 def test_a_body_that_spins_has_momentum_as_a_rigid_one():
     rod = bar("rod", (1.0, 0.0, 0.0), (2.0, 0.0, 0.0), Circle(R))
     spin = np.array([0.5, -1.0, 2.0])
-    system = assemble(Scene([rod], start=[RigidMotion("rod", tuple(spin), (0.0, 0.0, 0.0))]))
+    system = assemble(Scene([rod], start=[InitialVelocity("rod", tuple(spin), (0.0, 0.0, 0.0))]))
     m = 7800 * np.pi * R**2
     for axis in range(3):
         expected = m * np.cross(spin, (1.5, 0.0, 0.0))[axis]
@@ -139,15 +137,15 @@ def test_derivatives_are_those_of_the_formulas():
 
 def test_what_does_not_exist_is_refused():
     scene = Scene([bar("rod", (0.0, 0.0), (1.0, 0.0))])
-    with pytest.raises(UnknownName):
+    with pytest.raises(UnknownNameError):
         mass_properties(scene, "rood")
-    with pytest.raises(InvalidInput, match="Scene"):
+    with pytest.raises(InvalidInputError, match="Scene"):
         mass_properties(scene.beams[0])
     for observable in (inertia(0), centre_of_mass(2), angular_momentum(1)):
-        with pytest.raises(InvalidInput, match="in the plane"):
+        with pytest.raises(InvalidInputError, match="in the plane"):
             observable.check(assemble(scene))
     for action in (lambda: inertia(3), lambda: inertia(0, -1), lambda: linear_momentum("x")):
-        with pytest.raises(InvalidInput, match="from 0 to 2"):
+        with pytest.raises(InvalidInputError, match="from 0 to 2"):
             action()
-    with pytest.raises(InvalidInput, match="about"):
+    with pytest.raises(InvalidInputError, match="about"):
         inertia(about="rod")

@@ -13,38 +13,34 @@ from ancfdae import (
     IDA,
     Adjoint,
     AtTimes,
-    Direct,
-    GivenSteps,
+    DirectDifferentiation,
     Integral,
-    InvalidInput,
-    MissingPackage,
+    PrescribedSteps,
     SmoothMaximum,
     Terminal,
-    UnfinishedRun,
-    Verdict,
     assemble,
-    custom,
-    design_value,
     gradient,
     gradients,
-    kinetic_energy,
-    position,
-    reaction,
     simulate,
 )
-from ancfdae.model.bodies import Point
+from ancfdae.errors import InvalidInputError, MissingPackageError, UnfinishedRunError
+from ancfdae.model.bodies import MaterialPoint
+from ancfdae.observables import custom, design_value, kinetic_energy, position, reaction
+from ancfdae.results import Verdict
 from ancfdae.sensitivity.checkpointed import division, size_of
 from validation.performance.scale import cantilever
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
 
-TIP = Point("pendulum", 1.0)
+TIP = MaterialPoint("pendulum", 1.0)
 DESIGN = ["pendulum.height", "pendulum.youngs_modulus", "pendulum.length"]
 SYSTEM = assemble(pendulum(elements=1, youngs_modulus=1e6, damping_time=1e-3), DESIGN)
 STEPS, STEP = 24, 2.0**-8
 EVEN = HHT(STEP)
-UNEVEN = HHT(GivenSteps(tuple(np.cumsum([0.0, *(STEP * (1 + np.arange(STEPS) % 3))]).tolist())))
+UNEVEN = HHT(
+    PrescribedSteps(tuple(np.cumsum([0.0, *(STEP * (1 + np.arange(STEPS) % 3))]).tolist()))
+)
 OBJECTIVES = [
     Integral(kinetic_energy() * design_value("pendulum.height")) / Terminal(position(TIP, 0)),
     SmoothMaximum(position(TIP, 1) ** 2, 30.0)
@@ -120,7 +116,7 @@ def test_small_steps_that_jump_are_pulled_back_from_the_states_that_they_began_w
     # the constraints may disturb is 1e-8 of the motion in each of 24 steps.
     t = np.cumsum([0.0, *(1e-5 * (1 + 2 * (np.arange(STEPS) % 2)))])
     system = CartesianPendulum(spin=5.0, angle=0.3)
-    given = system, Integral(custom(own)), float(t[-1]), HHT(GivenSteps(tuple(t.tolist())))
+    given = system, Integral(custom(own)), float(t[-1]), HHT(PrescribedSteps(tuple(t.tolist())))
     rows = 1.001 * 2 * 3 * 8 * (3 * system.n_q + system.n_lam + 1) * 2
     a, b = gradient(*given, method=Adjoint()), gradient(*given, memory=rows)
     assert b.solution.statistics.steps > a.solution.statistics.steps
@@ -128,7 +124,7 @@ def test_small_steps_that_jump_are_pulled_back_from_the_states_that_they_began_w
 
 
 def test_a_run_that_ends_early_is_told():
-    with pytest.raises(UnfinishedRun) as caught:
+    with pytest.raises(UnfinishedRunError) as caught:
         gradient(SYSTEM, OBJECTIVES[0], 16.0, HHT(4.0, max_iterations=1), memory=bytes_for(3))
     assert caught.value.solution.outcome.verdict is Verdict.NO_CONVERGENCE
 
@@ -142,14 +138,14 @@ def test_a_run_that_ends_early_is_told():
         ({"memory": -1.0}, "memory: must be positive"),
         ({"memory": "0 MB"}, "memory: must be a size"),
         ({"memory": 1.0}, r"memory: must be .* MB or more for 12 coordinates"),
-        ({"method": Direct()}, "memory: limits the adjoint method only"),
+        ({"method": DirectDifferentiation()}, "memory: limits the adjoint method only"),
         ({"integrator": IDA(1e-6)}, "Adjoint: needs an integrator with an adjoint"),
         ({"integrator": HHT(rtol=1e-3)}, r"HHT\.steps: needs steps that are known"),
     ],
 )
 def test_bad_input_is_refused(change, match):
     given = {"integrator": EVEN, "memory": "1 kB"} | change
-    with pytest.raises(InvalidInput, match=match):
+    with pytest.raises(InvalidInputError, match=match):
         gradient(SYSTEM, OBJECTIVES[0], STEPS * STEP, **given)
 
 
@@ -162,7 +158,7 @@ def test_a_missing_package_is_named(monkeypatch):
         raise ImportError(name)
 
     monkeypatch.setattr(importlib, "import_module", missing)
-    with pytest.raises(MissingPackage, match=r"ancfdae\[checkpoints\]"):
+    with pytest.raises(MissingPackageError, match=r"ancfdae\[checkpoints\]"):
         gradient(SYSTEM, OBJECTIVES[0], STEPS * STEP, EVEN, memory=bytes_for(3))
 
 

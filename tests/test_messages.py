@@ -8,21 +8,18 @@ from ancfdae import (
     HHT,
     Beam,
     Integral,
-    InvalidInput,
     Material,
-    NodeState,
+    NodalState,
     Pin,
-    Rectangle,
     Scene,
-    apply,
     assemble,
-    custom,
     differentiate,
-    distribution,
+    distributed_variables,
     load_solution,
-    observe,
-    position,
 )
+from ancfdae.errors import InvalidInputError
+from ancfdae.observables import apply, custom, observe, position
+from ancfdae.sections import Rectangle
 
 ROD = Beam(
     "rod",
@@ -58,8 +55,14 @@ CALLS = {
     "custom number": (lambda s: custom(3), "custom, function: must be a function; got 3"),
     "custom named 3": (lambda s: custom(np.sin, 3), "custom, name: must be of type str; got 3"),
     "apply number": (lambda s: apply(3, TIP), "apply, function: must be a function; got 3"),
-    "count as text": (lambda s: distribution("rod.height", "3"), "count: must be a positive int"),
-    "count below one": (lambda s: distribution("rod.height", -2), "count: must be a positive int"),
+    "count as text": (
+        lambda s: distributed_variables("rod.height", "3"),
+        "count: must be a positive int",
+    ),
+    "count below one": (
+        lambda s: distributed_variables("rod.height", -2),
+        "count: must be a positive int",
+    ),
     "project_start": (
         lambda s: Scene([ROD], project_start="no"),
         "Scene.project_start: must be True or False",
@@ -72,7 +75,7 @@ CALLS = {
 def test_call_is_refused(name, solution, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     call, message = CALLS[name]
-    with pytest.raises(InvalidInput, match=message):
+    with pytest.raises(InvalidInputError, match=message):
         call(solution)
     assert list(tmp_path.iterdir()) == []
 
@@ -90,8 +93,8 @@ NODES = assemble(SCENE).start()[0].reshape(2, BEAM_2D.n_s, 2)
     }.values(),
 )
 def test_nodes_without_a_section_are_refused(nodes):
-    with pytest.raises(InvalidInput, match="start of 'rod', coordinates: slopes must span"):
-        Scene([ROD], start=[NodeState("rod", nodes)])
+    with pytest.raises(InvalidInputError, match="start of 'rod', coordinates: slopes must span"):
+        Scene([ROD], start=[NodalState("rod", nodes)])
     # A shear or a stretch is none of them, in whatever units.
     sheared = 1e-9 * (NODES + 0.8 * NODES[:, [0, 2, 1]] * [[0], [0], [1]])
-    Scene([ROD], start=[NodeState("rod", sheared)])
+    Scene([ROD], start=[NodalState("rod", sheared)])

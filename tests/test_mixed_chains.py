@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import scipy
 
-from ancfdae import Beam, Clamp, Material, Pin, Rectangle, Revolute, Scene, Spherical, Weld, modes
+from ancfdae import Beam, Clamp, Material, Pin, Revolute, Scene, Spherical, Weld, modes
 from ancfdae.modes.precise import NoModes
+from ancfdae.sections import Rectangle
 
 pytestmark = pytest.mark.rounding
 STEEL, RUBBER = 2e11, 5e6

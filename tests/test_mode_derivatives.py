@@ -7,29 +7,28 @@ from ancfdae import (
     Adjoint,
     Beam,
     Clamp,
-    Configuration,
-    Direct,
+    DirectDifferentiation,
     Distance,
     DistributedForce,
-    Drive,
     FollowerForce,
-    FormulaSystem,
-    Harmonic,
-    InvalidInput,
+    InitialVelocity,
     Material,
     Pin,
     PointForce,
     PointOnLine,
-    Rectangle,
     Revolute,
-    RigidMotion,
+    RotationDriver,
     Scene,
     SpringDamper,
-    Traits,
     assemble,
     equilibrium,
     modes,
 )
+from ancfdae.errors import InvalidInputError
+from ancfdae.extend import FormulaSystem, SystemProperties
+from ancfdae.laws import Harmonic
+from ancfdae.results import LinearisationPoint
+from ancfdae.sections import Rectangle
 from ancfdae.statics.equilibrium import find_equilibrium
 
 from mechanisms import (
@@ -89,10 +88,10 @@ def driven(damping_time=None, balanced=False):
     rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.05, 0.05), Material(1000, 2e7, 0.0, **damped))
     joints = [
         Pin(rod.at_start),
-        Drive(rod.at(0.5), law, name="drive"),
+        RotationDriver(rod.at(0.5), law, name="drive"),
         Distance(rod.at_end, 1.0, ground=(2, 0), name="rope"),  # Not linear in q.
     ]
-    spin = [RigidMotion("rod", 2.0, (0, 0))]
+    spin = [InitialVelocity("rod", 2.0, (0, 0))]
     return Scene([rod], joints, (0, -9.81), start=spin, project_start=True)
 
 
@@ -157,7 +156,7 @@ def test_direct_adjoint_and_complex_step_agree(case, damping_time):
     system = assemble(scene, names)
     at = equilibrium(scene)
     assert at.outcome.success
-    direct = modes(scene, 4, at=at, design=names, method=Direct())
+    direct = modes(scene, 4, at=at, design=names, method=DirectDifferentiation())
     back = modes(scene, 4, at=at, design=names, method=Adjoint())
     assert direct.coincide == ()
     s_b = direct.derivatives.exponents_b
@@ -224,7 +223,9 @@ def test_derivatives_are_the_limit_of_differences_of_the_call(case, balanced, da
 @pytest.mark.parametrize("kind", [CartesianPendulum, WrittenPendulum])
 def test_derivatives_at_a_start_that_follows_the_design(kind):
     b = np.array([1.3, 9.81])
-    direct, back = (modes(kind(0.6, b=b), method=x).frequencies_b for x in (Direct(), Adjoint()))
+    direct, back = (
+        modes(kind(0.6, b=b), method=x).frequencies_b for x in (DirectDifferentiation(), Adjoint())
+    )
     # Held at an angle the tension is m g cos, and with it omega^2 = g cos/L.
     omega = np.sqrt(9.81 * np.cos(0.6) / 1.3)
     np.testing.assert_allclose(direct, [[-omega / 2.6, omega / 19.62]], rtol=1e-11)
@@ -246,7 +247,7 @@ class Shaken(FormulaSystem):
 
     n_q, n_lam = 1, 0
     design_names = ("k", "c", "m")
-    traits = Traits(constant_mass=True, linear_constraints=True)
+    traits = SystemProperties(constant_mass=True, linear_constraints=True)
 
     def with_values(self, b):
         return Shaken(b)
@@ -268,7 +269,7 @@ def test_forces_that_change_at_rest_leave_derivatives_alone():
     k, c, m = 7.0, 0.3, 2.0
     s = (-c + 1j * np.sqrt(4 * k * m - c * c)) / (2 * m)
     expected = -np.array([1.0, s, s * s]) / (2 * m * s + c)
-    for method in (Direct(), Adjoint()):
+    for method in (DirectDifferentiation(), Adjoint()):
         found = modes(Shaken((k, c, m)), 1, method=method)
         # Circles in the complex plane are good to 1e-12.
         np.testing.assert_allclose(found.derivatives.exponents_b[0], expected, atol=1e-11)
@@ -279,7 +280,7 @@ class Bead(FormulaSystem):
 
     n_q, n_lam = 2, 1
     design_names = ("k", "x_0", "m")
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
 
     def with_values(self, b):
         return Bead(b)
@@ -300,7 +301,9 @@ class Bead(FormulaSystem):
 
 def test_a_start_that_moves_while_it_is_out_of_balance():
     b = np.array([0.8, 0.4, 1.5])
-    direct, back = (modes(Bead(b), method=x).frequencies_b for x in (Direct(), Adjoint()))
+    direct, back = (
+        modes(Bead(b), method=x).frequencies_b for x in (DirectDifferentiation(), Adjoint())
+    )
     # Circles in the complex plane are good to 1e-12.
     np.testing.assert_allclose(back, direct, rtol=1e-10)
     for i in range(3):
@@ -318,7 +321,9 @@ def test_a_mass_that_depends_on_q_and_damping_have_derivatives(balanced):
         system = (HeldDoublePendulum if balanced else GuidedDoublePendulum)(0.0, b)
         return modes(system, at=equilibrium(system) if balanced else None, method=method)
 
-    slopes, back = (call(b, x).derivatives.exponents_b for x in (Direct(), Adjoint()))
+    slopes, back = (
+        call(b, x).derivatives.exponents_b for x in (DirectDifferentiation(), Adjoint())
+    )
     # Circles in the complex plane are good to 1e-12.
     np.testing.assert_allclose(back, slopes, atol=1e-11)
     along = 1e-4 * np.array([1.0, -0.7, 0.4, 0.2])
@@ -353,7 +358,7 @@ def test_modes_that_coincide_split_by_the_eigenvalues_of_the_reduced_matrix():
         np.testing.assert_allclose(found.frequencies_b[:, i], expected, atol=1e-3 * expected[1])
     omega = found.frequencies[0]
     np.testing.assert_allclose(found.frequencies_b[:, 2], omega / 4e7, rtol=1e-8)
-    with pytest.raises(InvalidInput, match="modes 0, 1 that coincide"):
+    with pytest.raises(InvalidInputError, match="modes 0, 1 that coincide"):
         found.shape_b(0)
     back = modes(square(), 1, design=names, method=Adjoint())
     np.testing.assert_allclose(back.frequencies_b, found.frequencies_b, atol=1e-9 * omega / 0.1)
@@ -381,7 +386,9 @@ def test_a_hinge_in_space_keeps_its_axis_in_the_derivatives():
     rod = Beam("rod", (0, 0, 0), (1, 0, 0), 2, Rectangle(0.1, 0.12), Material(1000, 2e7, 0.3))
     scene = Scene([rod], [Revolute(rod.at_start, axis=(0, 0.3, 1), name="hinge")])
     names = ["rod.length", "hinge.axis_y"]
-    found, back = (modes(scene, 4, design=names, method=x) for x in (Direct(), Adjoint()))
+    found, back = (
+        modes(scene, 4, design=names, method=x) for x in (DirectDifferentiation(), Adjoint())
+    )
     size = np.abs(found.frequencies_b).max()
     np.testing.assert_allclose(back.frequencies_b, found.frequencies_b, atol=1e-9 * size)
     up, down = (
@@ -395,23 +402,23 @@ def test_a_hinge_in_space_keeps_its_axis_in_the_derivatives():
 def test_what_cannot_be_differentiated_is_refused():
     scene = cantilever()
     names = ["rod.height"]
-    with pytest.raises(InvalidInput, match="method"):
+    with pytest.raises(InvalidInputError, match="method"):
         modes(scene, design=names, method="adjoint")
-    with pytest.raises(InvalidInput, match="must come from direct differentiation"):
+    with pytest.raises(InvalidInputError, match="must come from direct differentiation"):
         modes(scene, design=names, method=Adjoint()).shape_b(0)
     part = equilibrium(scene, max_steps=1)
     if not part.outcome.success:
-        with pytest.raises(InvalidInput, match="full load"):
+        with pytest.raises(InvalidInputError, match="full load"):
             modes(scene, at=part, design=names)
 
 
 def test_given_derivatives_of_a_configuration_count():
     scene, names = cantilever(), ["rod.height", "rod.length"]
     at = equilibrium(scene, design=names)
-    given = Configuration(at.q, at.lam, at.q_b, at.lam_b)
+    given = LinearisationPoint(at.q, at.lam, at.q_b, at.lam_b)
     expected = modes(scene, 3, at=at, design=names).frequencies_b
-    for method in (Direct(), Adjoint()):
+    for method in (DirectDifferentiation(), Adjoint()):
         found = modes(scene, 3, at=given, design=names, method=method).frequencies_b
         np.testing.assert_allclose(found, expected, rtol=1e-9)
-    held = modes(scene, 3, at=Configuration(at.q, at.lam), design=names).frequencies_b
+    held = modes(scene, 3, at=LinearisationPoint(at.q, at.lam), design=names).frequencies_b
     assert np.max(np.abs(held - expected)) > 1e-3 * np.max(np.abs(expected))

@@ -10,33 +10,30 @@ from ancfdae import (
     HHT,
     Beam,
     Clamp,
-    Configuration,
     FollowerForce,
-    FormulaSystem,
-    InvalidInput,
     Material,
-    MotionKind,
     Pin,
     PointForce,
     PointOnLine,
-    Rectangle,
-    RedundantConstraints,
     Revolute,
     RigidBody,
     SaintVenantKirchhoff,
     Scene,
     SpringDamper,
-    Traits,
     assemble,
     equilibrium,
     modes,
     simulate,
     suggest_step,
 )
+from ancfdae.errors import InvalidInputError, RedundantConstraintsError
+from ancfdae.extend import FormulaSystem, SystemProperties
 from ancfdae.modes import sparse as arpack
 from ancfdae.modes import undamped
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.precise import NoModes
+from ancfdae.results import LinearisationPoint, ModeKind
+from ancfdae.sections import Rectangle
 
 from mechanisms import CartesianPendulum
 
@@ -68,7 +65,7 @@ def test_what_creeps_does_not_vibrate():
     found = modes(Scene([beam], [Clamp(beam.at_start)]), 8)
     still = rod(4, (0, 0), (1, 0), 0.05)
     assert modes(Scene([still], [Clamp(still.at_start)]), 1).frequencies[0] > 2.0
-    assert set(found.kinds) == {MotionKind.DECAYING}
+    assert set(found.kinds) == {ModeKind.DECAYING}
     np.testing.assert_array_equal(found.frequencies, 0.0)
 
 
@@ -79,9 +76,9 @@ def test_strongly_damped_vibrations_come_before_what_decays():
     found = modes(Scene([beam], [Clamp(beam.at_start)]), 3)
     omega = 3.516015 * np.sqrt(2.1e11 * 0.02**2 / 12 / 7800.0)
     expected = np.roots([1.0, 0.01 * omega**2, omega**2])
-    assert found.kinds[0] is MotionKind.VIBRATION
+    assert found.kinds[0] is ModeKind.VIBRATION
     assert found.exponents[0] == pytest.approx(expected[expected.imag > 0][0], rel=2e-3)
-    assert set(found.kinds[1:]) == {MotionKind.DECAYING}
+    assert set(found.kinds[1:]) == {ModeKind.DECAYING}
     np.testing.assert_allclose(found.exponents[1:], -100.0, rtol=0.03)
 
 
@@ -108,7 +105,7 @@ def test_modes_of_strongly_damped_rods_are_those_of_the_undamped_ones(held, tau,
     joints = [[Clamp(x.at_start)] if held else [] for x in (still, beam)]
     omega = modes(Scene([still], joints[0]), 1000).frequencies
     found = modes(Scene([beam], joints[1]), 1000)
-    free = [k is MotionKind.RIGID for k in found.kinds]
+    free = [k is ModeKind.RIGID for k in found.kinds]
     assert sum(free) == (0 if held else 3)
     expected = kelvin_voigt(tau, omega[omega > 0])
 
@@ -142,7 +139,7 @@ def test_a_dashpot_on_a_hinged_rod_is_seen_beside_its_stiff_damping(tau, c):
         assert tau > 1.0 or c < 1.0  # Lost in the round-off of strongly damped motions.
         return
     # It may come to rest at any angle. It bends by (s/omega)^2 = 3e-4 with omega = 232 rad/s.
-    assert found.kinds.count(MotionKind.RIGID) == 1
+    assert found.kinds.count(ModeKind.RIGID) == 1
     moving, rate = found.exponents[found.exponents != 0], 3.0 * c / (7800.0 * 1e-4)
     assert np.min(np.abs(moving + rate)) < 6e-4 * rate
 
@@ -248,8 +245,8 @@ def test_a_free_beam_has_rigid_modes_that_are_zero_and_named(d, rigid, damping_t
     beam = rod(24, (0.3, 0.2, 0.5)[:d], (1.3, 0.2, 0.5)[:d], 0.02, damping_time=damping_time)
     found = modes(Scene([beam]), rigid + 1)
     np.testing.assert_array_equal(found.natural_frequencies[:rigid], 0.0)
-    assert found.kinds[:rigid] == (MotionKind.RIGID,) * rigid
-    assert found.kinds[rigid] is MotionKind.VIBRATION
+    assert found.kinds[:rigid] == (ModeKind.RIGID,) * rigid
+    assert found.kinds[rigid] is ModeKind.VIBRATION
     assert found.coincide[0] == tuple(range(rigid))
     omega = FREE**2 * np.sqrt(1e9 * 0.02**2 / 12 / 7850)
     # Mesh: (b/n)^4 and, of shear, (b/n)^2 / 12.
@@ -288,7 +285,7 @@ def test_tension_stiffens_a_pendulum_and_pressure_turns_it_over():
     assert found.frequencies[0] == pytest.approx(expected, rel=3e-3)
     upright = hanging(direction=1)
     falling = modes(upright, 1, at=equilibrium(upright))
-    assert falling.kinds == (MotionKind.GROWING,)
+    assert falling.kinds == (ModeKind.GROWING,)
     assert falling.exponents[0] == pytest.approx(np.sqrt(9.81 * 1.5), rel=1e-3)
     assert "unstable" in repr(falling)
 
@@ -297,7 +294,7 @@ def test_large_systems_find_their_growing_motions(monkeypatch):
     monkeypatch.setattr(undamped, "_DENSE", 0)
     upright = hanging(direction=1)
     found = modes(upright, 1, at=equilibrium(upright))
-    assert found.kinds == (MotionKind.GROWING,)
+    assert found.kinds == (ModeKind.GROWING,)
     # The rate of the rigid rod, up to the stretch of this one, 1e-5.
     assert found.exponents[0] == pytest.approx(np.sqrt(9.81 * 1.5), rel=1e-3)
 
@@ -335,7 +332,7 @@ class Oscillator(FormulaSystem):
 
     n_q, n_lam = 1, 0
     design_names = ("k", "c", "m")
-    traits = Traits(constant_mass=True, linear_constraints=True)
+    traits = SystemProperties(constant_mass=True, linear_constraints=True)
 
     def with_values(self, b):
         return Oscillator(b)
@@ -364,7 +361,7 @@ def test_a_damped_oscillator_has_the_roots_of_its_polynomial(c):
     slope = 2 * m * s + c
     expected = np.stack([-1 / slope, -s / slope, -(s**2) / slope], axis=1)
     np.testing.assert_allclose(found.derivatives.exponents_b, expected, rtol=1e-12)
-    kind = MotionKind.VIBRATION if c < 1 else MotionKind.DECAYING
+    kind = ModeKind.VIBRATION if c < 1 else ModeKind.DECAYING
     assert found.kinds == (kind,) * len(s)
     if c < 1:
         ratio = c / (2 * np.sqrt(k * m))
@@ -380,7 +377,7 @@ def test_a_damped_oscillator_has_the_roots_of_its_polynomial(c):
 
 def test_a_weight_that_drifts_against_a_dashpot_is_free_and_slows_down():
     found = modes(Oscillator((0.0, 0.5, 2.0)), 2)
-    assert found.kinds == (MotionKind.RIGID, MotionKind.DECAYING)
+    assert found.kinds == (ModeKind.RIGID, ModeKind.DECAYING)
     # 64 units of round-off where F(s) is zero to the last bit, twice, and a factor of 2.
     np.testing.assert_allclose(found.exponents, [0.0, -0.25], rtol=1e-12)
 
@@ -395,7 +392,7 @@ def test_at_critical_damping_both_roots_coincide_and_part_like_a_root():
 
 def test_forces_without_potential_flutter():
     # Ziegler's column: K is not symmetric; its critical load is P L/k = 7/2 - sqrt 2.
-    for load, kind in ((2.0, MotionKind.VIBRATION), (2.2, MotionKind.GROWING)):
+    for load, kind in ((2.0, ModeKind.VIBRATION), (2.2, ModeKind.GROWING)):
         found = modes(Ziegler((load,)), 2)
         assert kind in found.kinds
         s = np.linalg.eigvals(np.linalg.solve(Ziegler.M, -Ziegler.stiffness(load)))
@@ -411,7 +408,7 @@ class Ziegler(FormulaSystem):
 
     n_q, n_lam = 2, 0
     design_names = ("P",)
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
     M = np.array([[3.0, 1.0], [1.0, 1.0]])
 
     @staticmethod
@@ -440,7 +437,7 @@ def test_a_column_under_a_follower_load_flutters_at_the_published_load(d):
     """P = 20.0509 EI/L^2, Beck (1952): no equilibrium is lost there, two frequencies meet."""
     rest = (0.0,) * (d - 2)
     column = rod(16, (0, 0, *rest), (1, 0, *rest), 0.005, 2.1e11, 7850, 0.0)
-    for load, kind in ((20.04, MotionKind.VIBRATION), (20.06, MotionKind.GROWING)):
+    for load, kind in ((20.04, ModeKind.VIBRATION), (20.06, ModeKind.GROWING)):
         force = -load * 2.1e11 * 0.005**4 / 12
         loads = [FollowerForce(column.at_end, (force, 0.0, *rest))]
         scene = Scene([column], [Clamp(column.at_start)], loads=loads)
@@ -508,7 +505,9 @@ def test_round_off_found_beside_all_motions_ends_the_search():
     # left of the inverse is round-off, and its reciprocal has any sign.
     beam = rod(1, (0, 0), (1, 0), 0.05)
     system = assemble(Scene([beam], [Clamp(beam.at_start)]))
-    small = Linearised.of(system, Configuration(system.start()[0], np.zeros(system.n_lam)), None)
+    small = Linearised.of(
+        system, LinearisationPoint(system.start()[0], np.zeros(system.n_lam)), None
+    )
     rounds = []
 
     def junk(X):
@@ -594,35 +593,37 @@ def test_a_run_that_a_smaller_step_may_cure_tells_the_periods():
 
 def test_an_instant_of_a_run_can_be_looked_at():
     run = simulate(hanging(), 0.5, HHT(0.01))
-    found = modes(hanging(), 2, at=Configuration.of(run, 7))
+    found = modes(hanging(), 2, at=LinearisationPoint.of(run, 7))
     np.testing.assert_array_equal(found.configuration.q, run.q[7])
-    assert repr(found.configuration) == "Configuration: 30 coordinates, 2 multipliers, t = 0.07"
-    with pytest.raises(InvalidInput, match="instant"):
-        Configuration.of(run, 10**6)
+    assert (
+        repr(found.configuration) == "LinearisationPoint: 30 coordinates, 2 multipliers, t = 0.07"
+    )
+    with pytest.raises(InvalidInputError, match="instant"):
+        LinearisationPoint.of(run, 10**6)
 
 
 def test_bad_input_is_refused():
     scene = simply_supported(2)
-    with pytest.raises(InvalidInput, match="count"):
+    with pytest.raises(InvalidInputError, match="count"):
         modes(scene, 0)
-    with pytest.raises(InvalidInput, match="at"):
+    with pytest.raises(InvalidInputError, match="at"):
         modes(scene, at=np.zeros(3))
-    with pytest.raises(InvalidInput, match=r"Configuration\.q"):
-        modes(scene, at=Configuration(np.zeros(3), np.zeros(3)))
-    with pytest.raises(InvalidInput, match="per_period"):
+    with pytest.raises(InvalidInputError, match=r"LinearisationPoint\.q"):
+        modes(scene, at=LinearisationPoint(np.zeros(3), np.zeros(3)))
+    with pytest.raises(InvalidInputError, match="per_period"):
         suggest_step(scene, -1.0)
-    with pytest.raises(InvalidInput, match="follow"):
+    with pytest.raises(InvalidInputError, match="follow"):
         suggest_step(scene, follow=0)
-    with pytest.raises(InvalidInput, match="design"):
+    with pytest.raises(InvalidInputError, match="design"):
         np.sum(modes(scene).frequencies_b)
     held = Beam("rod", (0, 0), (1, 0), 1, Rectangle(0.1, 0.1), Material(1.0, 1.0, 0.0))
-    with pytest.raises(InvalidInput, match="joints leave"):
+    with pytest.raises(InvalidInputError, match="joints leave"):
         modes(Stuck(()))
     twice = [Pin(held.at_start), Pin(held.at_start, name="again")]
-    place = Configuration(assemble(Scene([held])).start()[0], np.zeros(4))
-    with pytest.raises(RedundantConstraints):
+    place = LinearisationPoint(assemble(Scene([held])).start()[0], np.zeros(4))
+    with pytest.raises(RedundantConstraintsError):
         modes(Scene([held], twice), at=place)
-    with pytest.raises(InvalidInput, match="vibrates"):
+    with pytest.raises(InvalidInputError, match="vibrates"):
         suggest_step(CartesianPendulum(angle=0.0, b=(1.0, 0.0)))
 
 
@@ -656,7 +657,7 @@ def test_a_crowd_of_modes_that_coincide_is_cut_at_the_number_asked_for(design):
     assert "modes 0 to 2 coincide to round-off with others, which were not asked for" in str(found)
     if design:
         assert found.derivatives.exponents_b.shape == (3, 1)
-        with pytest.raises(InvalidInput, match="coincide with others that were not asked for"):
+        with pytest.raises(InvalidInputError, match="coincide with others that were not asked for"):
             found.shape_b(1)
 
 

@@ -9,24 +9,22 @@ from ancfdae import (
     Beam,
     Clamp,
     ComplexStep,
-    Direct,
-    FormulaSystem,
+    DirectDifferentiation,
     Material,
-    Point,
     PointForce,
-    Rectangle,
     Scene,
-    StabilityWarning,
     Terminal,
-    Traits,
     differentiate,
     gradient,
-    position,
     simulate,
 )
-from ancfdae.errors import Verdict
+from ancfdae.errors import StabilityWarning
+from ancfdae.extend import FormulaSystem, MaterialPoint, SystemProperties
 from ancfdae.integrators.hht import continuation, newton
 from ancfdae.integrators.step_control.contracts import Failure
+from ancfdae.observables import position
+from ancfdae.results import Verdict
+from ancfdae.sections import Rectangle
 from validation.scenes import crank_slider, pendulum
 
 from mechanisms import CartesianPendulum, chain
@@ -103,7 +101,7 @@ def test_nothing_changes_where_full_steps_converge(scene, monkeypatch):
     assert simulate(scene(), 0.25, HHT(2.0**-7)).statistics.continued == 0
 
 
-@pytest.mark.filterwarnings("ignore::ancfdae.StabilityWarning")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
 @pytest.mark.parametrize("name", STALLING)
 def test_a_stalled_step_finds_the_solution_that_belongs_to_short_ones(name, monkeypatch):
     make, h, steps = STALLING[name]
@@ -122,7 +120,7 @@ def test_a_stalled_step_finds_the_solution_that_belongs_to_short_ones(name, monk
     np.testing.assert_allclose(fine.q, run.q, atol=1e-9 * np.max(np.abs(run.q)), rtol=0)
 
 
-@pytest.mark.filterwarnings("ignore::ancfdae.StabilityWarning")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
 def test_statistics_count_what_shorter_steps_cost():
     run = simulate(loaded(10.0), 0.5, HHT(0.05)).statistics
     assert 0 < run.continued <= run.steps
@@ -141,7 +139,7 @@ def test_a_run_that_needed_shorter_steps_is_differentiated_exactly():
     scene, design = loaded(10.0), ["load.force_y", "rod.youngs_modulus", "rod.height"]
     runs = [
         differentiate(scene, 0.2, HHT(0.05), design=design, method=method)
-        for method in (Direct(), ComplexStep())
+        for method in (DirectDifferentiation(), ComplexStep())
     ]
     assert runs[0].statistics.continued >= 3
     for name in ("q_b", "lam_b"):
@@ -149,23 +147,25 @@ def test_a_run_that_needed_shorter_steps_is_differentiated_exactly():
         scale = np.max(np.abs(exact), axis=(0, 1))
         # Both linearise at the same states, that Newton's method leaves at 1e-14 (measured: 4e-13).
         assert np.max(np.abs(direct - exact) / scale) < 1e-10
-    tip = Terminal(position(Point("rod", 1.0), 1))
+    tip = Terminal(position(MaterialPoint("rod", 1.0), 1))
     back, direct = (
         gradient(scene, tip, 0.2, HHT(0.05), design=design, method=method).gradient
-        for method in (Adjoint(), Direct())
+        for method in (Adjoint(), DirectDifferentiation())
     )
     np.testing.assert_allclose(back, direct, rtol=1e-9)
 
 
 def test_derivatives_of_a_run_that_needed_shorter_steps_are_those_of_the_call():
     scene, h, base = loaded(10.0), 0.05, 10.0
-    tip = Terminal(position(Point("rod", 1.0), 1))
-    exact = gradient(scene, tip, 0.25, HHT(h), design=["load.force_y"], method=Direct())
+    tip = Terminal(position(MaterialPoint("rod", 1.0), 1))
+    exact = gradient(
+        scene, tip, 0.25, HHT(h), design=["load.force_y"], method=DirectDifferentiation()
+    )
     assert exact.solution.statistics.continued > 0
 
     def value(force):
         run = simulate(scene.with_values({"load.force_y": force}), 0.25, HHT(h))
-        return run.position(Point("rod", 1.0))[-1, 1]
+        return run.position(MaterialPoint("rod", 1.0))[-1, 1]
 
     d = 1e-5 * base
     found = (value(base + d) - value(base - d)) / (2 * d)
@@ -177,7 +177,7 @@ class Wall(FormulaSystem):
     """A mass that is pushed all at once at t = 0.1 s, 5000 times as hard, against a steep wall."""
 
     n_q, n_lam, design_names = 1, 0, ("K",)
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
 
     def __init__(self, b=(40.0,)):
         super().__init__(b)

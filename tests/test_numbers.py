@@ -13,18 +13,15 @@ from design_cases import CASES
 
 from ancfdae import (
     HHT,
-    AtRest,
     Beam,
     Clamp,
-    Direct,
+    DirectDifferentiation,
     Distance,
-    Joint,
+    EquilibriumStart,
     Material,
     Pin,
-    Point,
     PointForce,
     PointOnLine,
-    Rectangle,
     Revolute,
     RigidBody,
     Scene,
@@ -33,18 +30,20 @@ from ancfdae import (
     Weld,
     assemble,
     gradient,
-    position,
     simulate,
 )
 from ancfdae.assembly import closing
 from ancfdae.assembly.assembly import Assembly
 from ancfdae.assembly.numbers import Numbers
 from ancfdae.assembly.system import AncfSystem
-from ancfdae.errors import InvalidInput
-from ancfdae.model.design import numbers
+from ancfdae.errors import InvalidInputError
+from ancfdae.extend import Joint, MaterialPoint
+from ancfdae.model.design import design_numbers
 from ancfdae.model.joints.axis_joint import AxisJoint
-from ancfdae.model.joints.joint import empty_coefficients
+from ancfdae.model.joints.joint import empty_equations
 from ancfdae.numerics.threads import in_one_thread
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 from validation.performance.mechanisms import flexible_slider_crank
 
 from scenes import SCENES
@@ -103,7 +102,7 @@ def test_each_variable_moved_by_itself_gives_what_an_assembly_gives(case):
         # The one before stays moved: numbers come from numbers that came from others.
         try:
             system = system.with_values(b)
-        except InvalidInput:  # A cable in space has no section that is wider than high.
+        except InvalidInputError:  # A cable in space has no section that is wider than high.
             continue
         require_equal(system)
     if system.n_b:
@@ -152,22 +151,24 @@ def test_a_run_at_other_values_is_that_of_the_scene_at_these_values():
     method, end = HHT(2.0**-8), Terminal(position(scene.beams[0].at_end, 0))
     ours, theirs = (simulate(x, 0.125, method) for x in (moved, other))
     assert np.array_equal(ours.q, theirs.q)
-    ours, theirs = (gradient(x, end, 0.125, method, method=Direct()) for x in (moved, other))
+    ours, theirs = (
+        gradient(x, end, 0.125, method, method=DirectDifferentiation()) for x in (moved, other)
+    )
     assert np.array_equal(ours.gradient, theirs.gradient)
 
 
 @dataclass(frozen=True)
-class Ramp(Joint):
+class SmoothStep(Joint):
     """A point on a line whose slope is one less the cosine of an angle."""
 
-    point: Point
+    point: MaterialPoint
     angle: float
 
     kind = "ramp"
-    design_fields = numbers("angle")
+    design_fields = design_numbers("angle")
 
     def coefficients(self, p, reference):
-        c = empty_coefficients(1, p, reference)
+        c = empty_equations(1, p, reference)
         c.linear[0, 0] = 1.0 - np.cos(p[0]), 1.0
         return c
 
@@ -175,7 +176,7 @@ class Ramp(Joint):
 def test_a_coefficient_that_appears_makes_another_structure():
     """At an angle of zero the slope vanishes, and its derivative too: no generic step shows it."""
     rod = Beam("rod", (0.0, 0.0), (0.5, 0.0), 2, Rectangle(0.01, 0.01), STEEL)
-    joints = [Pin(rod.at_start), Ramp(rod.at_end, 0.0, name="ramp")]
+    joints = [Pin(rod.at_start), SmoothStep(rod.at_end, 0.0, name="ramp")]
     system = assemble(Scene([rod], joints), ["ramp.angle"])
     turned = system.with_values(np.array([0.5]))
     assert turned.constraint_pattern.size == system.constraint_pattern.size + 1
@@ -243,7 +244,7 @@ def test_an_equilibrium_is_searched_on_the_structure_that_is_there(monkeypatch):
     """A moved system, of other loads and gravity, has the start of an assembly there."""
     rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.02, 0.02), Material(1000, 1e7, 0.0))
     pull = PointForce(rod.at_end, (0.0, -0.1), name="pull")
-    rest = AtRest(loads=[pull], gravity=(0.0, -3.0))
+    rest = EquilibriumStart(loads=[pull], gravity=(0.0, -3.0))
     scene = Scene([rod], [Clamp(rod.at_start)], (0, -9.81), start=[rest])
     design = ["rod.youngs_modulus", "rod.length", "pull.force_y", "scene.gravity_y"]
     system = assemble(scene, design)

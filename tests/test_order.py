@@ -13,15 +13,15 @@ from ancfdae import (
     HHT,
     Adjoint,
     ComplexStep,
-    Direct,
-    InvalidInput,
-    RigidMotion,
+    DirectDifferentiation,
+    InitialVelocity,
     Terminal,
-    custom,
     differentiate,
     gradient,
     simulate,
 )
+from ancfdae.errors import InvalidInputError
+from ancfdae.observables import custom
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
@@ -61,7 +61,7 @@ def test_rigid_pendulum_converges_with_order_two(hht_alpha, angle, spin):
 @pytest.mark.parametrize("spin", [0.0, 3.0])
 @pytest.mark.parametrize(("modulus", "t_end", "first"), [(1e7, 2.0**-6, 14), (1e9, 2.0**-9, 17)])
 def test_flexible_pendulum_converges_with_order_two(modulus, t_end, first, spin, hht_alpha):
-    start = (RigidMotion("pendulum", spin, (0.0, 0.0)),) if spin else ()
+    start = (InitialVelocity("pendulum", spin, (0.0, 0.0)),) if spin else ()
     scene = pendulum(youngs_modulus=modulus, start=start)
     steps = [2.0**-k for k in range(first, first + 4)]
     assert_second_order([simulate(scene, t_end, HHT(step, hht_alpha)) for step in steps])
@@ -86,7 +86,7 @@ def test_order_and_derivatives_hold_where_the_end_is_no_whole_number_of_steps(pa
     for step in (1 / (63 + part), 1 / 64):
         gradients = [
             gradient(system, Terminal(custom(speed, "v_x")) + 1.0, 1.0, HHT(step), method=method)
-            for method in (Direct(), Adjoint(), ComplexStep())
+            for method in (DirectDifferentiation(), Adjoint(), ComplexStep())
         ]
         end.append(np.array([each.gradient for each in gradients]))
         # Round-off of 64 steps, 1e-16 each, a hundred times over.
@@ -105,7 +105,7 @@ def test_a_run_goes_on_over_whole_steps_only():
     on = simulate(system, 0.6, integrator, after=run)
     np.testing.assert_array_equal(on.t, whole.t)
     np.testing.assert_allclose(on.q, whole.q, rtol=1e-13)  # round-off of 10 steps
-    with pytest.raises(InvalidInput, match="end after whole steps"):
+    with pytest.raises(InvalidInputError, match="end after whole steps"):
         simulate(system, 0.5, integrator, after=run)
     assert len(simulate(system, 1e-9, integrator).t) == 2
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import scipy
 
-from ancfdae import Beam, Clamp, Material, Rectangle, Scene, Spherical, assemble
+from ancfdae import Beam, Clamp, Material, Scene, Spherical, assemble
 from ancfdae.numerics.linear_solvers import SaddlePoint, little_fill, narrow_band
+from ancfdae.sections import Rectangle
 
 SECTION, MATERIAL = Rectangle(height=0.05, width=0.05), Material(2770, 1e9, 0.3)
 # Coordinates of a spatial element: two nodes of a position and three slopes.

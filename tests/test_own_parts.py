@@ -7,17 +7,9 @@ import numpy as np
 import pytest
 from call_path import ROOT, passed, run
 
-from ancfdae import (
-    HHT,
-    InvalidInput,
-    Terminal,
-    UnknownName,
-    gradient,
-    load_solution,
-    position,
-    simulate,
-    sweep,
-)
+from ancfdae import HHT, Terminal, gradient, load_solution, simulate, sweep
+from ancfdae.errors import InvalidInputError, UnknownNameError
+from ancfdae.observables import position
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "howto" / "own-parts.md"
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
@@ -43,9 +35,9 @@ def test_a_file_of_an_own_element_is_read_with_it(string, tmp_path):
     assert np.array_equal(
         again.position(string["rope"].at_end), run.position(string["rope"].at_end)
     )
-    with pytest.raises(UnknownName, match=r"'STRING_2D'.*BEAM_2D"):
+    with pytest.raises(UnknownNameError, match=r"'STRING_2D'.*BEAM_2D"):
         load_solution(file)
-    with pytest.raises(InvalidInput, match="load_solution, elements"):
+    with pytest.raises(InvalidInputError, match="load_solution, elements"):
         load_solution(file, elements=["STRING_2D"])
 
 
@@ -70,9 +62,9 @@ def test_an_integrator_that_leaves_out_derivatives_is_told():
             return super().integrate(system, t_end, progress=progress)
 
     call = made["swing"], made["fall"], 0.25
-    with pytest.raises(InvalidInput, match="Careless: must integrate design derivatives"):
+    with pytest.raises(InvalidInputError, match="Careless: must integrate design derivatives"):
         gradient(*call, Careless(8), design=["rod.inertia"])
-    with pytest.raises(InvalidInput, match="RungeKutta: has no sensitivities"):
+    with pytest.raises(InvalidInputError, match="RungeKutta: has no sensitivities"):
         gradient(*call, made["RungeKutta"](8), design=["rod.inertia"])
     # The compound pendulum: an independent method of fourth order agrees with it.
     value = made["result"].value

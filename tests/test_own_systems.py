@@ -6,26 +6,26 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    DOP853,
     HHT,
     IDA,
     Adjoint,
     ComplexStep,
     ContinuousAdjoint,
-    Direct,
-    Explicit,
-    FormulaSystem,
+    DirectDifferentiation,
     Integral,
-    InvalidInput,
     Terminal,
-    custom,
     differentiate,
     gradient,
     simulate,
     sweep,
 )
-from ancfdae.equations import Direction, reaction
+from ancfdae.equations import StateDirection, reaction
 from ancfdae.equations.held import held_q
+from ancfdae.errors import InvalidInputError
+from ancfdae.extend import FormulaSystem
 from ancfdae.numerics.extrapolation import real_derivative
+from ancfdae.observables import custom
 
 from mechanisms import (
     CalledPendulum,
@@ -48,7 +48,7 @@ T, Q, V, A, J, MU = (STATE[x] for x in ("t", "q", "v", "a", "x", "x"))
 Q_B, V_B, A_B, LAM, LAM_B = (STATE[x] for x in ("q_b", "v_b", "a_b", "lam", "lam_b"))
 HELD, L = np.zeros((2, 2)), 1.0
 NOW = np.array([T]), Q[None], V[None], A[None], LAM[None]
-STATES, ALONG = (Q, V, A, LAM), Direction(1.0, V, A)
+STATES, ALONG = (Q, V, A, LAM), StateDirection(1.0, V, A)
 DIRECTION, TANGENT = np.array([-np.sin(1.0), -np.cos(1.0)]), np.array([np.cos(1.0), -np.sin(1.0)])
 
 # Terms of the pendulum with the angle -1 and the spin 2, and what they are by hand.
@@ -241,7 +241,8 @@ def test_discrete_adjoint_is_direct_differentiation_and_the_continuous_one_appro
         )
         errors.append(np.linalg.norm(continuous - adjoint) / np.linalg.norm(adjoint))
     direct = (
-        gradient(system, OBJECTIVES[kind], 0.5, integrator, method=Direct()).gradient * system.b
+        gradient(system, OBJECTIVES[kind], 0.5, integrator, method=DirectDifferentiation()).gradient
+        * system.b
     )
     # The claims: 1e-10, and order 1.8.
     assert_near(adjoint, direct, 1e-10)
@@ -322,12 +323,12 @@ class NoMass(Kept):
     ],
 )
 def test_what_complex_arithmetic_cannot_differentiate_is_refused_by_name(kind, where):
-    with pytest.raises(InvalidInput, match=where):
+    with pytest.raises(InvalidInputError, match=where):
         kind()
 
 
 def test_wrong_number_of_design_values_is_refused():
-    with pytest.raises(InvalidInput, match=r"WrittenPendulum\.b"):
+    with pytest.raises(InvalidInputError, match=r"WrittenPendulum\.b"):
         WrittenPendulum(b=(1.0,))
 
 
@@ -356,7 +357,7 @@ class Kinked(Kept):
 
 
 def test_a_kink_in_a_constraint_is_refused():
-    with pytest.raises(InvalidInput, match=r"position_constraint: must be made of functions"):
+    with pytest.raises(InvalidInputError, match=r"position_constraint: must be made of functions"):
         Kinked(-1.0, 2.0)
 
 
@@ -366,7 +367,7 @@ def test_the_car_axis_of_the_ivp_test_set():
     assert run.outcome.success, str(run.outcome)
     assert np.max(np.abs(run.q[-1] - CarAxis.published)) < 1e-4
     # By a method of another kind, which asks for accelerations at every stage.
-    explicit = simulate(CarAxis(), 0.1, Explicit(rtol=1e-5))
+    explicit = simulate(CarAxis(), 0.1, DOP853(rtol=1e-5))
     assert np.max(np.abs(explicit.q[-1] - run.at(0.1).q[0])) < 1e-4
 
 
@@ -431,7 +432,7 @@ def test_values_that_are_forgotten_are_told():
     ):
         try:
             told = str(call())
-        except InvalidInput as error:
+        except InvalidInputError as error:
             told = str(error)
         assert "with_values: must return the system at the values b that it is given" in told
 

@@ -11,12 +11,14 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from ancfdae import CABLE_2D, Beam, Material, Point, Rectangle, RigidBody, Scene, assemble, kernels
+from ancfdae import CABLE_2D, Beam, Material, RigidBody, Scene, assemble, kernels
+from ancfdae.extend import MaterialPoint
 from ancfdae.model import joints, loads
 from ancfdae.model.bodies import Quantity
 from ancfdae.model.joints.joint import DrivenJoint, Joint
-from ancfdae.model.loads.load import LAW, Load
+from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.numerics.jets import Jet, angle
+from ancfdae.sections import Rectangle
 
 from examples import all_examples, scene_of
 
@@ -148,11 +150,11 @@ def test_loads_are_what_their_formulas_say(case):
 class Formula(Load):
     """A force that is a function of NumPy of the place x and the velocity v of a point."""
 
-    point: Point
+    point: MaterialPoint
     function: ClassVar[object]
 
     kind = "formula"
-    design_fields = (LAW,)
+    design_fields = (LAW_FIELD,)
 
     def vectors(self, elements):
         return ((self.point, Quantity.POSITION),)

@@ -19,45 +19,40 @@ from ancfdae import (
     CABLE_2D,
     HHT,
     Beam,
-    Circle,
     Clamp,
     Distance,
     DistributedForce,
     FollowerForce,
-    Harmonic,
-    InvalidInput,
-    ISection,
+    InitialVelocity,
     Material,
-    MissingPackage,
     Moment,
-    MomentSection,
+    MotorTorque,
     Pin,
-    Point,
     PointForce,
     PointMass,
-    Rectangle,
     Revolute,
     RigidBody,
     RigidBox,
-    RigidMotion,
     Scene,
     SpringDamper,
     Terminal,
-    Torque,
-    Tube,
-    UnknownName,
     Weld,
     assemble,
-    axial_force,
-    bending_moment,
     differentiate,
-    distribution,
+    distributed_variables,
     equilibrium,
     gradient,
+    simulate,
+)
+from ancfdae.errors import InvalidInputError, MissingPackageError, UnknownNameError
+from ancfdae.extend import MaterialPoint
+from ancfdae.laws import Harmonic
+from ancfdae.observables import (
+    axial_force,
+    bending_moment,
     kinetic_energy,
     observe,
     position,
-    simulate,
     strain_energy,
     von_mises,
 )
@@ -82,6 +77,7 @@ from ancfdae.plotting.glyphs import Glyphs
 from ancfdae.plotting.mechanism import mechanism
 from ancfdae.plotting.page import page_data
 from ancfdae.plotting.shapes import BeamMesh
+from ancfdae.sections import Circle, GeneralSection, ISection, Rectangle, Tube
 from ancfdae.sensitivity.observables.states import states_of
 
 STEEL = Material(2700, 1e8, 0.3)
@@ -105,7 +101,7 @@ def planar_scene():
             DistributedForce("rod", (0, -5)),
         ],
         assemble=True,
-        start=[RigidMotion("rod", 2.0, (0, 0))],
+        start=[InitialVelocity("rod", 2.0, (0, 0))],
     )
 
 
@@ -122,7 +118,7 @@ def spatial_scene():
             Distance(box.at(0.15, 0.1, 0.05), 0.5, ground=(0.15, 0.1, 0.25)),
         ],
         gravity=(0, 0, -9.81),
-        loads=[Torque(arm.at_start, 1.5), Moment(tip.at_end, (0.1, -0.2, 0.3))],
+        loads=[MotorTorque(arm.at_start, 1.5), Moment(tip.at_end, (0.1, -0.2, 0.3))],
         assemble=True,
     )
 
@@ -150,7 +146,7 @@ def material_points(mesh):
     nodes = np.linspace(0, 1, mesh.body.element_count + 1)
     for e, x, f in np.ndindex(mesh.shape):
         fraction = nodes[e] + mesh.xi[x] * (nodes[e + 1] - nodes[e])
-        yield Point(mesh.name, min(fraction, 1.0), mesh.y[e, f], mesh.z[e, f])
+        yield MaterialPoint(mesh.name, min(fraction, 1.0), mesh.y[e, f], mesh.z[e, f])
 
 
 def few(mesh):
@@ -205,8 +201,8 @@ def test_end_caps_fill_the_contour(spatial):
     ("field", "observable"),
     [
         (VonMisesStress(), von_mises),
-        (AxialForce(), lambda p: axial_force(Point(p.beam, p.fraction))),
-        (BendingMoment(), lambda p: bending_moment(Point(p.beam, p.fraction))),
+        (AxialForce(), lambda p: axial_force(MaterialPoint(p.beam, p.fraction))),
+        (BendingMoment(), lambda p: bending_moment(MaterialPoint(p.beam, p.fraction))),
     ],
     ids=lambda x: type(x).__name__,
 )
@@ -228,7 +224,7 @@ def test_fields_are_the_observables(moving, field, observable):
 def test_moment_about_the_height_is_that_observable(spatial):
     scene, solution = spatial
     own = mechanism(scene, solution, None, BendingMoment(1))
-    point = Point("arm", 0.25)
+    point = MaterialPoint("arm", 0.25)
     expected = observe(bending_moment(point, 1), solution, assemble(scene))
     values = own.values[0].reshape(len(solution.t), *own.meshes[0].shape)
     half = (len(own.meshes[0].xi) - 1) // 2
@@ -315,8 +311,8 @@ def test_arrows_are_the_forces(planar):
     arrows = {x.name: x for x in own.arrows}
     tip = arrows["force(rod@1)"]
     np.testing.assert_allclose(tip.vectors[:, 0], np.tile([3.0, -4.0], (len(solution.t), 1)))
-    np.testing.assert_allclose(tip.places[:, 0], solution.position(Point("rod", 1.0)))
-    up = solution.slope(Point("rod", 0.25), along=1)
+    np.testing.assert_allclose(tip.places[:, 0], solution.position(MaterialPoint("rod", 1.0)))
+    up = solution.slope(MaterialPoint("rod", 0.25), along=1)
     expected = 2 * up / np.linalg.norm(up, axis=1, keepdims=True)
     np.testing.assert_allclose(arrows["follower(rod@0.25)"].vectors[:, 0], expected, rtol=1e-12)
     np.testing.assert_allclose(arrows["moment(rod@0.75)"].vectors, -0.7, rtol=1e-12)
@@ -335,7 +331,9 @@ def test_arcs_turn_as_the_moments(planar, spatial):
     assert np.all(turns < 0)  # from y to x, as M < 0
     own = mechanism(*spatial, None, None)
     moments = {x.name: x for x in own.arrows if x.kind == "moment"}
-    np.testing.assert_allclose(moments["torque(arm@0)"].vectors[0, 0], [0, 0, 1.5], atol=1e-12)
+    np.testing.assert_allclose(
+        moments["torsional_moment(arm@0)"].vectors[0, 0], [0, 0, 1.5], atol=1e-12
+    )
     M = moments["moment(tip@1)"]
     np.testing.assert_allclose(M.vectors[0, 0], [0.1, -0.2, 0.3], atol=1e-12)
     arc = Glyphs(own).arc(M, 0)[:30] - M.places[0, 0]
@@ -347,10 +345,12 @@ def test_signs_stand_where_joints_and_masses_are(planar, spatial):
     marks = {(x.kind, x.name): x for x in mechanism(scene, solution, None, None).marks}
     np.testing.assert_allclose(marks["pin", "pin(box(-0.2, 0))"].places[:, 0].shape, 13)
     np.testing.assert_allclose(
-        marks["pin", "pin(box(-0.2, 0))"].places, solution.position(Point("rod", 1.0)), atol=1e-12
+        marks["pin", "pin(box(-0.2, 0))"].places,
+        solution.position(MaterialPoint("rod", 1.0)),
+        atol=1e-12,
     )
     np.testing.assert_allclose(
-        marks["mass", "mass(rod@0.5)"].places, solution.position(Point("rod", 0.5))
+        marks["mass", "mass(rod@0.5)"].places, solution.position(MaterialPoint("rod", 0.5))
     )
     assert ("ground", "pin(rod@0)") in marks
     assert ("ground", "pin(box(-0.2, 0))") not in marks
@@ -368,8 +368,8 @@ def test_an_axis_moves_with_the_body_that_carries_it():
         [base, arm],
         joints=[Pin(base.at_start), Revolute(arm.at_start, axis=(0, 0, 1), other=base.at_end)],
         start=[
-            RigidMotion("base", (3.0, 0, 0), (0, 0, 0)),
-            RigidMotion("arm", (3.0, 0, 0), (0, 0, 0)),
+            InitialVelocity("base", (3.0, 0, 0), (0, 0, 0)),
+            InitialVelocity("arm", (3.0, 0, 0), (0, 0, 0)),
         ],
     )
     t, spin = 1 / 16, 3.0
@@ -648,9 +648,9 @@ def along(system, solution, observable):
 
 def test_bands_are_what_a_per_cent_does(planar):
     scene, solution = planar
-    system, tip = assemble(scene, DESIGN), position(Point("rod", 1.0), 1)
+    system, tip = assemble(scene, DESIGN), position(MaterialPoint("rod", 1.0), 1)
     value, slopes = along(system, solution, tip)
-    expected = solution.derivative(lambda s: s.position(Point("rod", 1.0))[:, 1])
+    expected = solution.derivative(lambda s: s.position(MaterialPoint("rod", 1.0))[:, 1])
     np.testing.assert_allclose(slopes, expected, rtol=1e-10, atol=1e-13)
     figure = history(system, solution, {"tip [m]": tip, "T [J]": kinetic_energy()}, percent=2.0)
     bands = {x.get_label(): x for x in figure.axes[0].collections}
@@ -688,7 +688,7 @@ def test_bars_point_up_where_the_objective_rises_and_are_in_proportion():
         Terminal(position(rod.at_end, 1)),
         1 / 16,
         HHT(step=1 / 128),
-        design=distribution("rod.height", 3),
+        design=distributed_variables("rod.height", 3),
     )
     own = mechanism(scene, None, None, None)
     values = np.array([0.5, -2.0, 1.0])
@@ -705,9 +705,9 @@ def test_bars_point_up_where_the_objective_rises_and_are_in_proportion():
         bar_places(moved, 0, run.gradient, painters.PlanePainter(figure, moved).extent),
         atol=1e-12,
     )
-    with pytest.raises(UnknownName, match="bar"):
+    with pytest.raises(UnknownNameError, match="bar"):
         gradient_bars(scene, run, "bar.height")
-    with pytest.raises(InvalidInput, match="distribution"):
+    with pytest.raises(InvalidInputError, match="distribution"):
         gradient_bars(scene, run, "rod.width")
 
 
@@ -736,14 +736,14 @@ def test_vtk_reads_back_with_fields_and_times(moving, tmp_path):
         slopes = own.meshes[0].sensitivities(own.motion.q, own.motion.sensitivities.q_b[..., 0], 0)
         read = mesh.point_data[f"d place/d {name}"][: slopes.shape[1], : own.d]
         np.testing.assert_array_equal(read, slopes[k])
-        point = Point(own.meshes[0].name, 0.0)
+        point = MaterialPoint(own.meshes[0].name, 0.0)
         N = observe(axial_force(point), own.motion, assemble(scene))[k]
         assert mesh.point_data["N [N]"][0] == pytest.approx(N, rel=1e-10)
 
 
 def test_vtk_without_its_package_names_the_extra(planar, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyevtk.hl", None)
-    with pytest.raises(MissingPackage, match=r'pip install "ancfdae\[vtk\]"'):
+    with pytest.raises(MissingPackageError, match=r'pip install "ancfdae\[vtk\]"'):
         write_vtk(*planar, tmp_path / "motion.pvd")
     assert not list(tmp_path.iterdir())
 
@@ -782,10 +782,10 @@ def test_nonsense_is_refused_in_words(planar, spatial, tmp_path, monkeypatch):
         (lambda: history(assemble(scene, DESIGN), solution, {}), "at least one"),
         (lambda: gradient_bars(scene, solution, "rod.height"), "type Gradient"),
     ):
-        with pytest.raises(InvalidInput, match=words):
+        with pytest.raises(InvalidInputError, match=words):
             call()
     monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", lambda: False)
-    with pytest.raises(MissingPackage, match="ffmpeg"):
+    with pytest.raises(MissingPackageError, match="ffmpeg"):
         animate(scene, solution, tmp_path / "a.mp4")
     assert not list(tmp_path.iterdir())
 
@@ -798,7 +798,7 @@ def test_every_field_has_a_name_and_a_unit():
 
 
 def test_vtk_leaves_out_stresses_that_no_section_knows(tmp_path):
-    section = MomentSection(2e-4, 2e-8, 1e-8, 2e-8)
+    section = GeneralSection(2e-4, 2e-8, 1e-8, 2e-8)
     rod = Beam("rod", (0, 0, 0), (1, 0, 0), 1, section, STEEL)
     scene = Scene([rod], joints=[Clamp(rod.at_start)], gravity=(0, 0, -0.1))
     path = write_vtk(scene, equilibrium(scene).solution, tmp_path / "rest.pvd")
@@ -826,6 +826,6 @@ def test_vtk_of_bodies_without_a_shape_is_refused_before_anything_is_written(d, 
     inertia = 0.1 if d == 2 else (0.1, 0.1, 0.1)
     body = RigidBody("body", (0.0,) * d, mass=1.0, inertia=inertia)
     scene = Scene([], bodies=[body])
-    with pytest.raises(InvalidInput, match="needs a beam or a body with a surface"):
+    with pytest.raises(InvalidInputError, match="needs a beam or a body with a surface"):
         write_vtk(scene, simulate(scene, 0.01, HHT(0.005)), tmp_path / "run.pvd")
     assert not list(tmp_path.iterdir())

@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInputError
 from ancfdae.plotting import Figure, Panel, Series, draw, save
 
 T = np.linspace(0.0, 1.0, 201)
@@ -37,66 +37,66 @@ def two_panels() -> Figure:
     ids=["lengths", "empty", "matrix", "complex", "nothing finite", "no finite pair"],
 )
 def test_series_that_cannot_be_drawn_is_refused(x: object, y: object) -> None:
-    with pytest.raises(InvalidInput, match="Series 'curve'"):
+    with pytest.raises(InvalidInputError, match="Series 'curve'"):
         Series("curve", x, y)
 
 
 @pytest.mark.parametrize("label", ["", "  ", "_hidden"])
 def test_label_that_the_legend_would_drop_is_refused(label: str) -> None:
-    with pytest.raises(InvalidInput, match=r"Series\.label"):
+    with pytest.raises(InvalidInputError, match=r"Series\.label"):
         Series(label, T, T)
 
 
 def test_series_without_line_and_marker_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="line or markers"):
+    with pytest.raises(InvalidInputError, match="line or markers"):
         Series("nothing", T, T, line=False)
 
 
 def test_panel_without_series_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="at least one series"):
+    with pytest.raises(InvalidInputError, match="at least one series"):
         panel()
 
 
 def test_panel_with_one_label_for_two_series_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="each label once"):
+    with pytest.raises(InvalidInputError, match="each label once"):
         panel(SINE, Series("sine", T, T))
 
 
 @pytest.mark.parametrize("label", ["time", "[s]", "t [s] later", "t []"])
 def test_axis_label_without_unit_is_refused(label: str) -> None:
-    with pytest.raises(InvalidInput, match="unit in brackets"):
+    with pytest.raises(InvalidInputError, match="unit in brackets"):
         Panel("Motion", label, "y [m]", [SINE])
-    with pytest.raises(InvalidInput, match="unit in brackets"):
+    with pytest.raises(InvalidInputError, match="unit in brackets"):
         Panel("Motion", "t [s]", label, [SINE])
 
 
 def test_panel_without_title_is_refused() -> None:
-    with pytest.raises(InvalidInput, match=r"Panel\.title"):
+    with pytest.raises(InvalidInputError, match=r"Panel\.title"):
         panel(SINE, title=" ")
 
 
 def test_unknown_scale_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="'linear' or 'log'"):
+    with pytest.raises(InvalidInputError, match="'linear' or 'log'"):
         Panel("Motion", "t [s]", "y [m]", [SINE], y_scale="symlog")
 
 
 def test_series_that_a_logarithmic_axis_cannot_show_is_refused() -> None:
     below = Series("below", [1.0, 2.0], [-1.0, 0.0])
     assert Panel("Fine", "t [s]", "y [m]", [below], x_scale="log").series == [below]
-    with pytest.raises(InvalidInput, match="'below': at least one point must be positive"):
+    with pytest.raises(InvalidInputError, match="'below': at least one point must be positive"):
         Panel("Lost", "t [s]", "y [m]", [below], y_scale="log")
 
 
 def test_nothing_to_draw_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="at least one panel"):
+    with pytest.raises(InvalidInputError, match="at least one panel"):
         draw([])
-    with pytest.raises(InvalidInput, match="one column"):
+    with pytest.raises(InvalidInputError, match="one column"):
         draw([panel(SINE)], columns=0)
 
 
 def test_label_with_two_looks_is_refused() -> None:
     marked = Series("sine", T, np.sin(9.0 * T), marker=True)
-    with pytest.raises(InvalidInput, match="same in every panel"):
+    with pytest.raises(InvalidInputError, match="same in every panel"):
         draw([panel(SINE), panel(marked)])
 
 
@@ -214,7 +214,7 @@ def test_neither_reads_nor_changes_the_settings_of_the_user(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("name", ["motion.svg", "motion.png"])
 def test_path_with_suffix_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InvalidInput, match="without suffix"):
+    with pytest.raises(InvalidInputError, match="without suffix"):
         save(two_panels(), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
@@ -229,7 +229,7 @@ def faces(figure: Figure) -> dict[str, tuple[object, ...]]:
 
 
 def test_a_method_looks_the_same_in_every_figure_and_panel() -> None:
-    names = ["IDA", "HHT fixed, alpha = -0.3", "something else", "Explicit"]
+    names = ["IDA", "HHT fixed, alpha = -0.3", "something else", "DOP853"]
     some = [Series(name, T, T, marker=True) for name in names]
     first = draw([panel(*some), panel(*some)])
     other = draw([panel(*reversed(some[:2]), Series("IDAS", T, T, marker=True))])
@@ -289,7 +289,7 @@ def test_symbols_are_set_as_mathematics(plain: str, set_: str) -> None:
 
 
 def test_points_of_every_series_have_a_marker_of_their_own() -> None:
-    ways = ["HHT, fixed", "HHT, controlled", "IDA", "Explicit"]
+    ways = ["HHT, fixed", "HHT, controlled", "IDA", "DOP853"]
     names = [f"{way}, {levels} levels" for way in ways for levels in (2, 3)]
     series = [Series(name, T, T, line=False, marker=True) for name in names]
     assert len({line.get_marker() for line in draw([panel(*series)]).axes[0].lines}) == 8

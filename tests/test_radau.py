@@ -7,57 +7,55 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    DOP853,
     IDA,
+    AdaptiveSteps,
     Adjoint,
     AtTimes,
     Beam,
     Clamp,
     ComplexStep,
-    ControlledSteps,
-    Direct,
+    DirectDifferentiation,
     Distance,
-    Drive,
-    Evaluate,
-    Explicit,
+    Evaluator,
     FiniteDifference,
     FixedSteps,
-    GivenSteps,
-    Guide,
-    Harmonic,
     Integral,
-    InvalidInput,
     Material,
     Misfit,
     Pin,
-    Point,
     PointOnLine,
+    PrescribedSteps,
     Radau,
-    Rectangle,
     Responses,
+    RotationDriver,
     Scene,
     Terminal,
-    adjoint_error,
+    TranslationDriver,
     assemble,
-    custom,
     differentiate,
     error_bars,
+    estimate_adjoint_error,
     gradient,
-    observations,
-    position,
+    record_observables,
     simulate,
     sweep,
     taylor_test,
-    tradeoff,
-    velocity,
+    work_precision,
 )
-from ancfdae.errors import Verdict
-from ancfdae.integrators.problem import Problem
+from ancfdae.errors import InvalidInputError
+from ancfdae.extend import MaterialPoint
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau.newton import StageSolver
 from ancfdae.integrators.radau.tableau import BUTCHER, EMBEDDED, GAMMA, PLACES, continued
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
+from ancfdae.laws import Harmonic
 from ancfdae.model import loads
 from ancfdae.model.loads.load import Load
-from ancfdae.sensitivity.method import UnfinishedRun
+from ancfdae.observables import custom, position, velocity
+from ancfdae.results import Verdict
+from ancfdae.sections import Rectangle
+from ancfdae.sensitivity.method import UnfinishedRunError
 from ancfdae.sensitivity.observables.quantities import multiplier as link_force
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
@@ -180,7 +178,7 @@ def test_it_agrees_with_the_explicit_integrator():
     system = SliderCrank()
     run = differentiate(system, 1.0, Radau(2.0**-6))
     # Of h^5 are left 4e-13 in states and 3e-12 in derivatives; the reference errs by 1e-10.
-    assert_close(run, differentiate(system, 1.0, Explicit(1e-11)), 1e-9, END)
+    assert_close(run, differentiate(system, 1.0, DOP853(1e-11)), 1e-9, END)
 
 
 def test_it_agrees_with_ida_on_a_beam():
@@ -197,7 +195,7 @@ def stiff(elements=2):
 
 def test_stiff_damped_beams_take_large_steps():
     """Axial waves last 1e-5 s and decay in 1e-3 s: 32 steps a second reach 1e-4."""
-    system, tip = stiff(), position(Point("pendulum", 1.0), 1)
+    system, tip = stiff(), position(MaterialPoint("pendulum", 1.0), 1)
     found = [gradient(system, Integral(tip**2), 1.0, Radau(2.0**-k)).gradient[0] for k in (5, 6, 9)]
     coarse, fine = (abs(x / found[2] - 1) for x in found[:2])
     assert coarse < 1e-4
@@ -220,10 +218,10 @@ def test_orders_fall_where_waves_are_much_faster_than_the_step():
 # ---------------------------------------------------------------- gradients
 
 
-@pytest.mark.parametrize("steps", [FixedSteps(1 / 16), GivenSteps((0.0, 0.1, 0.4, 0.45, 1.0))])
+@pytest.mark.parametrize("steps", [FixedSteps(1 / 16), PrescribedSteps((0.0, 0.1, 0.4, 0.45, 1.0))])
 @pytest.mark.parametrize("system", [CartesianPendulum(-1.0, 2.0), SliderCrank()])
 def test_direct_adjoint_and_complex_step_agree(system, steps):
-    methods = Direct(), Adjoint(), ComplexStep()
+    methods = DirectDifferentiation(), Adjoint(), ComplexStep()
     found = [gradient(system, OBJECTIVE, 1.0, Radau(steps), method=each) for each in methods]
     for each in found[1:]:
         np.testing.assert_allclose(each.gradient, found[0].gradient, rtol=1e-11)
@@ -233,10 +231,12 @@ def test_direct_adjoint_and_complex_step_agree(system, steps):
 def test_they_agree_on_a_mechanism_of_beams():
     names = ("rod.height", "rod.density", "rod.youngs_modulus")
     system = assemble(crank_slider(), names)
-    objective = Terminal(velocity(Point("rod", 0.5), 1)) + Integral(position(Point("rod", 1.0), 0))
+    objective = Terminal(velocity(MaterialPoint("rod", 0.5), 1)) + Integral(
+        position(MaterialPoint("rod", 1.0), 0)
+    )
     found = [
         gradient(system, objective, 2.0**-5, Radau(2.0**-8), method=each).gradient * system.b
-        for each in (Direct(), Adjoint(), ComplexStep())
+        for each in (DirectDifferentiation(), Adjoint(), ComplexStep())
     ]
     # Round-off of stiff beams: 1e-16 of strains of order one in strains of 1e-5.
     np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=0, atol=1e-11 * max(abs(found[0])))
@@ -246,7 +246,7 @@ def test_they_agree_where_the_design_moves_joints_that_act_on_velocities():
     """(Phi')_b = n_b . v of a slot's direction; (Phi'')_b of a link's length contains |v|^2."""
     crank = Beam("crank", (0, 0), (0.2, 0), 1, Rectangle(0.02, 0.02), RUBBER, rigid=True)
     rod = Beam("rod", (0.2, -0.3), (0.5, -0.4), 1, Rectangle(0.02, 0.02), RUBBER, rigid=True)
-    motor = Drive(crank.at_start, Harmonic(0.4, 9.0), name="motor")
+    motor = RotationDriver(crank.at_start, Harmonic(0.4, 9.0), name="motor")
     link = Distance(crank.at_end, 0.3, rod.at_start, name="link")
     slot = PointOnLine(rod.at_start, (0.3, 1.0), name="slot")
     joints = [Pin(crank.at_start), motor, link, slot]
@@ -255,7 +255,7 @@ def test_they_agree_where_the_design_moves_joints_that_act_on_velocities():
     objective = Terminal(velocity(rod.at_end, 1)) + Integral(link_force("link", 0) ** 2)
     found = [
         gradient(system, objective, 0.5, Radau(0.05), method=each).gradient
-        for each in (Direct(), Adjoint(), ComplexStep())
+        for each in (DirectDifferentiation(), Adjoint(), ComplexStep())
     ]
     np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-10)
 
@@ -320,8 +320,12 @@ def test_every_load_is_the_same_in_the_kernel(d):
 
 def test_joints_that_move_are_the_same_in_the_kernel():
     rod, arm = rods(2)
-    held = [Pin(rod.at_start), Pin(rod.at_end, arm.at_start), Drive(rod.at_start, Harmonic(0.5, 4))]
-    held.append(Guide(arm.at_end, (0.6, 0.8), Harmonic(0.01, 9)))
+    held = [
+        Pin(rod.at_start),
+        Pin(rod.at_end, arm.at_start),
+        RotationDriver(rod.at_start, Harmonic(0.5, 4)),
+    ]
+    held.append(TranslationDriver(arm.at_end, (0.6, 0.8), Harmonic(0.01, 9)))
     assert_same_by_the_kernel(Scene([rod, arm], held, (0, -9.81), project_start=True))
 
 
@@ -336,20 +340,20 @@ def test_controlled_steps_of_a_closed_loop_are_the_same_in_the_kernel():
 def test_the_tolerance_bounds_the_error(rtol):
     system = CartesianPendulum(-1.0, 2.0)
     run = simulate(system, 1.0, Radau(rtol=rtol))
-    exact = simulate(system, 1.0, Explicit(1e-13))
+    exact = simulate(system, 1.0, DOP853(1e-13))
     for name in ("q", "v"):
         error = np.max(np.abs(getattr(run, name)[-1] - getattr(exact, name)[-1]))
         assert 1e-3 * rtol < error / np.max(np.abs(getattr(exact, name))) < 3 * rtol
 
 
 def test_derivatives_under_control():
-    system, steps = CartesianPendulum(-1.0, 2.0), ControlledSteps(1e-4, sensitivities=True)
+    system, steps = CartesianPendulum(-1.0, 2.0), AdaptiveSteps(1e-4, sensitivities=True)
     run = differentiate(system, 1.0, Radau(steps))
     frozen = Radau(steps).frozen(run)
     check = differentiate(system, 1.0, frozen, method=ComplexStep())
     np.testing.assert_array_equal(run.t, check.t)
     assert_close(run, check, 1e-10)
-    assert_close(run, differentiate(system, 1.0, Explicit(1e-10)), 3e-4, END)
+    assert_close(run, differentiate(system, 1.0, DOP853(1e-10)), 3e-4, END)
 
 
 @pytest.mark.parametrize("atol", [1e-9, 1e-7])
@@ -359,10 +363,10 @@ def test_the_error_of_derivatives_is_relative_to_their_own_sizes(atol):
     Of a pendulum of 1 kg m in 0.1 s sizes of q_b and v_b differ by factors of ten.
     """
     system, t_end, S = CartesianPendulum(-1.0, 2.0), 2.0, np.array([3.0, 0.5, 2.0, 1.0])
-    problem, rtol = Problem.of(system, t_end).differentiated(), 1e-7
-    integrator = Radau(ControlledSteps(rtol, atol=atol, sensitivities=True))
+    problem, rtol = InitialValueProblem.of(system, t_end).differentiated(), 1e-7
+    integrator = Radau(AdaptiveSteps(rtol, atol=atol, sensitivities=True))
     S = S[: system.n_b]
-    stepper = integrator._stepper(problem, t_end, S, Recorder(system, 9, 3, True))
+    stepper = integrator._stepper(problem, t_end, S, SolutionRecorder(system, 9, 3, True))
     before = stepper.start(0.1)
     after = stepper.advance(0.1, before, 0.1)
     parts = []
@@ -404,7 +408,7 @@ def test_a_run_goes_on_as_in_one_go(integrator, share):
 def test_round_off_of_small_steps():
     """Positions know their constraints to 1e-16, accelerations to that over h^2: none is kept."""
     system = CartesianPendulum(-1.0, 2.0)
-    run, exact = (simulate(system, 1e-4, x) for x in (Radau(1e-6), Explicit(1e-12)))
+    run, exact = (simulate(system, 1e-4, x) for x in (Radau(1e-6), DOP853(1e-12)))
     # Round-off of 100 steps, 1e-16 each.
     assert_close(run, exact, 1e-12, END)
 
@@ -422,7 +426,7 @@ def test_forces_that_are_no_number_are_an_outcome():
     assert "not finite" in str(run.outcome)
     assert run.t[-1] == pytest.approx(0.3) or run.t[-1] == pytest.approx(0.2)
     assert len(run.t) == 3 * run.statistics.steps + 1
-    with pytest.raises(UnfinishedRun, match="not finite"):
+    with pytest.raises(UnfinishedRunError, match="not finite"):
         gradient(Breaking(-1.0, 2.0), Terminal(custom(speed, "v_x")), 1.0, Radau(0.1))
 
 
@@ -457,7 +461,7 @@ def test_steps_that_newtons_method_does_not_solve_are_an_outcome():
     ],
 )
 def test_bad_settings_are_refused(make, where):
-    with pytest.raises(InvalidInput) as caught:
+    with pytest.raises(InvalidInputError) as caught:
         make()
     assert where in caught.value.where
 
@@ -478,12 +482,12 @@ def test_statistics_count_what_was_done():
 def test_bars_of_three_levels_see_order_five():
     system, objective = CartesianPendulum(-1.0, 2.0), Terminal(custom(speed, "v_x"))
     bars = error_bars(system, objective, 1.0, Radau(0.1), levels=3)
-    exact = gradient(system, objective, 1.0, Explicit(1e-11))
+    exact = gradient(system, objective, 1.0, DOP853(1e-11))
     np.testing.assert_allclose(bars.orders, 5.0, atol=0.05)
     assert np.all(np.abs(bars.gradient - exact.gradient) < bars.gradient_bar)
 
 
-KNOWN = FixedSteps(1 / 32), GivenSteps(tuple(np.linspace(0, 1, 33) ** 1.3))
+KNOWN = FixedSteps(1 / 32), PrescribedSteps(tuple(np.linspace(0, 1, 33) ** 1.3))
 
 
 @pytest.mark.parametrize("steps", KNOWN)
@@ -516,7 +520,7 @@ def test_it_stands_in_every_call(integrator):
     objective, x = Terminal(custom(speed, "v_x")), custom(lambda t, q, v, lam, b: q[:, 0], "x")
     exact = gradient(system, objective, 1.0, integrator)
     run = exact.solution
-    (row,) = sweep(system, [{}], Evaluate(objective, 1.0, integrator)).results
+    (row,) = sweep(system, [{}], Evaluator(objective, 1.0, integrator)).results
     assert row["value"] == pytest.approx(exact.value, rel=1e-12)
     assert Responses(system, {"v": objective}, 1.0, integrator)["v"](system.b) == exact.value
     # Along L alone: v is proportional to s where L and g both are.
@@ -526,10 +530,10 @@ def test_it_stands_in_every_call(integrator):
     np.testing.assert_allclose(residuals, run.at(times).q[:, 0], rtol=1e-12)
     bars = error_bars(system, objective, 1.0, integrator)
     assert abs(bars.value - exact.value) < 1e-3
-    (setting,) = tradeoff(system, objective, 1.0, [integrator], reference=Explicit(1e-9)).rows
+    (setting,) = work_precision(system, objective, 1.0, [integrator], reference=DOP853(1e-9)).rows
     assert setting.error("gradient") < 1e-2
     frozen = integrator.frozen(run)
-    seen = observations(system, [x], 1.0, frozen, keep=times)
+    seen = record_observables(system, [x], 1.0, frozen, keep=times)
     np.testing.assert_allclose(seen.values[:, 0], run.at(times).q[:, 0], rtol=1e-9)
     memory = gradient(system, objective, 1.0, frozen, method=Adjoint(memory="1 MB"))
     np.testing.assert_allclose(memory.gradient, exact.gradient, rtol=1e-11)
@@ -537,12 +541,12 @@ def test_it_stands_in_every_call(integrator):
 
 def test_what_it_cannot_is_refused_in_words():
     system, controlled = CartesianPendulum(-1.0, 2.0), Radau(rtol=1e-4)
-    with pytest.raises(InvalidInput, match="known before the run"):
+    with pytest.raises(InvalidInputError, match="known before the run"):
         gradient(system, OBJECTIVE, 1.0, controlled, method=Adjoint(memory="1 MB"))
-    with pytest.raises(InvalidInput, match="known before the run"):
+    with pytest.raises(InvalidInputError, match="known before the run"):
         simulate(system, 1.0, controlled, keep=2)
-    with pytest.raises(InvalidInput, match="defects of its steps"):
-        adjoint_error(system, OBJECTIVE, 1.0, Radau(0.1))
+    with pytest.raises(InvalidInputError, match="defects of its steps"):
+        estimate_adjoint_error(system, OBJECTIVE, 1.0, Radau(0.1))
 
 
 # ---------------------------------------------------------------- units
@@ -562,7 +566,7 @@ def test_other_units_give_the_same_digits():
     runs = []
     for units in ((1.0, 1.0, 1.0), (metre, 1e-3, second)):
         run = simulate(in_units(*units), 0.2 * units[2], Radau(rtol=1e-4))
-        tip = run.position(Point("rod", 1.0))
+        tip = run.position(MaterialPoint("rod", 1.0))
         runs.append((run.t / units[2], tip / units[0], run.statistics))
     (t, tip, told), (t_scaled, tip_scaled, told_scaled) = runs
     assert told.steps == told_scaled.steps

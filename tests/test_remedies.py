@@ -12,23 +12,22 @@ from ancfdae import (
     Beam,
     Clamp,
     ComplexStep,
-    Direct,
+    DirectDifferentiation,
     Integral,
-    Interrupted,
     Material,
     PointForce,
     Radau,
-    Rectangle,
     Scene,
-    UnfinishedRun,
-    Verdict,
     assemble,
     differentiate,
     gradient,
-    position,
     simulate,
 )
 from ancfdae.equations.solution import Solution
+from ancfdae.errors import Interrupted, UnfinishedRunError
+from ancfdae.observables import position
+from ancfdae.results import Verdict
+from ancfdae.sections import Rectangle
 from ancfdae.studies import remedies
 
 from mechanisms import NeverRight
@@ -82,12 +81,12 @@ def test_a_shorter_step_is_named_only_where_the_longer_ones_stop():
 def test_gradients_at_the_step_that_is_named_are_exact():
     scene, tip = whip()
     call = scene, Integral(tip), 0.1
-    with pytest.raises(UnfinishedRun, match="was tried then and reached the end") as caught:
+    with pytest.raises(UnfinishedRunError, match="was tried then and reached the end") as caught:
         gradient(*call, HHT(0.05), design=["rod.height"])
     integrator = HHT(step=tried(caught.value.solution.outcome))
     found = [
         gradient(*call, integrator, design=["rod.height"], method=method).gradient
-        for method in (Direct(), Adjoint(), ComplexStep())
+        for method in (DirectDifferentiation(), Adjoint(), ComplexStep())
     ]
     # Newton's tolerance of 1e-14, amplified by the condition of the matrix, over 1e2 steps.
     np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-9)

@@ -13,7 +13,7 @@ import pytest
 import ancfdae
 import validation.report
 from ancfdae import plotting
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInputError
 from ancfdae.plotting import Panel, Series
 from validation.__main__ import main
 from validation.catalogue import CATALOGUE, Definition
@@ -98,23 +98,23 @@ def test_report_with_finite_figures_mentions_no_lost_ones(report: Report) -> Non
 
 def test_repeated_names_are_refused(report: Report) -> None:
     fill(report)
-    with pytest.raises(InvalidInput, match=r"Report\.figure: .*'tip_x'"):
+    with pytest.raises(InvalidInputError, match=r"Report\.figure: .*'tip_x'"):
         report.figure("tip_x", 1.0)
-    with pytest.raises(InvalidInput, match=r"Report\.plot: .*'motion'"):
+    with pytest.raises(InvalidInputError, match=r"Report\.plot: .*'motion'"):
         report.plot("motion", [PANEL])
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "../a", "1st", "a b", "a\n"])
 def test_names_that_are_not_flat_are_refused(report: Report, name: str) -> None:
-    with pytest.raises(InvalidInput, match=r"Report\.figure"):
+    with pytest.raises(InvalidInputError, match=r"Report\.figure"):
         report.figure(name, 1.0)
-    with pytest.raises(InvalidInput, match=r"Report\.plot"):
+    with pytest.raises(InvalidInputError, match=r"Report\.plot"):
         report.plot(name, [PANEL])
 
 
 @pytest.mark.parametrize("level", [1, 5])
 def test_heading_level_outside_2_to_4_is_refused(report: Report, level: int) -> None:
-    with pytest.raises(InvalidInput, match=r"Report\.heading"):
+    with pytest.raises(InvalidInputError, match=r"Report\.heading"):
         report.heading("Motion", level)
 
 
@@ -134,7 +134,7 @@ def test_table_formats_numbers_and_keeps_cells_apart(report: Report) -> None:
 
 @pytest.mark.parametrize("rows", [[], [(1.0,)], [(1.0, 2.0), (1.0, 2.0, 3.0)]])
 def test_table_with_missing_cells_is_refused(report: Report, rows: list[tuple[float, ...]]) -> None:
-    with pytest.raises(InvalidInput, match="rows of 2 cells"):
+    with pytest.raises(InvalidInputError, match="rows of 2 cells"):
         report.table(["x", "y"], rows)
 
 

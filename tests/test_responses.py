@@ -10,22 +10,22 @@ import pytest
 from scipy.optimize import check_grad, least_squares, minimize
 
 from ancfdae import (
+    DOP853,
     HHT,
     DesignVariable,
-    Direct,
-    Explicit,
-    FailedDesign,
-    InvalidInput,
-    NonFiniteObjective,
+    DirectDifferentiation,
     Responses,
     Terminal,
-    UnfinishedRun,
-    UnknownName,
-    custom,
     gradients,
-    mass,
-    position,
 )
+from ancfdae.errors import (
+    FailedDesignWarning,
+    InvalidInputError,
+    NonFiniteObjectiveError,
+    UnfinishedRunError,
+    UnknownNameError,
+)
+from ancfdae.observables import custom, mass, position
 from ancfdae.sensitivity.method import GradientMethod
 from validation.scenes import pendulum
 
@@ -54,14 +54,16 @@ SYSTEM = Short(-1.0, 2.0)
 
 
 def responses(**settings):
-    settings = {"scale": SYSTEM.b, "method": Direct()} | settings
+    settings = {"scale": SYSTEM.b, "method": DirectDifferentiation()} | settings
     return Responses(SYSTEM, {"miss": MISS, "y": Y}, 1.0, STEPS, **settings)
 
 
 def test_values_and_derivatives_are_those_of_gradients_in_scaled_variables():
     r = responses()
     x = np.array([0.9, 1.1])
-    found = gradients(SYSTEM.with_values(x * SYSTEM.b), [MISS, Y], 1.0, STEPS, method=Direct())
+    found = gradients(
+        SYSTEM.with_values(x * SYSTEM.b), [MISS, Y], 1.0, STEPS, method=DirectDifferentiation()
+    )
     np.testing.assert_array_equal(r.values(x), [each.value for each in found])
     assert r["y"](x) == found[1].value
     np.testing.assert_array_equal(r["y"].gradient(x), SYSTEM.b * found[1].gradient)
@@ -87,10 +89,10 @@ class Counted(GradientMethod):
 
     def gradients(self, run, objectives):
         if self.broken is not None and run.system.b[0] == self.broken:
-            raise NonFiniteObjective("Integral", "x", 0.5)
+            raise NonFiniteObjectiveError("Integral", "x", 0.5)
         self.given += run.after is not None
         self.anew += run.after is None
-        return Direct().gradients(run, objectives)
+        return DirectDifferentiation().gradients(run, objectives)
 
 
 @pytest.mark.parametrize("method", ["Nelder-Mead", "COBYQA"])
@@ -120,10 +122,10 @@ def test_a_gradient_takes_the_run_that_is_there_or_one_for_both():
         r["miss"](x), r["y"].gradient(x), r["y"](x), r.jacobian(x)
     assert (counted.anew, counted.given) == (0, 2)
     counted = Counted()
-    r = Responses(SYSTEM, {"y": Y}, 1.0, Explicit(1e-6), method=counted)
+    r = Responses(SYSTEM, {"y": Y}, 1.0, DOP853(1e-6), method=counted)
     r["y"](r.start)
     assert counted.anew == 0
-    # Explicit integrates derivatives with the motion: after the first question they come along.
+    # DOP853 integrates derivatives with the motion: after the first question they come along.
     r.jacobian(r.start), r["y"](0.9 * r.start), r.jacobian(0.9 * r.start)
     assert (counted.anew, counted.given) == (2, 0)
 
@@ -132,12 +134,12 @@ def test_a_value_without_gradient_is_no_design():
     x = 0.9 * np.ones(2)
     r = responses(method=Counted(broken=0.9 * SYSTEM.b[0]))
     start, value = r["y"](r.start), r["y"](x)
-    with pytest.warns(FailedDesign, match="not finite"):
+    with pytest.warns(FailedDesignWarning, match="not finite"):
         slope = r["y"].gradient(x)
     assert r["y"](x) > start != value
     assert slope @ (x - r.start) > 0
     alone = responses(method=Counted(broken=SYSTEM.b[0]))
-    with pytest.raises(NonFiniteObjective):
+    with pytest.raises(NonFiniteObjectiveError):
         alone["y"].gradient(alone.start)
 
 
@@ -147,7 +149,7 @@ def test_optimisers_step_back_from_designs_without_values(method):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         found = minimize(r["miss"], r.start, jac=r["miss"].gradient, method=method)
-    failed = [each for each in told if each.category is FailedDesign]
+    failed = [each for each in told if each.category is FailedDesignWarning]
     assert len(failed) == len(r.history.failed) > 0
     assert r.solution(found.x).outcome.success
     # It is an optimum: SciPy's tests of convergence leave 1e-3 of the gradient at most.
@@ -174,7 +176,9 @@ def test_a_constraint_holds_at_the_optimum():
 def test_least_squares_steps_back_too(monkeypatch):
     monkeypatch.setattr(Short, "limit", 1.1)
     r = Responses(SYSTEM, {"x": X - 1.2, "y": 0.1 * Y}, 1.0, STEPS, scale=SYSTEM.b)
-    with pytest.warns(FailedDesign, match="has no values: no gradient: the residual is not finite"):
+    with pytest.warns(
+        FailedDesignWarning, match="has no values: no gradient: the residual is not finite"
+    ):
         found = least_squares(r.values, [0.7, 1.0], r.jacobian, max_nfev=12)
     # The best fit is longer than the longest pendulum that runs.
     assert 1.0 < found.x[0] <= 1.1
@@ -183,15 +187,15 @@ def test_least_squares_steps_back_too(monkeypatch):
 
 def test_a_design_without_values_is_an_error_where_nothing_else_can_be_said():
     bad = [1.5, 1.0]
-    with pytest.raises(UnfinishedRun):
+    with pytest.raises(UnfinishedRunError):
         responses()["miss"](bad)
     strict = responses(strict=True)
     strict["miss"](strict.start)
-    with pytest.raises(UnfinishedRun):
+    with pytest.raises(UnfinishedRunError):
         strict["miss"](bad)
     r = responses()
     good = r["y"](r.start)
-    with pytest.warns(FailedDesign):
+    with pytest.warns(FailedDesignWarning):
         assert np.all(np.isinf(r.values(bad)))
     assert np.all(np.isnan(r.jacobian(bad)))
     # The parabola along d through y_0 that falls by r at first: y_0 - r s + 2 r s^2, s = 1 at bad.
@@ -200,7 +204,7 @@ def test_a_design_without_values_is_an_error_where_nothing_else_can_be_said():
     assert r["y"].gradient(bad) == pytest.approx(3 * rise * d / (d @ d))
     # A constraint turns to what it forbids.
     assert r.constraint("y", upper=0.0).fun(bad) > good > r.constraint("y", lower=0.0).fun(bad)
-    with pytest.raises(UnfinishedRun):
+    with pytest.raises(UnfinishedRunError):
         r.solution(bad)
 
 
@@ -228,9 +232,9 @@ def test_bounds_come_from_the_design_variables():
     ],
 )
 def test_nonsense_is_refused(call, match):
-    with pytest.raises(InvalidInput, match=match):
+    with pytest.raises(InvalidInputError, match=match):
         call()
-    with pytest.raises(UnknownName):
+    with pytest.raises(UnknownNameError):
         responses()["z"]
 
 
@@ -250,22 +254,22 @@ def test_openmdao_finds_its_partials_right():
     # round-off of the run, 1e-13, over the step.
     assert_check_partials(told, atol=1e-7, rtol=1e-6)
     problem.set_val("x", [1.5, 1.0])
-    with pytest.warns(FailedDesign), pytest.raises(om.AnalysisError, match="not finite"):
+    with pytest.warns(FailedDesignWarning), pytest.raises(om.AnalysisError, match="not finite"):
         problem.run_model()
 
 
-SYSTEM_Y = gradients(SYSTEM, [Y], 1.0, STEPS, method=Direct())[0].value
+SYSTEM_Y = gradients(SYSTEM, [Y], 1.0, STEPS, method=DirectDifferentiation())[0].value
 
 
 def test_openmdao_that_is_missing_is_named(monkeypatch):
     import sys
 
-    from ancfdae import MissingPackage
+    from ancfdae.errors import MissingPackageError
 
     monkeypatch.setitem(sys.modules, "openmdao", None)
     monkeypatch.setitem(sys.modules, "openmdao.api", None)
     monkeypatch.delitem(sys.modules, "ancfdae.studies.openmdao", raising=False)
-    with pytest.raises(MissingPackage, match=r"pip install \"ancfdae\[openmdao\]\""):
+    with pytest.raises(MissingPackageError, match=r"pip install \"ancfdae\[openmdao\]\""):
         importlib.import_module("ancfdae.studies.openmdao")
 
 

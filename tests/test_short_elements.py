@@ -11,11 +11,11 @@ from ancfdae import (
     Material,
     Pin,
     PointForce,
-    Rectangle,
     Scene,
     equilibrium,
     simulate,
 )
+from ancfdae.sections import Rectangle
 
 E, HEIGHT, LENGTH = 1e7, 0.05, 1.2
 

@@ -18,25 +18,22 @@ from ancfdae import (
     Clamp,
     ComplexStep,
     CurvedBeam,
-    Direct,
-    InvalidInput,
+    DirectDifferentiation,
+    InitialVelocity,
     Material,
-    NodeState,
-    Outcome,
+    NodalState,
     Pin,
-    Point,
-    Rectangle,
-    RigidMotion,
     Scene,
-    Statistics,
-    UnknownName,
-    Verdict,
     assemble,
     differentiate,
     load_solution,
     simulate,
 )
+from ancfdae.errors import InvalidInputError, UnknownNameError
+from ancfdae.extend import MaterialPoint
 from ancfdae.numerics.linear_solvers import SaddlePoint
+from ancfdae.results import RunOutcome, Statistics, Verdict
+from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.method import Run
 
 from members import constraint_force, force_q
@@ -70,7 +67,7 @@ def mechanism(dimension):
     joints = [Clamp(holder.at_start, name="wall"), Pin(holder.at_end, rod.at_start, name="pivot")]
     spin = 2.0 if dimension == 2 else (0.3, -0.5, 2.0)
     gravity = (0.5, -9.81, 1.0)[:dimension]
-    return Scene([holder, rod], joints, gravity, [RigidMotion("rod", spin, tuple(tip))])
+    return Scene([holder, rod], joints, gravity, [InitialVelocity("rod", spin, tuple(tip))])
 
 
 @pytest.fixture(scope="module", params=[2, 3], ids=["planar", "spatial"])
@@ -122,7 +119,7 @@ def test_vectors_of_points_are_those_of_the_shape_functions(solution, name, beam
     states = getattr(solution, name[0] if name != "position" else "q")
     fraction = fraction_of(solution, beam, element, xi)
     for y, z in ((0.0, 0.0), (0.02, -0.01 * (dimension_of(solution) - 2))):
-        value = getattr(solution, name)(Point(beam, fraction, y, z))
+        value = getattr(solution, name)(MaterialPoint(beam, fraction, y, z))
         # The fraction goes through a division: a few eps in xi times a slope below two.
         assert_close(value, by_hand(solution, states, beam, element, xi, y, z), 4 * EXACT)
 
@@ -134,9 +131,11 @@ def test_position_at_a_node_is_its_coordinate(solution, beam):
     d = dimension_of(solution)
     assert nodes.shape == (len(solution.t), place.element_count + 1, d + 1, d)
     for k, fraction in enumerate(place.fractions):
-        assert np.array_equal(solution.position(Point(beam, fraction)), nodes[:, k, 0])
+        assert np.array_equal(solution.position(MaterialPoint(beam, fraction)), nodes[:, k, 0])
         for axis in range(d):
-            assert_close(solution.slope(Point(beam, fraction), axis), nodes[:, k, 1 + axis], EXACT)
+            assert_close(
+                solution.slope(MaterialPoint(beam, fraction), axis), nodes[:, k, 1 + axis], EXACT
+            )
 
 
 @pytest.mark.parametrize("beam", ["rod", "bow"])
@@ -146,7 +145,7 @@ def test_slopes_are_those_of_the_shape_functions(solution, beam, element, xi):
     # Beside the centre line r_x jumps from element to element.
     y = 0.015 if xi < 1 else 0.0
     for axis in range(dimension_of(solution)):
-        value = solution.slope(Point(beam, fraction, y=y), axis)
+        value = solution.slope(MaterialPoint(beam, fraction, y=y), axis)
         expected = by_hand(solution, solution.q, beam, element, xi, y, 0.0, axis)
         # As above, times the derivative of a slope (1/l = 3).
         assert_close(value, expected, 20 * EXACT)
@@ -156,21 +155,22 @@ def test_slope_is_the_derivative_of_position_along_the_beam(solution):
     # Central differences over 2 s: error s^2/6 r''' + eps/s; the third derivative of the cubic
     # is below 12 |r_2 - r_1 - ...|/l^3, which a slope change of order one makes 12/l^2 = 130.
     s, length = 1e-4, np.sum(solution.naming.lengths[2:])
-    ahead = solution.position(Point("rod", 0.45 + s / length, y=0.01))
-    behind = solution.position(Point("rod", 0.45 - s / length, y=0.01))
-    slope = solution.slope(Point("rod", 0.45, y=0.01), 0)
+    ahead = solution.position(MaterialPoint("rod", 0.45 + s / length, y=0.01))
+    behind = solution.position(MaterialPoint("rod", 0.45 - s / length, y=0.01))
+    slope = solution.slope(MaterialPoint("rod", 0.45, y=0.01), 0)
     assert np.max(np.abs((ahead - behind) / (2 * s) - slope)) <= 130 * s**2 / 6 + 1e-11
     across = (
-        solution.position(Point("rod", 0.45, y=s)) - solution.position(Point("rod", 0.45, y=-s))
+        solution.position(MaterialPoint("rod", 0.45, y=s))
+        - solution.position(MaterialPoint("rod", 0.45, y=-s))
     ) / (2 * s)
     # Linear in y: round-off over the distance, 2 eps / 2e-4 for positions of size one.
-    assert np.max(np.abs(across - solution.slope(Point("rod", 0.45), 1))) <= 1e-11
+    assert np.max(np.abs(across - solution.slope(MaterialPoint("rod", 0.45), 1))) <= 1e-11
 
 
 def test_velocity_and_acceleration_are_time_derivatives_as_hht_i3_has_them(solution):
     alpha, h = -0.3, STEP
     gamma, beta = (1 - 2 * alpha) / 2, (1 - alpha) ** 2 / 4
-    point = Point("rod", 0.8, 0.01)
+    point = MaterialPoint("rod", 0.8, 0.01)
     r, v, a = solution.position(point), solution.velocity(point), solution.acceleration(point)
     # Eqs. (2) and (3) hold for the algorithm's acceleration A; by eq. (4) it is a mean of the
     # recorded ones, which satisfy M a = Q - Phi_q^T lam at their instants.
@@ -186,41 +186,41 @@ def test_wrong_names_and_places_are_refused(solution):
     d = dimension_of(solution)
     for action, where in (
         (lambda: solution.position("bow"), "point"),
-        (lambda: solution.position(Point("bow", 1.1)), "point of 'bow'"),
-        (lambda: solution.velocity(Point("bow", -0.1)), "point of 'bow'"),
-        (lambda: solution.slope(Point("bow", np.nan)), "point of 'bow'"),
-        (lambda: solution.slope(Point("bow", 0.5), d), "slope, along"),
-        (lambda: solution.slope(Point("bow", 0.5), -1), "slope, along"),
+        (lambda: solution.position(MaterialPoint("bow", 1.1)), "point of 'bow'"),
+        (lambda: solution.velocity(MaterialPoint("bow", -0.1)), "point of 'bow'"),
+        (lambda: solution.slope(MaterialPoint("bow", np.nan)), "point of 'bow'"),
+        (lambda: solution.slope(MaterialPoint("bow", 0.5), d), "slope, along"),
+        (lambda: solution.slope(MaterialPoint("bow", 0.5), -1), "slope, along"),
     ):
-        with pytest.raises(InvalidInput) as error:
+        with pytest.raises(InvalidInputError) as error:
             action()
         assert error.value.where == where
     for action, known in (
-        (lambda: solution.position(Point("bo", 0.5)), "bow, rod"),
+        (lambda: solution.position(MaterialPoint("bo", 0.5)), "bow, rod"),
         (lambda: solution.nodes("bo"), "bow, rod"),
         (lambda: solution.multipliers("wal"), "pivot, wall"),
         (lambda: solution.reaction("wal"), "pivot, wall"),
         (lambda: solution.design_index("E"), "bow.height, rod.length, rod.youngs_modulus"),
     ):
-        with pytest.raises(UnknownName) as unknown:
+        with pytest.raises(UnknownNameError) as unknown:
             action()
         assert unknown.value.repair == f"Known names: {known}."
 
 
 def test_a_planar_beam_has_no_third_axis():
     solution = simulate(mechanism(2), STEP, HHT(STEP))
-    with pytest.raises(InvalidInput, match="z"):
-        solution.position(Point("rod", 0.5, z=0.01))
+    with pytest.raises(InvalidInputError, match="z"):
+        solution.position(MaterialPoint("rod", 0.5, z=0.01))
 
 
 def test_named_access_needs_names(solution):
     nameless = dataclasses.replace(solution, naming=None)
     for action in (
-        lambda: nameless.position(Point("rod", 0.5)),
+        lambda: nameless.position(MaterialPoint("rod", 0.5)),
         lambda: nameless.nodes("rod"),
         lambda: nameless.reaction("wall"),
     ):
-        with pytest.raises(InvalidInput, match=r"named access.*q, v, a and lam"):
+        with pytest.raises(InvalidInputError, match=r"named access.*q, v, a and lam"):
             action()
 
 
@@ -295,13 +295,13 @@ def test_a_beam_hanging_at_rest_stays_there_and_its_clamp_carries_the_weight(dim
     scene = Scene([rod], [Clamp(rod.at_start, name="wall")], gravity=tuple(-9.81 * down))
     state = equilibrium(scene)
     assert state[-1, 0, 1] < -1.2  # it is stretched
-    hanging = dataclasses.replace(scene, start=[NodeState("rod", state)])
+    hanging = dataclasses.replace(scene, start=[NodalState("rod", state)])
     solution = simulate(hanging, 0.5, HHT(1 / 32))
     assert solution.outcome.success
     # Newton's method leaves 1e-13 of the force, that is 1e-13 of g in the accelerations of the
     # rod and much more in the light slopes; half a second of it and of the round-off of the
     # elastic force (EA eps against the weight of 31 N: 2400 eps/31) moves nothing further than:
-    assert np.max(np.abs(solution.position(Point("rod", 1.0)) - state[-1, 0])) <= 1e-10
+    assert np.max(np.abs(solution.position(MaterialPoint("rod", 1.0)) - state[-1, 0])) <= 1e-10
     weight = 1100.0 * 0.06 * 0.04 * 1.2 * 9.81
     assert np.max(np.abs(solution.reaction("wall") - weight * down)) <= 1e-10 * weight
 
@@ -315,10 +315,13 @@ def test_a_scene_without_any_force_is_integrated(dimension):
     assert at_rest.outcome.success
     assert np.max(np.abs(at_rest.q - at_rest.q[0])) <= 1e-12
     spin = 0.0 if dimension == 2 else zeros
-    motion = RigidMotion("rod", spin, zeros, (1.0, 2.0, 3.0)[:dimension])
+    motion = InitialVelocity("rod", spin, zeros, (1.0, 2.0, 3.0)[:dimension])
     drifting = simulate(Scene([rod], start=[motion]), T_END, HHT(STEP))
     assert drifting.outcome.success
-    path = drifting.position(Point("rod", 1.0)) - drifting.position(Point("rod", 1.0))[0]
+    path = (
+        drifting.position(MaterialPoint("rod", 1.0))
+        - drifting.position(MaterialPoint("rod", 1.0))[0]
+    )
     expected = drifting.t[:, None] * np.array((1.0, 2.0, 3.0)[:dimension])
     assert np.max(np.abs(path - expected)) <= 1e-12
 
@@ -327,15 +330,17 @@ def test_a_scene_without_any_force_is_integrated(dimension):
 
 
 FUNCTIONS = {
-    "position between nodes": lambda s: s.position(Point("rod", 0.45, y=0.01)),
-    "position at the tip": lambda s: s.position(Point("rod", 1.0)),
-    "velocity between nodes": lambda s: s.velocity(Point("rod", 0.8)),
-    "acceleration between nodes": lambda s: s.acceleration(Point("rod", 0.8)),
-    "slope between nodes": lambda s: s.slope(Point("rod", 0.45, y=0.01), 0),
-    "slope across": lambda s: s.slope(Point("bow", 0.3), 1),
+    "position between nodes": lambda s: s.position(MaterialPoint("rod", 0.45, y=0.01)),
+    "position at the tip": lambda s: s.position(MaterialPoint("rod", 1.0)),
+    "velocity between nodes": lambda s: s.velocity(MaterialPoint("rod", 0.8)),
+    "acceleration between nodes": lambda s: s.acceleration(MaterialPoint("rod", 0.8)),
+    "slope between nodes": lambda s: s.slope(MaterialPoint("rod", 0.45, y=0.01), 0),
+    "slope across": lambda s: s.slope(MaterialPoint("bow", 0.3), 1),
     "reaction": lambda s: s.reaction("wall"),
-    "a nonlinear one": lambda s: np.sum(s.position(Point("rod", 0.7)) ** 2, axis=1) * s.lam[:, 0],
-    "one of the times": lambda s: s.t * s.position(Point("rod", 0.3))[:, 0],
+    "a nonlinear one": lambda s: (
+        np.sum(s.position(MaterialPoint("rod", 0.7)) ** 2, axis=1) * s.lam[:, 0]
+    ),
+    "one of the times": lambda s: s.t * s.position(MaterialPoint("rod", 0.3))[:, 0],
 }
 
 
@@ -399,29 +404,31 @@ def test_derivative_by_complex_step_is_that_by_direct_differentiation(solution):
 @pytest.mark.parametrize(
     "function",
     [
-        lambda s: np.abs(s.position(Point("rod", 1.0))),
-        lambda s: np.linalg.norm(s.position(Point("rod", 1.0)), axis=1),
+        lambda s: np.abs(s.position(MaterialPoint("rod", 1.0))),
+        lambda s: np.linalg.norm(s.position(MaterialPoint("rod", 1.0)), axis=1),
         lambda s: s.q.real,
         lambda s: s.t,
     ],
     ids=["abs", "norm", "real", "constant"],
 )
 def test_function_that_drops_the_imaginary_part_is_refused(solution, function):
-    with pytest.raises(InvalidInput, match=r"function of a solution: must keep the imaginary part"):
+    with pytest.raises(
+        InvalidInputError, match=r"function of a solution: must keep the imaginary part"
+    ):
         solution.derivative(function)
 
 
 def test_derivative_without_sensitivities_is_refused(solution):
     bare = dataclasses.replace(solution, sensitivities=None)
     for action in (lambda: bare.derivative(lambda s: s.q), lambda: bare.design_index("E")):
-        with pytest.raises(InvalidInput, match="Call `differentiate`"):
+        with pytest.raises(InvalidInputError, match="Call `differentiate`"):
             action()
 
 
 def test_derivative_in_no_design_variable_is_empty():
     scene = mechanism(2)
-    solution = Direct().differentiate(Run(assemble(scene), STEP, HHT(STEP)))
-    value = solution.derivative(lambda s: s.position(Point("rod", 1.0)))
+    solution = DirectDifferentiation().differentiate(Run(assemble(scene), STEP, HHT(STEP)))
+    value = solution.derivative(lambda s: s.position(MaterialPoint("rod", 1.0)))
     assert value.shape == (2, 2, 0)
 
 
@@ -485,7 +492,7 @@ def test_loaded_solution_answers_as_the_original(solution, tmp_path):
 @pytest.mark.parametrize("verdict", Verdict)
 @pytest.mark.parametrize("residual", [0.0, 0.1, np.inf, np.nan])
 def test_every_outcome_survives_the_round_trip(solution, verdict, residual, tmp_path):
-    outcome = Outcome(verdict, 0.3, 2, residual)
+    outcome = RunOutcome(verdict, 0.3, 2, residual)
     changed = dataclasses.replace(solution, outcome=outcome)
     loaded = load_solution(changed.save(tmp_path / "run.npz")).outcome
     assert loaded.verdict is verdict
@@ -517,7 +524,7 @@ def test_files_hold_no_pickled_objects(solution, tmp_path):
 
 def test_object_arrays_are_not_written(solution, tmp_path):
     pickled = dataclasses.replace(solution, t=np.array([object()]))
-    with pytest.raises(InvalidInput, match="got objects in t"):
+    with pytest.raises(InvalidInputError, match="got objects in t"):
         pickled.save(tmp_path / "run.npz")
     assert not list(tmp_path.iterdir())
 
@@ -619,19 +626,19 @@ def test_loading_what_is_no_solution_names_the_file(solution, name, tmp_path):
     broken = BROKEN[name](tmp_path / "scratch.npz", good)
     path = tmp_path / "broken.npz"
     path.write_bytes(broken)
-    with pytest.raises(InvalidInput, match=r"Solution\.save") as error:
+    with pytest.raises(InvalidInputError, match=r"Solution\.save") as error:
         load_solution(path)
     assert str(path) in error.value.where
 
 
 def test_loading_a_plain_array_names_the_file(tmp_path):
     np.save(tmp_path / "array.npy", np.zeros(3))
-    with pytest.raises(InvalidInput, match=r"array\.npy"):
+    with pytest.raises(InvalidInputError, match=r"array\.npy"):
         load_solution(tmp_path / "array.npy")
 
 
 def test_loading_a_file_that_is_not_there_says_so(tmp_path):
-    with pytest.raises(InvalidInput, match=r"must exist; got .*nowhere"):
+    with pytest.raises(InvalidInputError, match=r"must exist; got .*nowhere"):
         load_solution(tmp_path / "nowhere.npz")
 
 
@@ -654,7 +661,7 @@ def test_any_damaged_byte_of_hdf5_is_found_or_harmless(solution, tmp_path):
         path.write_bytes(damaged)
         try:
             read = load_solution(path)
-        except InvalidInput:
+        except InvalidInputError:
             refused += 1
             continue
         # Unused space of the file; whatever is read is what was written.

@@ -10,15 +10,15 @@ from ancfdae import (
     Material,
     Pin,
     PointForce,
-    Rectangle,
     RigidBody,
     Scene,
-    TorsionSpring,
+    TorsionalSpringDamper,
     equilibrium,
 )
 from ancfdae.errors import StabilityWarning
 from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
+from ancfdae.sections import Rectangle
 from ancfdae.statics.softness import negative_directions
 
 E = 2.1e11
@@ -34,7 +34,7 @@ def couplings(n, m, wide):
     columns = np.concatenate([i, *(i[:-k] for k in reach), *(i[k:] for k in reach)])
     along = np.arange(m) * (n // m) if m else np.zeros(0, dtype=int)
     both = np.tile(np.arange(m), 2), np.concatenate([along, (along + 1) % n])
-    return Pattern((n, n), rows, columns), Pattern((m, n), *both)
+    return SparsityPattern((n, n), rows, columns), SparsityPattern((m, n), *both)
 
 
 def on_null_space(K, B, D):
@@ -86,7 +86,10 @@ def test_real_negative_eigenvalues_of_other_matrices_are_found(seed, n):
 
 def test_a_count_that_round_off_could_change_is_refused():
     # The first pivot is 1e-15: the factors are those of a matrix that differs by a tenth.
-    of_K, of_B = Pattern.full((2, 2)), Pattern((0, 2), np.zeros(0, int), np.zeros(0, int))
+    of_K, of_B = (
+        SparsityPattern.full((2, 2)),
+        SparsityPattern((0, 2), np.zeros(0, int), np.zeros(0, int)),
+    )
     K, none = np.array([0.0, 1.0, 1.0, 0.0]), np.zeros(0)
     matrix = SaddlePoint(of_K, of_B, np.ones(2), none).constrained.scaled(K, none, np.ones(2))
     assert matrix.below(1e-14) is None
@@ -145,7 +148,10 @@ def test_a_column_has_buckled_whatever_stands_beside_it(scene):
 def test_negative_directions_are_counted_where_constraints_depend_on_each_other(negative):
     """A row that stands twice leaves no pivots to trust; the null space is the same."""
     n = 12
-    of_K, of_B = Pattern((n, n), np.arange(n), np.arange(n)), Pattern((2, n), [0, 1], [0, 0])
+    of_K, of_B = (
+        SparsityPattern((n, n), np.arange(n), np.arange(n)),
+        SparsityPattern((2, n), [0, 1], [0, 0]),
+    )
     matrix = SaddlePoint(of_K, of_B, np.ones(n), np.ones(2)).constrained.scaled(
         np.where(np.arange(n) < negative + 1, -1.0, 1.0), np.ones(2), np.ones(n)
     )
@@ -172,5 +178,5 @@ def pressed_link(o, beyond):
     """A rigid bar of length one on a torsion spring of 10 N m/rad, under 10 (1 + beyond) N."""
     bar = RigidBody("bar", (o + 0.5, o), mass=1.0, inertia=1.0)
     foot, load = bar.at(-0.5, 0), (-10.0 * (1.0 + beyond), 0.0)
-    loads = [TorsionSpring(foot, 10.0), PointForce(bar.at(0.5, 0), load)]
+    loads = [TorsionalSpringDamper(foot, 10.0), PointForce(bar.at(0.5, 0), load)]
     return Scene(joints=[Pin(foot)], bodies=[bar], loads=loads)

@@ -10,27 +10,27 @@ from ancfdae import (
     Beam,
     Clamp,
     ComplexStep,
-    Direct,
-    Drive,
-    Harmonic,
+    DirectDifferentiation,
+    InitialVelocity,
     Material,
     Pin,
     PointForce,
-    Rectangle,
-    RigidMotion,
+    RotationDriver,
     Scene,
     assemble,
     gradient,
-    position,
     simulate,
 )
 from ancfdae.integrators.hht.equations import Coefficients, NodeSensitivity
 from ancfdae.integrators.hht.start import RecurrenceStart
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.start import (
     Covectors,
     pull_back_start,
 )
+from ancfdae.laws import Harmonic
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 from validation.scenes import crank_slider
 
 from mechanisms import CartesianPendulum, WhirlingPendulum
@@ -98,15 +98,15 @@ def test_a_damped_slider_crank_starts(damping_time):
 def resolved():
     """A damped pendulum in motion whose fastest mode the steps below resolve."""
     rod = Beam("rod", (0, 0), (1, 0), 1, Rectangle(0.1, 0.1), Material(1000, 1e5, 0.0, 2e-3))
-    spin = [RigidMotion("rod", 2.0, (0, 0))]
+    spin = [InitialVelocity("rod", 2.0, (0, 0))]
     return Scene([rod], [Pin(rod.at_start)], (0, -9.81), start=spin)
 
 
 def driven():
     """A rod whose middle is turned by a sine: the third time derivative of Phi_q is not zero."""
     rod = Beam("rod", (0, 0), (1, 0), 1, Rectangle(0.1, 0.1), Material(1000, 1e5, 0.0))
-    joints = [Pin(rod.at_start), Drive(rod.at(0.5), Harmonic(0.5, 4.0), name="drive")]
-    return Scene([rod], joints, start=[RigidMotion("rod", 2.0, (0, 0))])
+    joints = [Pin(rod.at_start), RotationDriver(rod.at(0.5), Harmonic(0.5, 4.0), name="drive")]
+    return Scene([rod], joints, start=[InitialVelocity("rod", 2.0, (0, 0))])
 
 
 def test_a_moving_damped_start_is_of_second_order():
@@ -128,7 +128,7 @@ def test_gradients_through_a_damped_start_are_exact(step):
     objective = AtTimes(position(scene.beams[0].at_end, 1), [step, 5 * step])
     found = [
         gradient(scene, objective, 5 * step, HHT(step), design=design, method=method).gradient
-        for method in (Direct(), Adjoint(), ComplexStep())
+        for method in (DirectDifferentiation(), Adjoint(), ComplexStep())
     ]
     # Stiff equations leave 1e-9 of round-off; a forgotten term of the start shows at order one.
     np.testing.assert_allclose(found[0], found[2], rtol=1e-7)
@@ -147,7 +147,7 @@ def test_gradients_through_a_damped_start_are_exact(step):
     ids=["damped", "spatial", "curved constraint", "whirling", "driven"],
 )
 def test_the_start_is_pulled_back_by_its_transpose(system):
-    problem = Problem.of(system, 1.0).differentiated()
+    problem = InitialValueProblem.of(system, 1.0).differentiated()
     initial, derivative = problem.initial, problem.derivative
     start = RecurrenceStart.of(problem, Coefficients(0.01, -0.3))
     node_b = start.sensitivity(derivative)

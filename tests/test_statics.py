@@ -8,46 +8,40 @@ from ancfdae import (
     HHT,
     Adjoint,
     Beam,
-    Circle,
     Clamp,
     ComplexStep,
     ContinuousAdjoint,
     CurvedBeam,
-    Direct,
+    DirectDifferentiation,
     Distance,
     DistributedForce,
-    Equilibrium,
     FiniteDifference,
     FollowerForce,
-    FreeMechanism,
-    Interrupted,
-    InvalidInput,
-    LoadOutcome,
     Material,
     Moment,
-    NodeState,
+    NodalState,
     Pin,
-    Point,
     PointForce,
-    Rectangle,
-    RedundantConstraints,
     Revolute,
     Scene,
     SpringDamper,
-    UnfinishedRun,
-    Verdict,
     assemble,
-    custom,
     equilibrium,
+    equilibrium_gradient,
     load_solution,
     modes,
-    multiplier,
-    observe,
-    position,
-    reaction,
-    static_gradient,
-    strain_energy,
 )
+from ancfdae.errors import (
+    FreeMotionError,
+    Interrupted,
+    InvalidInputError,
+    RedundantConstraintsError,
+    UnfinishedRunError,
+)
+from ancfdae.extend import MaterialPoint
+from ancfdae.observables import custom, multiplier, observe, position, reaction, strain_energy
+from ancfdae.results import Equilibrium, EquilibriumOutcome, Verdict
+from ancfdae.sections import Circle, Rectangle
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.outcome import free_mechanism
 
@@ -175,7 +169,9 @@ def test_the_path_closes_gaps_and_its_tangent_leads_along_it():
         np.testing.assert_allclose(ours, slope, atol=1e-4 * np.max(np.abs(ours)))
     found = equilibrium(gap())
     assert found.outcome.success
-    assert found.solution.position(Point("rod", 1.0))[0] == pytest.approx((0.997, 0.01), abs=1e-12)
+    assert found.solution.position(MaterialPoint("rod", 1.0))[0] == pytest.approx(
+        (0.997, 0.01), abs=1e-12
+    )
 
 
 def test_reactions_sum_up_to_the_loads():
@@ -229,19 +225,19 @@ CASES = {"bent": bent, "hanging": hanging, "spatial": spatial}
 @pytest.mark.parametrize("case", CASES)
 def test_every_method_finds_the_same_gradient(case):
     scene, design, joint = CASES[case]()
-    end = Point("rod", 1.0)
+    end = MaterialPoint("rod", 1.0)
     number = position(end, 1) + position(end, 0) * reaction(joint, 1) / 100
     number = number + multiplier(joint, 0) ** 2 / 1e4 + strain_energy()
-    exact = static_gradient(scene, number, design=design, method=ComplexStep())
+    exact = equilibrium_gradient(scene, number, design=design, method=ComplexStep())
     scale = np.abs(exact.gradient)
-    for method in (Direct(), Adjoint(), None):
-        ours = static_gradient(scene, number, design=design, method=method)
+    for method in (DirectDifferentiation(), Adjoint(), None):
+        ours = equilibrium_gradient(scene, number, design=design, method=method)
         assert ours.value == pytest.approx(exact.value, rel=1e-13)
         assert np.all(np.abs(ours.gradient - exact.gradient) <= 1e-9 * np.max(scale))
         # Entry by entry 1e-7: the stiffest directions hold the round-off of E A / (E I / L^2).
         assert ours.gradient == pytest.approx(exact.gradient, rel=1e-7, abs=1e-18)
     central = FiniteDifference(1e-5, central=True)
-    near = static_gradient(scene, number, design=design, method=central).gradient
+    near = equilibrium_gradient(scene, number, design=design, method=central).gradient
     # (1e-5)^2 of the third derivative, and round-off 1e-12 over 1e-5.
     np.testing.assert_allclose(near, exact.gradient, rtol=1e-5, atol=1e-6 * np.max(scale) * 1e-3)
 
@@ -260,11 +256,13 @@ def test_sensitivities_are_those_of_the_call(case):
             np.testing.assert_allclose(ours[:, i], difference, atol=1e-6 * size)
     ours = found.solution.derivative(lambda run: run.reaction(joint))[0]
     for i in range(2):
-        slope = static_gradient(scene, reaction(joint, i), design=design).gradient
+        slope = equilibrium_gradient(scene, reaction(joint, i), design=design).gradient
         # The round-off of E A, 1e4 N, is 1e-12 N; derivatives carry it over their variable.
         noise = 1e-10 / np.abs(found.solution.sensitivities.values)
         assert np.all(np.abs(ours[i] - slope) <= noise + 1e-9 * np.abs(slope))
-    assert np.all(found.solution.derivative(lambda run: run.velocity(Point("rod", 1.0))) == 0)
+    assert np.all(
+        found.solution.derivative(lambda run: run.velocity(MaterialPoint("rod", 1.0))) == 0
+    )
 
 
 def test_systems_of_any_kind_have_equilibria():
@@ -277,9 +275,9 @@ def test_systems_of_any_kind_have_equilibria():
     np.testing.assert_allclose(equilibrium(WrittenPendulum()).q, [0, -1], atol=1e-12)
     for system in (HeldDoublePendulum(), chain(frequency=0.0)):
         height = custom(lambda t, q, v, lam, b: q[:, 1] * b[0] + lam[:, 0], "height")
-        exact = static_gradient(system, height, method=ComplexStep()).gradient
-        for method in (Direct(), Adjoint()):
-            ours = static_gradient(system, height, method=method).gradient
+        exact = equilibrium_gradient(system, height, method=ComplexStep()).gradient
+        for method in (DirectDifferentiation(), Adjoint()):
+            ours = equilibrium_gradient(system, height, method=method).gradient
             np.testing.assert_allclose(ours, exact, atol=1e-9 * np.max(np.abs(exact)))
 
 
@@ -350,7 +348,7 @@ def test_a_search_starts_from_the_states_of_nodes_given():
     beam = rod(elements=2)
     scene, joints = bent()[0], [Clamp(beam.at_start)]
     there = equilibrium(Scene([beam], joints, (0.0, -G)))
-    state = NodeState("rod", there.solution.nodes("rod")[0])
+    state = NodalState("rod", there.solution.nodes("rod")[0])
     found = equilibrium(Scene([beam], joints, (0.0, -G), start=[state]))
     # Those of the path, and two that see corrections stop to shrink.
     assert found.statistics.iterations <= 4
@@ -385,12 +383,16 @@ def test_a_load_past_the_limit_point_is_told_and_what_converged_is_kept():
     assert "limit point" in str(found.outcome)
     assert f"{100 * found.fraction:.6g} % of the load" in str(found.outcome)
     assert found.q_b is None
-    apex = found.solution.position(Point("left", 1.0))[0]
+    apex = found.solution.position(MaterialPoint("left", 1.0))[0]
     # Near the limit point z moves with the root of the load.
     assert apex == pytest.approx([0.0, 0.1 / np.sqrt(3)], abs=2e-3)
     assert unbalanced(arch(2 * largest * found.fraction), found) < 1e-9
-    with pytest.raises(UnfinishedRun, match=r"limit point.* at 49\.99\d* % of the load") as caught:
-        static_gradient(scene, position(Point("left", 1.0), 1), design=["push.force_y"])
+    with pytest.raises(
+        UnfinishedRunError, match=r"limit point.* at 49\.99\d* % of the load"
+    ) as caught:
+        equilibrium_gradient(
+            scene, position(MaterialPoint("left", 1.0), 1), design=["push.force_y"]
+        )
     assert len(caught.value.solution.t) == 1
     assert equilibrium(arch(0.99 * largest)).outcome.success
 
@@ -463,7 +465,7 @@ FREE = {
 
 @pytest.mark.parametrize("words", FREE)
 def test_a_mechanism_that_is_free_to_move_is_refused_with_its_motion(words):
-    with pytest.raises(FreeMechanism, match=f"free to move: {words}"):
+    with pytest.raises(FreeMotionError, match=f"free to move: {words}"):
         equilibrium(FREE[words])
 
 
@@ -476,7 +478,7 @@ def test_a_rod_that_spins_on_two_links_is_a_family_of_equilibria(n):
         Distance(point, np.sqrt(1.04), ground=(x, 0, 0))
         for point, x in ((bar.at_start, -0.2), (bar.at_end, 1.2))
     ]
-    with pytest.raises(FreeMechanism, match="rod turns about its own axis, bent as it is"):
+    with pytest.raises(FreeMotionError, match="rod turns about its own axis, bent as it is"):
         equilibrium(Scene([bar], links, (0.0, -G, 0.0)))
     found = modes(Scene([bar], links, (0.0, -G, 0.0)), 3)
     assert found.exponents[0] == 0
@@ -494,7 +496,7 @@ def test_a_free_motion_of_a_system_without_names_is_told_by_coordinates():
         def constraint_q(self, t, *motion):
             return np.array([0.0, 1.0]) * (len(motion) == 1)
 
-    with pytest.raises(FreeMechanism, match="motion of coordinate 1"):
+    with pytest.raises(FreeMotionError, match="motion of coordinate 1"):
         equilibrium(Sliding())
 
 
@@ -542,7 +544,7 @@ def test_an_interrupt_and_a_limit_of_steps_keep_what_converged():
 
 def test_nonsense_is_refused_in_words():
     scene, design, _ = bent()
-    tip = position(Point("rod", 1.0), 1)
+    tip = position(MaterialPoint("rod", 1.0), 1)
     twice = Scene([rod()], [Clamp(rod().at_start), Pin(rod().at_start)])
     for action, words in (
         (lambda: equilibrium("scene"), "model"),
@@ -551,15 +553,23 @@ def test_nonsense_is_refused_in_words():
         (lambda: equilibrium(scene, start=equilibrium(hanging()[0])), "24 coordinates"),
         (lambda: equilibrium(scene, design=["rod.size"]), "rod.size"),
         (lambda: equilibrium(CartesianPendulum(), design=["L"]), "its own design"),
-        (lambda: static_gradient(scene, tip), "design"),
-        (lambda: static_gradient(scene, "tip", design=design), "Observable"),
-        (lambda: static_gradient(scene, position(Point("x", 1.0), 1), design=design), "'x'"),
-        (lambda: static_gradient(scene, tip, design=design, method=HHT(0.1)), "method"),
-        (lambda: static_gradient(scene, tip, design=design, method=ContinuousAdjoint()), "Adjoint"),
+        (lambda: equilibrium_gradient(scene, tip), "design"),
+        (lambda: equilibrium_gradient(scene, "tip", design=design), "Observable"),
+        (
+            lambda: equilibrium_gradient(
+                scene, position(MaterialPoint("x", 1.0), 1), design=design
+            ),
+            "'x'",
+        ),
+        (lambda: equilibrium_gradient(scene, tip, design=design, method=HHT(0.1)), "method"),
+        (
+            lambda: equilibrium_gradient(scene, tip, design=design, method=ContinuousAdjoint()),
+            "Adjoint",
+        ),
     ):
-        with pytest.raises(InvalidInput, match=words):
+        with pytest.raises(InvalidInputError, match=words):
             action()
-    with pytest.raises(RedundantConstraints):
+    with pytest.raises(RedundantConstraintsError):
         equilibrium(twice)
 
 
@@ -568,21 +578,21 @@ def test_forces_that_are_not_finite_are_refused():
         def force(self, t, q, v):
             return np.full(2, np.nan)
 
-    with pytest.raises(InvalidInput, match="finite"):
+    with pytest.raises(InvalidInputError, match="finite"):
         equilibrium(Bad())
 
 
 def test_an_outcome_is_a_sentence():
-    outcome = LoadOutcome(Verdict.NO_CONVERGENCE, 0.25, 3, 1e-3, 0.125)
+    outcome = EquilibriumOutcome(Verdict.NO_CONVERGENCE, 0.25, 3, 1e-3, 0.125)
     assert str(outcome) == (
         "the Newton iteration did not converge at 25 % of the load, after 3 steps; what is in "
         "balance with that part is kept; the last relative correction was 0.001; its stiffness "
         "is negative above 12.5 % of the load: it is unstable (buckled)."
     )
-    assert str(LoadOutcome(Verdict.EQUILIBRIUM, 1.0, 1, 0.0, downhill=True)) == (
+    assert str(EquilibriumOutcome(Verdict.EQUILIBRIUM, 1.0, 1, 0.0, downhill=True)) == (
         "the equilibrium was reached in 1 step downhill."
     )
-    assert str(LoadOutcome(Verdict.STEP_LIMIT, 0.0, 9, 1e-3, downhill=True)) == (
+    assert str(EquilibriumOutcome(Verdict.STEP_LIMIT, 0.0, 9, 1e-3, downhill=True)) == (
         "the limit of steps (max_steps) was reached after 9 steps downhill; where it has come is "
         "kept."
     )
@@ -620,5 +630,5 @@ def test_a_rod_that_spins_between_its_links_has_a_family_of_equilibria(rigid, ti
             bodies.append(link)
             joints += [Pin(link.at_start), Pin(link.at_end, point)]
     scene = Scene(bodies, joints, (0.0, -G, 0.0), assemble=True)
-    with pytest.raises(FreeMechanism, match="rod turns about the axis"):
+    with pytest.raises(FreeMotionError, match="rod turns about the axis"):
         equilibrium(scene)

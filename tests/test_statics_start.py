@@ -8,42 +8,39 @@ import pytest
 from ancfdae import (
     HHT,
     IDA,
+    AdaptiveSteps,
     Adjoint,
-    AtRest,
     Beam,
     Clamp,
     ComplexStep,
     ContinuousAdjoint,
-    ControlledSteps,
     DesignVariable,
-    Direct,
-    Drive,
+    DirectDifferentiation,
+    EquilibriumStart,
     FiniteDifference,
-    FreeMechanism,
-    Harmonic,
+    InitialVelocity,
     Integral,
-    InvalidInput,
     Material,
-    NodeState,
-    NoEquilibrium,
+    NodalState,
     Pin,
     PointForce,
-    Rectangle,
-    RigidMotion,
+    RotationDriver,
     Scene,
     SpringDamper,
-    StabilityWarning,
     Terminal,
-    Verdict,
     assemble,
     differentiate,
     equilibrium,
     gradient,
-    position,
     simulate,
     taylor_test,
 )
+from ancfdae.errors import FreeMotionError, InvalidInputError, NoEquilibriumError, StabilityWarning
+from ancfdae.laws import Harmonic
 from ancfdae.model.bodies import Quantity
+from ancfdae.observables import position
+from ancfdae.results import Verdict
+from ancfdae.sections import Rectangle
 from ancfdae.statics import equilibrium as rest
 
 GRAVITY = (0.0, -9.81)
@@ -56,7 +53,7 @@ TIP = Integral(position(ROD.at_end, 1) ** 2) + Terminal(position(ROD.at_end, 0))
 
 def released():
     """Pulled by one load, biased by another that stays, and let go."""
-    rest = AtRest(loads=[BIAS, PULL], gravity=(0.0, 0.0))
+    rest = EquilibriumStart(loads=[BIAS, PULL], gravity=(0.0, 0.0))
     clamp = Clamp(ROD.at_start, name="wall")
     return Scene([ROD], [clamp], GRAVITY, start=[rest], loads=[BIAS])
 
@@ -64,7 +61,7 @@ def released():
 def hung():
     """Hangs by a pin and a spring, and is pushed from the start on."""
     spring = SpringDamper(ROD.at_end, 30.0, 0.1, 0.2, ground=(1.0, 0.5), name="spring")
-    rest = AtRest(loads=[spring])
+    rest = EquilibriumStart(loads=[spring])
     loads = [spring, PointForce(ROD.at_end, (1.0, 0.0), name="push")]
     return Scene([ROD], [Pin(ROD.at_start, name="wall")], GRAVITY, start=[rest], loads=loads)
 
@@ -76,21 +73,23 @@ SCENES = {
 
 
 def test_gravity_of_the_start_stays_where_that_of_the_motion_is_a_design_variable():
-    joints, rest = [Clamp(ROD.at_start)], AtRest(gravity=(0.0, -3.0))
+    joints, rest = [Clamp(ROD.at_start)], EquilibriumStart(gravity=(0.0, -3.0))
     system = assemble(Scene([ROD], joints, GRAVITY, start=[rest]), ["scene.gravity_y"])
     q, _ = system.start()
-    other = assemble(Scene([ROD], joints, (0.0, -3.0), start=[AtRest()]))
+    other = assemble(Scene([ROD], joints, (0.0, -3.0), start=[EquilibriumStart()]))
     np.testing.assert_array_equal(q, other.start()[0])
     np.testing.assert_array_equal(q, system.with_values(np.array([-5.0])).start()[0])
     assert not np.any(system.start_b()[0])
     # Without gravity of its own it hangs under that of the motion.
-    hanging = assemble(Scene([ROD], joints, GRAVITY, start=[AtRest()]), ["scene.gravity_y"])
+    hanging = assemble(
+        Scene([ROD], joints, GRAVITY, start=[EquilibriumStart()]), ["scene.gravity_y"]
+    )
     assert np.any(hanging.start_b()[0])
 
 
 @pytest.mark.parametrize("joint", [Pin, Clamp])
 def test_what_starts_at_rest_stays_at_rest(joint):
-    scene = Scene([ROD], [joint(ROD.at_start)], GRAVITY, start=[AtRest()])
+    scene = Scene([ROD], [joint(ROD.at_start)], GRAVITY, start=[EquilibriumStart()])
     for integrator in (HHT(2.0**-7), IDA()):
         run = simulate(scene, 0.25, integrator)
         assert run.outcome.success
@@ -103,7 +102,7 @@ def test_what_starts_at_rest_stays_at_rest(joint):
 
 
 def test_the_derivative_of_a_motion_at_rest_is_that_of_the_equilibrium():
-    scene = Scene([ROD], [Clamp(ROD.at_start)], GRAVITY, start=[AtRest()])
+    scene = Scene([ROD], [Clamp(ROD.at_start)], GRAVITY, start=[EquilibriumStart()])
     run = differentiate(scene, 0.125, HHT(2.0**-7), design=DESIGN)
     found = equilibrium(scene, design=DESIGN)
     for part in ("q_b", "lam_b"):
@@ -119,7 +118,7 @@ def test_every_method_differentiates_through_the_equilibrium(name):
     make, design = SCENES[name]
     scene, integrator = make(), HHT(2.0**-8)
     exact = gradient(scene, TIP, 0.125, integrator, design=design, method=ComplexStep())
-    for method in (Direct(), Adjoint()):
+    for method in (DirectDifferentiation(), Adjoint()):
         ours = gradient(scene, TIP, 0.125, integrator, design=design, method=method)
         assert ours.value == pytest.approx(exact.value, rel=1e-13)
         # Newton's tolerance 1e-13 at 16 steps, entry by entry.
@@ -151,7 +150,7 @@ def test_the_gradient_is_the_limit_of_the_very_call():
 def test_other_integrators_and_step_control_start_there_too():
     scene, tip = released(), Terminal(position(ROD.at_end, 1))
     accurate = gradient(scene, tip, 0.1, IDA(rtol=1e-9), design=["pull.force_y"])
-    controlled = HHT(ControlledSteps(1e-4))
+    controlled = HHT(AdaptiveSteps(1e-4))
     found = gradient(scene, tip, 0.1, controlled, design=["pull.force_y"])
     # The tolerance of the steps, and its waves in the derivative.
     assert found.value == pytest.approx(accurate.value, abs=1e-3)
@@ -195,7 +194,7 @@ def test_the_search_runs_once_and_only_for_scenes_that_ask(monkeypatch):
 
 def test_a_search_for_the_start_begins_at_given_nodes():
     there = equilibrium(Scene([ROD], [Clamp(ROD.at_start)], GRAVITY))
-    start = [NodeState("rod", there.solution.nodes("rod")[0]), AtRest()]
+    start = [NodalState("rod", there.solution.nodes("rod")[0]), EquilibriumStart()]
     scene = Scene([ROD], [Clamp(ROD.at_start)], GRAVITY, start=start)
     np.testing.assert_allclose(assemble(scene).start()[0], there.q, atol=1e-12)
 
@@ -208,58 +207,77 @@ def test_values_of_loads_change_where_the_scene_and_its_start_share_them():
 
 
 def test_a_start_without_equilibrium_is_refused_before_anything_is_integrated():
-    free = Scene([ROD], [Pin(ROD.at_start)], start=[AtRest()])
-    with pytest.raises(FreeMechanism, match="rod turns about its start"):
+    free = Scene([ROD], [Pin(ROD.at_start)], start=[EquilibriumStart()])
+    with pytest.raises(FreeMotionError, match="rod turns about its start"):
         simulate(free, 0.1, HHT(0.01))
-    weightless = Scene([ROD], [Pin(ROD.at_start)], GRAVITY, start=[AtRest(gravity=(0.0, 0.0))])
-    with pytest.raises(FreeMechanism, match="rod turns about its start"):
+    weightless = Scene(
+        [ROD], [Pin(ROD.at_start)], GRAVITY, start=[EquilibriumStart(gravity=(0.0, 0.0))]
+    )
+    with pytest.raises(FreeMotionError, match="rod turns about its start"):
         simulate(weightless, 0.1, HHT(0.01))
     bars = [
         Beam(name, *ends, 1, Rectangle(0.02, 0.02), Material(1000.0, 1e9, 0.0))
         for name, ends in (("l", ((-1.0, 0.0), (0.0, 0.1))), ("r", ((0.0, 0.1), (1.0, 0.0))))
     ]
     joints = [Pin(bars[0].at_start), Pin(bars[1].at_end), Pin(bars[0].at_end, bars[1].at_start)]
-    push = AtRest(loads=[PointForce(bars[0].at_end, (0.0, -1e3))])
+    push = EquilibriumStart(loads=[PointForce(bars[0].at_end, (0.0, -1e3))])
     scene, apex = Scene(bars, joints, start=[push]), Terminal(position(bars[0].at_end, 1))
     words = r"start at rest: the load has a limit point.* at 15\."
-    with pytest.raises(NoEquilibrium, match=words) as caught:
+    with pytest.raises(NoEquilibriumError, match=words) as caught:
         gradient(scene, apex, 0.1, HHT(0.01), design=["l.height"])
     assert caught.value.equilibrium.outcome.verdict is Verdict.LIMIT_POINT
 
 
 def test_a_driven_joint_that_moves_at_the_start_is_refused():
-    joints = [Pin(ROD.at_start), Drive(ROD.at_start, Harmonic(0.5, 4.0), name="motor")]
-    scene = Scene([ROD], joints, GRAVITY, start=[AtRest()])
+    joints = [Pin(ROD.at_start), RotationDriver(ROD.at_start, Harmonic(0.5, 4.0), name="motor")]
+    scene = Scene([ROD], joints, GRAVITY, start=[EquilibriumStart()])
     with pytest.raises(
-        InvalidInput, match=r"zero velocity at t = 0; got a nonzero rate of 'motor'"
+        InvalidInputError, match=r"zero velocity at t = 0; got a nonzero rate of 'motor'"
     ):
         simulate(scene, 0.1, HHT(0.01))
 
 
 def test_nonsense_is_refused_in_words():
-    joints, spin = [Clamp(ROD.at_start)], RigidMotion("rod", 1.0, (0.0, 0.0))
+    joints, spin = [Clamp(ROD.at_start)], InitialVelocity("rod", 1.0, (0.0, 0.0))
     nodes = assemble(Scene([ROD], joints)).start()[0].reshape(4, 3, 2)
-    moving = NodeState("rod", nodes, 0 * nodes)
+    moving = NodalState("rod", nodes, 0 * nodes)
     same = PointForce(ROD.at(0.5), (0.0, 3.0), name="bias")
     for action, words in (
-        (lambda: Scene([ROD], joints, start=[AtRest(), AtRest()]), "AtRest stands alone"),
-        (lambda: Scene([ROD], joints, start=[spin, AtRest()]), "AtRest stands alone"),
-        (lambda: Scene([ROD], joints, start=[moving, AtRest()]), "AtRest stands alone"),
-        (lambda: Scene([ROD], joints, start=[AtRest(loads=[same])], loads=[BIAS]), "bias"),
-        (lambda: Scene([ROD], joints, start=[AtRest(gravity=(0.0, 0.0, 1.0))]), "AtRest.gravity"),
-        (lambda: Scene([ROD], joints, start=AtRest()), "Scene.start"),
-        (lambda: AtRest(loads=PULL), "AtRest.loads"),
-        (lambda: AtRest(loads=[ROD]), "AtRest.loads"),
-        (lambda: AtRest(gravity="down"), "AtRest.gravity"),
+        (
+            lambda: Scene([ROD], joints, start=[EquilibriumStart(), EquilibriumStart()]),
+            "EquilibriumStart stands alone",
+        ),
+        (
+            lambda: Scene([ROD], joints, start=[spin, EquilibriumStart()]),
+            "EquilibriumStart stands alone",
+        ),
+        (
+            lambda: Scene([ROD], joints, start=[moving, EquilibriumStart()]),
+            "EquilibriumStart stands alone",
+        ),
+        (
+            lambda: Scene([ROD], joints, start=[EquilibriumStart(loads=[same])], loads=[BIAS]),
+            "bias",
+        ),
+        (
+            lambda: Scene([ROD], joints, start=[EquilibriumStart(gravity=(0.0, 0.0, 1.0))]),
+            "EquilibriumStart.gravity",
+        ),
+        (lambda: Scene([ROD], joints, start=EquilibriumStart()), "Scene.start"),
+        (lambda: EquilibriumStart(loads=PULL), "EquilibriumStart.loads"),
+        (lambda: EquilibriumStart(loads=[ROD]), "EquilibriumStart.loads"),
+        (lambda: EquilibriumStart(gravity="down"), "EquilibriumStart.gravity"),
         (
             lambda: Scene(
-                [ROD], joints, start=[AtRest([PointForce(ROD.at(0.5, y=0.1), (0.0, 1.0))])]
+                [ROD],
+                joints,
+                start=[EquilibriumStart([PointForce(ROD.at(0.5, y=0.1), (0.0, 1.0))])],
             ),
             "must lie in the section",
         ),
         (lambda: released().with_values({"push.force_x": 1.0}), "push"),
     ):
-        with pytest.raises(InvalidInput, match=words):
+        with pytest.raises(InvalidInputError, match=words):
             action()
 
 
@@ -269,7 +287,7 @@ def test_a_start_that_is_unstable_is_warned_of():
     euler = np.pi**2 / 4 * 1e7 * 0.02**4 / 12
     for share, unstable in ((0.9, False), (1.2, True)):
         push = PointForce(column.at_end, (-share * euler, 0.0))
-        scene = Scene([column], [Clamp(column.at_start)], loads=[push], start=[AtRest()])
+        scene = Scene([column], [Clamp(column.at_start)], loads=[push], start=[EquilibriumStart()])
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             assemble(scene).start()

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from ancfdae import ControlledSteps, Explicit, FixedSteps, GivenSteps, simulate
+from ancfdae import DOP853, AdaptiveSteps, FixedSteps, PrescribedSteps, simulate
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.errors import Verdict
 from ancfdae.integrators.problem import Scales
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.start import consistent_start
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, march
+from ancfdae.results import Verdict
 
 from mechanisms import CartesianPendulum
 from members import constraint_force, constraint_force_q
@@ -74,19 +74,19 @@ class ImplicitEuler(OneStepMethod):
 def run(steps, t_end=1.0):
     system = CartesianPendulum(0.7, 1.0)
     method = ImplicitEuler(system, steps, t_end)
-    recorder = Recorder(system, steps.count(t_end) + 1)
+    recorder = SolutionRecorder(system, steps.count(t_end) + 1)
     return method, march(method, steps.controller(t_end, method), recorder, t_end, False)[0]
 
 
 def test_the_tolerance_bounds_the_error_of_another_method():
-    exact = simulate(CartesianPendulum(0.7, 1.0), 1.0, Explicit(1e-9))
+    exact = simulate(CartesianPendulum(0.7, 1.0), 1.0, DOP853(1e-9))
     counts = []
     for rtol in (1e-2, 2e-3):
-        method, found = run(ControlledSteps(rtol))
+        method, found = run(AdaptiveSteps(rtol))
         assert found.outcome.success
         assert found.t[-1] == 1.0
         error = np.max(np.abs(found.q[-1] - exact.q[-1])) / np.max(np.abs(exact.q))
-        # The claim of `ControlledSteps`: never wrong by more than ten times the tolerance.
+        # The claim of `AdaptiveSteps`: never wrong by more than ten times the tolerance.
         assert 1e-2 * rtol < error < 10 * rtol
         assert method.solved == found.statistics.steps + found.statistics.rejected
         counts.append(found.statistics.steps)
@@ -98,7 +98,7 @@ def test_the_tolerance_bounds_the_error_of_another_method():
 def test_steps_settle_where_control_aims():
     # Between the first steps and the last ones, which meet the end. The memory keeps e below 1/2
     # where the acceleration falls.
-    method, found = run(ControlledSteps(1e-3))
+    method, found = run(AdaptiveSteps(1e-3))
     assert found.statistics.rejected == 0
     middle = method.errors[len(method.errors) // 2 : -12]
     assert 0.3 < np.median(middle) <= 0.55
@@ -106,15 +106,15 @@ def test_steps_settle_where_control_aims():
 
 @pytest.mark.parametrize("rtol", [1e-2, 1e-3])
 def test_given_steps_repeat_a_controlled_run(rtol):
-    _, first = run(ControlledSteps(rtol))
-    _, again = run(ControlledSteps(rtol).frozen(first.t))
+    _, first = run(AdaptiveSteps(rtol))
+    _, again = run(AdaptiveSteps(rtol).frozen(first.t))
     np.testing.assert_array_equal(again.t, first.t)
     np.testing.assert_array_equal(again.q, first.q)
 
 
 def test_fixed_steps_are_instants_at_equal_distance():
     _, fixed = run(FixedSteps(2.0**-6))
-    _, given = run(GivenSteps(tuple(np.arange(65) / 64)))
+    _, given = run(PrescribedSteps(tuple(np.arange(65) / 64)))
     np.testing.assert_array_equal(given.q, fixed.q)
 
 
@@ -131,7 +131,7 @@ def test_a_rejection_near_the_start_begins_anew(monkeypatch):
 
     monkeypatch.setattr(ImplicitEuler, "error", rejecting_the_third)
     monkeypatch.setattr(ImplicitEuler, "start", seen)
-    method, found = run(ControlledSteps(1e-3))
+    method, found = run(AdaptiveSteps(1e-3))
     assert found.outcome.success
     # What was rejected shrinks, and so does the first step: to a half at most.
     assert len(starts) == 2
@@ -144,7 +144,7 @@ def test_a_rejection_near_the_start_begins_anew(monkeypatch):
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_sizes_are_the_formula_of_the_filter(order):
     # For an error k h^p the ratio e/h^p is equal in all steps, so that the memory has no effect.
-    steps, k, t_end = ControlledSteps(1e-3), 3e4, 10.0
+    steps, k, t_end = AdaptiveSteps(1e-3), 3e4, 10.0
     method = NumbersOnly(order, k)
     controller, t, last_x, ratio = steps.controller(t_end, method), 0.0, 1.0, 1.0
     expected = (0.25 / k) ** (1 / order)
@@ -185,7 +185,7 @@ def stepped_to_its_last_steps(steps, t_end, method):
 
 @pytest.mark.parametrize("taken", [0, 1, 3])
 def test_a_run_that_goes_on_within_its_last_steps_meets_the_end_alike(taken):
-    steps, method, t_end = ControlledSteps(1e-3), NumbersOnly(2, 3e4), 1.0
+    steps, method, t_end = AdaptiveSteps(1e-3), NumbersOnly(2, 3e4), 1.0
     controller, n, t, h, t_next = stepped_to_its_last_steps(steps, t_end, method)
     for _ in range(taken):
         n, t = controller.judge(n, t, h, method.e * h**2), t_next
@@ -206,7 +206,7 @@ def test_a_run_that_goes_on_within_its_last_steps_meets_the_end_alike(taken):
 @pytest.mark.parametrize("taken", [0, 2])
 def test_a_step_rejected_within_the_last_ones_becomes_smaller(taken):
     """Error estimate 2, four times the target 1/2, halves the step: (1/4)^(1/2) at order 2."""
-    steps, method, t_end = ControlledSteps(1e-3), NumbersOnly(2, 3e4), 1.0
+    steps, method, t_end = AdaptiveSteps(1e-3), NumbersOnly(2, 3e4), 1.0
     controller, n, t, h, t_next = stepped_to_its_last_steps(steps, t_end, method)
     for _ in range(taken):
         n, t = controller.judge(n, t, h, method.e * h**2), t_next
@@ -234,7 +234,7 @@ def test_the_error_of_a_step_is_that_from_the_state_it_began_with(monkeypatch):
 
     for name, function in (("resized", resized), ("advance", advance), ("error", error)):
         monkeypatch.setattr(ImplicitEuler, name, function)
-    run(ControlledSteps(1e-2))
+    run(AdaptiveSteps(1e-2))
     assert len(measured) > 10
     assert all(measured)
 
@@ -255,10 +255,10 @@ class NumbersOnly:
 def test_what_is_never_solved_is_an_outcome(monkeypatch):
     never = Failure(Verdict.NO_CONVERGENCE, 1.0)
     monkeypatch.setattr(ImplicitEuler, "advance", lambda self, h, before, t: never)
-    for steps in (FixedSteps(0.1), ControlledSteps(1e-3)):
+    for steps in (FixedSteps(0.1), AdaptiveSteps(1e-3)):
         _, found = run(steps)
         assert found.outcome.verdict is Verdict.NO_CONVERGENCE
         assert len(found.t) == 1
-    _, found = run(ControlledSteps(1e-3, max_steps=4))
+    _, found = run(AdaptiveSteps(1e-3, max_steps=4))
     assert found.outcome.verdict is Verdict.STEP_LIMIT
     assert found.statistics.rejected == 4

@@ -15,38 +15,32 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    DOP853,
     HHT,
     IDA,
-    AncfdaeError,
+    AdaptiveSteps,
     AtTimes,
-    ControlledSteps,
     DesignVariable,
-    Drive,
-    Evaluate,
-    Explicit,
+    Evaluator,
     FiniteDifference,
     Integral,
-    Interrupted,
-    InvalidInput,
     Pin,
+    RotationDriver,
     Scene,
-    Setting,
-    Solution,
+    SmoothUpperBound,
     Terminal,
-    UpperMaximum,
-    UserLaw,
-    Verdict,
     assemble,
     equilibrium,
     gradient,
-    kinetic_energy,
-    observe,
-    position,
     simulate,
     sweep,
 )
 from ancfdae.assembly.numbers import Numbers
-from ancfdae.model.bodies import Point
+from ancfdae.errors import AncfdaeError, Interrupted, InvalidInputError
+from ancfdae.laws import UserLaw
+from ancfdae.model.bodies import MaterialPoint
+from ancfdae.observables import kinetic_energy, observe, position
+from ancfdae.results import MeasuredSetting, Solution, Verdict
 from ancfdae.sensitivity.objectives.totals import read_at_end
 from ancfdae.statics.equilibrium import Equilibrium
 from validation.scenes import pendulum
@@ -54,12 +48,12 @@ from validation.scenes import pendulum
 from mechanisms import CartesianPendulum
 
 SCENE = pendulum(elements=1, youngs_modulus=1e6)
-TIP = Point("pendulum", 1.0)
+TIP = MaterialPoint("pendulum", 1.0)
 T_END = 2.0**-4
 HEIGHT = "pendulum.height"
 VARIABLE = DesignVariable("h", [HEIGHT])
 DROP = Terminal(position(TIP, 1))
-VALUE = Evaluate(DROP, T_END, HHT(2.0**-7))
+VALUE = Evaluator(DROP, T_END, HHT(2.0**-7))
 HEIGHTS = [0.04, 0.05, -1.0, 0.06]
 DESIGNS = [{HEIGHT: h} for h in HEIGHTS]
 
@@ -91,8 +85,8 @@ def sample(hint):
         return sample(next(x for x in typing.get_args(hint) if x is not type(None)))
     if typing.get_origin(hint) is not None:
         return ["one", "two"]
-    if hint is Setting:
-        return Setting(HHT(0.1), 1.0, "made", states=1.0)
+    if hint is MeasuredSetting:
+        return MeasuredSetting(HHT(0.1), 1.0, "made", states=1.0)
     return {str: "states", float: 0.25}.get(hint, "got")
 
 
@@ -119,7 +113,7 @@ def test_every_error_arrives_from_a_worker_process(kind, pool):
 
 
 def test_an_error_about_a_function_arrives_too():
-    error = InvalidInput("where", "rule", lambda x: x, "Pass a number instead.")
+    error = InvalidInputError("where", "rule", lambda x: x, "Pass a number instead.")
     again = pickle.loads(pickle.dumps(error))
     assert str(again) == str(error)
     assert "lambda" in again.got
@@ -136,20 +130,20 @@ def test_rows_stand_in_order_and_a_bad_design_is_one_of_them():
             moved = simulate(SCENE.with_values({HEIGHT: height}), T_END, HHT(2.0**-7))
             assert row.result["value"] == observe(position(TIP, 1), moved)[-1]
     assert list(done.failed) == [2]
-    assert "InvalidInput" in done.failed[2]
+    assert "InvalidInputError" in done.failed[2]
     assert done.results[2] is None
     assert "4 designs, 1 without result" in repr(done)
 
 
 def test_gradients_and_observables_are_those_of_the_calls():
     method = {"design": [HEIGHT]}
-    what = Evaluate(DROP, T_END, HHT(2.0**-7), gradient=True, **method)
+    what = Evaluator(DROP, T_END, HHT(2.0**-7), gradient=True, **method)
     (row,) = sweep(SCENE, DESIGNS[:1], what).rows
     moved = SCENE.with_values(DESIGNS[0])
     own = gradient(moved, DROP, T_END, HHT(2.0**-7), **method)
     assert row.result["value"] == own.value
     assert np.array_equal(row.result["gradient"], own.gradient)
-    (row,) = sweep(SCENE, DESIGNS[:1], Evaluate(kinetic_energy(), T_END, HHT(2.0**-7))).rows
+    (row,) = sweep(SCENE, DESIGNS[:1], Evaluator(kinetic_energy(), T_END, HHT(2.0**-7))).rows
     assert row.result["value"].shape == row.result["t"].shape
     assert row.result["value"][-1] > row.result["value"][0] == 0
 
@@ -158,7 +152,7 @@ def test_gradients_are_taken_by_the_method_that_was_given():
     """Finite differences, because the exact methods give one gradient."""
     method = FiniteDifference(0.1)
     given = {"design": [HEIGHT], "method": method}
-    what = Evaluate(DROP, T_END, HHT(2.0**-7), gradient=True, **given)
+    what = Evaluator(DROP, T_END, HHT(2.0**-7), gradient=True, **given)
     (result,) = sweep(SCENE, [{}], what).results
     own = gradient(SCENE, DROP, T_END, HHT(2.0**-7), **given)
     exact = gradient(SCENE, DROP, T_END, HHT(2.0**-7), design=[HEIGHT])
@@ -176,7 +170,7 @@ def test_rows_of_values_mappings_and_variables_mean_the_same():
     rows = sweep(system, np.array([[L, g], [2.0, g]]), length)
     named = sweep(system, [{}, {"L": 2.0}], length)
     assert rows.results == named.results == [L + 100 * g, 2 + 100 * g]
-    assert "UnknownName" in sweep(system, [{"M": 1.0}], length).failed[0]
+    assert "UnknownNameError" in sweep(system, [{"M": 1.0}], length).failed[0]
     by_variable = sweep(SCENE, [[0.04]], VALUE, design=[VARIABLE])
     assert by_variable.rows[0].values == {"h": 0.04}
     assert by_variable.results == sweep(SCENE, DESIGNS[:1], VALUE).results
@@ -196,15 +190,15 @@ def test_rows_of_values_mappings_and_variables_mean_the_same():
     ],
 )
 def test_bad_input_is_refused_by_name(change, match):
-    with pytest.raises(InvalidInput, match=match):
+    with pytest.raises(InvalidInputError, match=match):
         sweep(**({"model": SCENE, "designs": DESIGNS, "what": VALUE} | change))
 
 
 def test_what_is_evaluated_is_checked_at_once():
-    with pytest.raises(InvalidInput, match=r"Evaluate\.of"):
-        Evaluate(kinetic_energy(), 1.0, HHT(0.1), gradient=True)
-    with pytest.raises(InvalidInput, match=r"Evaluate\.integrator"):
-        Evaluate(DROP, 1.0, 0.1)
+    with pytest.raises(InvalidInputError, match=r"Evaluator\.of"):
+        Evaluator(kinetic_energy(), 1.0, HHT(0.1), gradient=True)
+    with pytest.raises(InvalidInputError, match=r"Evaluator\.integrator"):
+        Evaluator(DROP, 1.0, 0.1)
 
 
 # ---- workers
@@ -212,7 +206,7 @@ def test_what_is_evaluated_is_checked_at_once():
 
 def test_worker_processes_give_the_same_rows(pool):
     assert sweep(SCENE, DESIGNS, VALUE, executor=pool) == sweep(SCENE, DESIGNS, VALUE)
-    with pytest.raises(InvalidInput, match="what, executor: must pickle"):
+    with pytest.raises(InvalidInputError, match="what, executor: must pickle"):
         sweep(SCENE, DESIGNS, lambda scene: 1, executor=pool)
 
 
@@ -368,16 +362,16 @@ def test_a_file_of_another_sweep_is_refused(tmp_path):
     before = file.read_text()
     for other, match in (
         ((pendulum(elements=2), DESIGNS, VALUE), "rows of another model"),
-        ((SCENE, DESIGNS, Evaluate(DROP, 2 * T_END, HHT(2.0**-7))), "rows of another what"),
+        ((SCENE, DESIGNS, Evaluator(DROP, 2 * T_END, HHT(2.0**-7))), "rows of another what"),
         ((SCENE, DESIGNS, counted), "rows of another what"),
         ((SCENE, DESIGNS[1:], VALUE), "rows of these designs; got row 0 at"),
     ):
-        with pytest.raises(InvalidInput, match=match):
+        with pytest.raises(InvalidInputError, match=match):
             sweep(*other, file=file)
     assert file.read_text() == before
     for content in ("no sweep", "no sweep\n", "3\n"):
         text.write_text(content)
-        with pytest.raises(InvalidInput, match="must be the file of a sweep"):
+        with pytest.raises(InvalidInputError, match="must be the file of a sweep"):
             sweep(SCENE, DESIGNS, VALUE, file=text)
         assert text.read_text() == content
 
@@ -428,7 +422,7 @@ def test_a_damaged_line_of_a_file_is_named(tmp_path, damage):
     head, row, last = file.read_text().splitlines()
     file.write_text("\n".join([head, damage(row), last, ""]))
     with pytest.raises(
-        InvalidInput, match=r"rows.jsonl: must hold rows; got .* in line 2\. Remove"
+        InvalidInputError, match=r"rows.jsonl: must hold rows; got .* in line 2\. Remove"
     ):
         sweep(SCENE, DESIGNS[:2], VALUE, file=file)
     # The advice helps.
@@ -442,7 +436,7 @@ def test_a_damaged_line_of_a_file_is_named(tmp_path, damage):
 def test_a_first_line_that_is_none_of_a_sweep_is_refused(tmp_path, line):
     file = tmp_path / "rows.jsonl"
     file.write_text(line + "\n")
-    with pytest.raises(InvalidInput, match="must be the file of a sweep"):
+    with pytest.raises(InvalidInputError, match="must be the file of a sweep"):
         sweep(SCENE, DESIGNS[:1], VALUE, file=file)
 
 
@@ -466,14 +460,14 @@ def test_a_file_tells_functions_by_what_they_do(tmp_path, monkeypatch):
         file = tmp_path / name
         done = sweep(SYSTEM, MANY[:1], what, design=["L"], file=file)
         assert repr(sweep(SYSTEM, MANY[:1], what, design=["L"], file=file)) == repr(done)
-        with pytest.raises(InvalidInput, match="rows of another what"):
+        with pytest.raises(InvalidInputError, match="rows of another what"):
             sweep(SYSTEM, MANY[:1], other, design=["L"], file=file)
     call = SYSTEM, MANY[:1], lambda s: FACTOR * s.b[0]
     assert sweep(*call, design=["L"], file=tmp_path / "global").results == [2.0]
     monkeypatch.setitem(globals(), "FACTOR", 3.0)
-    with pytest.raises(InvalidInput, match="rows of another what"):
+    with pytest.raises(InvalidInputError, match="rows of another what"):
         sweep(*call, design=["L"], file=tmp_path / "global")
-    with pytest.raises(InvalidInput, match="what, file: must be told from others"):
+    with pytest.raises(InvalidInputError, match="what, file: must be told from others"):
         sweep(SYSTEM, [{}], closing_over(threading.Lock()), file=tmp_path / "lock")
 
 
@@ -488,13 +482,13 @@ def test_a_file_of_a_system_of_other_values_is_refused(tmp_path):
     scenes = [pendulum_driven_by(each) for each in law]
     sweep(scenes[0], [{}], assemble_only, file=tmp_path / "driven")
     for model, name in ((heavier, file), (scenes[1], tmp_path / "driven")):
-        with pytest.raises(InvalidInput, match="rows of another model"):
+        with pytest.raises(InvalidInputError, match="rows of another model"):
             sweep(model, [{}], length if name == file else assemble_only, file=name)
 
 
 def pendulum_driven_by(law):
     rod = SCENE.beams[0]
-    return Scene([rod], [Pin(rod.at_start), Drive(rod.at_start, law)])
+    return Scene([rod], [Pin(rod.at_start), RotationDriver(rod.at_start, law)])
 
 
 def assemble_only(scene):
@@ -502,7 +496,7 @@ def assemble_only(scene):
 
 
 def test_what_a_file_cannot_hold_is_told_at_the_first_row(tmp_path):
-    with pytest.raises(InvalidInput, match="what, file: results must be numbers"):
+    with pytest.raises(InvalidInputError, match="what, file: results must be numbers"):
         sweep(SCENE, DESIGNS, counted_set, file=tmp_path / "rows.jsonl")
 
 
@@ -552,17 +546,17 @@ def test_a_gradient_in_other_variables_is_that_of_the_scene():
 
 
 def test_the_variables_of_a_sweep_do_not_control_its_steps():
-    steps = ControlledSteps(1e-3, sensitivities=True)
-    what = Evaluate(DROP, T_END, HHT(steps))
+    steps = AdaptiveSteps(1e-3, sensitivities=True)
+    what = Evaluator(DROP, T_END, HHT(steps))
     (row,) = sweep(SCENE, [{HEIGHT: 0.04}], what).rows
     assert row.result == what(SCENE.with_values({HEIGHT: 0.04}))
 
 
-@pytest.mark.parametrize("integrator", [Explicit(1e-6), IDA(1e-5)])
+@pytest.mark.parametrize("integrator", [DOP853(1e-6), IDA(1e-5)])
 def test_runs_of_high_order_report_what_is_asked_for(monkeypatch, integrator):
     """The end alone, to the same digits; instants between that something reads; driven motions."""
     system = assemble(SCENE)
-    what = Evaluate(DROP + Integral(position(TIP, 0)), T_END, integrator)
+    what = Evaluator(DROP + Integral(position(TIP, 0)), T_END, integrator)
     (row,) = sweep(SCENE, [{HEIGHT: 0.05}], what).rows
     assert integrator.at_end(system, T_END).intervals == 4
     assert dataclasses.replace(integrator, intervals=2).at_end(system, T_END).intervals == 2
@@ -571,7 +565,7 @@ def test_runs_of_high_order_report_what_is_asked_for(monkeypatch, integrator):
     half = AtTimes(position(TIP, 1), T_END / 2)
     assert read_at_end(system, [what.of], T_END)
     assert not read_at_end(system, [DROP + half], T_END)
-    assert not read_at_end(system, [UpperMaximum(position(TIP, 1), 5.0)], T_END)
+    assert not read_at_end(system, [SmoothUpperBound(position(TIP, 1), 5.0)], T_END)
     monkeypatch.setattr(type(integrator), "at_end", lambda self, *_: self)
     (again,) = sweep(SCENE, [{HEIGHT: 0.05}], what).rows
     assert row.result["value"] == again.result["value"]

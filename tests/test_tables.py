@@ -8,22 +8,21 @@ import pytest
 from ancfdae import (
     HHT,
     Beam,
-    InvalidInput,
     Material,
-    MissingPackage,
     Pin,
-    Rectangle,
     RigidBody,
     RigidBox,
     Scene,
     Terminal,
     differentiate,
     gradient,
-    position,
     simulate,
     sweep,
-    tradeoff,
+    work_precision,
 )
+from ancfdae.errors import InvalidInputError, MissingPackageError
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 
 from mechanisms import CartesianPendulum
 
@@ -94,7 +93,7 @@ def test_gradients_and_sweeps_have_a_row_each():
 
 def test_tradeoffs_have_a_row_for_each_setting():
     objective = Terminal(position(scene().beams[0].at_end, 1))
-    trade = tradeoff(scene(), objective, 1 / 32, [STEPS, HHT(step=1 / 64)], design=DESIGN)
+    trade = work_precision(scene(), objective, 1 / 32, [STEPS, HHT(step=1 / 64)], design=DESIGN)
     table = trade.to_dataframe()
     assert len(table) == 3
     assert list(table["gradient"][:2]) == [row.gradient for row in trade.rows]
@@ -102,12 +101,12 @@ def test_tradeoffs_have_a_row_for_each_setting():
 
 
 def test_nonsense_is_refused_and_a_missing_package_named(solution, monkeypatch):
-    with pytest.raises(InvalidInput, match="tip"):
+    with pytest.raises(InvalidInputError, match="tip"):
         solution.to_dataframe({"tip [m]": [1.0, 2.0]})
-    with pytest.raises(InvalidInput, match="differ from the names of all other columns"):
+    with pytest.raises(InvalidInputError, match="differ from the names of all other columns"):
         solution.to_dataframe({"rod[2].y": solution.t})
-    with pytest.raises(InvalidInput, match="differentiate"):
+    with pytest.raises(InvalidInputError, match="differentiate"):
         simulate(scene(), 1 / 128, STEPS).to_dataframe(derivatives=True)
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingPackage, match=r'pip install "ancfdae\[pandas\]"'):
+    with pytest.raises(MissingPackageError, match=r'pip install "ancfdae\[pandas\]"'):
         solution.to_dataframe()

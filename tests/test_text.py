@@ -5,32 +5,31 @@ import pytest
 
 from ancfdae import (
     HHT,
-    Direct,
+    DirectDifferentiation,
     Integral,
-    Point,
     Terminal,
-    adjoint_error,
     assemble,
     check_system,
-    custom,
     differentiate,
-    distribution,
+    distributed_variables,
     error_bars,
+    estimate_adjoint_error,
     gradient,
-    position,
     simulate,
     sweep,
     taylor_test,
-    tradeoff,
+    work_precision,
 )
 from ancfdae.errors.text import columns, listed, page
+from ancfdae.extend import MaterialPoint
+from ancfdae.observables import custom, position
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
 
 SCENE = pendulum(elements=20)
-DESIGN = distribution("pendulum.height", 20)
-OBJECTIVE = Integral(position(Point("pendulum", 1.0), 1) ** 2)
+DESIGN = distributed_variables("pendulum.height", 20)
+OBJECTIVE = Integral(position(MaterialPoint("pendulum", 1.0), 1) ** 2)
 Y = custom(lambda t, q, v, lam, b: q[:, 1], "y")
 ARGUMENTS = (SCENE, OBJECTIVE, 0.04, HHT(0.01))
 END = "the end time was reached (t = 0.04, "
@@ -86,7 +85,7 @@ def test_error_bars_show_bars_and_outcome():
 
 
 def test_an_adjoint_error_shows_value_error_and_outcome():
-    estimate = adjoint_error(*ARGUMENTS)
+    estimate = estimate_adjoint_error(*ARGUMENTS)
     for part in (f"{estimate.value:.9g}", f"{estimate.error:.2g}", END):
         assert part in short(estimate)
 
@@ -99,7 +98,7 @@ def test_a_taylor_test_shows_order_and_remainders():
 
 def test_a_tradeoff_shows_errors_and_outcomes_of_twelve_settings_at_most():
     settings = [HHT(0.02 / k) for k in range(1, 15)]
-    result = tradeoff(CartesianPendulum(), Integral(Y), 0.04, settings, reference=HHT(0.001))
+    result = work_precision(CartesianPendulum(), Integral(Y), 0.04, settings, reference=HHT(0.001))
     text = repr(result)
     assert text.count("\n") == 12
     for part in ("(reference)", f"{result.rows[0].gradient:.2g}", END):
@@ -143,7 +142,7 @@ def test_tables_for_notebooks_have_titles_end_and_escape():
 def test_results_are_tables_in_notebooks():
     system = CartesianPendulum()
     x = Terminal(custom(lambda t, q, v, lam, b: q[:, 0], "x"))
-    found = gradient(system, x, 0.5, HHT(0.25), method=Direct())
+    found = gradient(system, x, 0.5, HHT(0.25), method=DirectDifferentiation())
     run = found.solution
     for told, words in (
         (found._repr_html_(), ("objective", "<td>L</td>", "the end time was reached")),

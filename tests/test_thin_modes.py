@@ -6,21 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ancfdae import (
-    Beam,
-    Material,
-    MotionKind,
-    Pin,
-    Rectangle,
-    Revolute,
-    Scene,
-    Spherical,
-    SpringDamper,
-    Weld,
-    modes,
-)
+from ancfdae import Beam, Material, Pin, Revolute, Scene, Spherical, SpringDamper, Weld, modes
 from ancfdae.errors import AncfdaeError
 from ancfdae.modes.precise import NoModes
+from ancfdae.results import ModeKind
+from ancfdae.sections import Rectangle
 from validation.thin_beams import cantilever_frequencies, euler_frequencies, thin_cantilever
 
 E, RHO = 1e9, 1000.0
@@ -55,7 +45,7 @@ def test_pairs_of_thin_round_bars_coincide(slenderness):
 def test_a_free_thin_beam_has_all_rigid_motions(slenderness, d, elements, nu):
     rigid = 3 * (d - 1)
     found = modes(thin_cantilever(slenderness, elements, d, nu, free=True), rigid + d - 1)
-    assert found.kinds == (MotionKind.RIGID,) * rigid + (MotionKind.VIBRATION,) * (d - 1)
+    assert found.kinds == (ModeKind.RIGID,) * rigid + (ModeKind.VIBRATION,) * (d - 1)
     unit = np.sqrt(E * slenderness**2 / 12 / RHO)
     # Three elements are 0.3 % too stiff.
     np.testing.assert_allclose(found.frequencies[rigid:] / unit, 22.3733, rtol=3e-3)
@@ -84,7 +74,7 @@ def test_free_thin_beams_in_space_bend_as_cubic_elements_or_are_refused(
     except NoModes:
         assert slenderness < 1e-5
         return
-    assert found.kinds == (MotionKind.RIGID,) * 6 + (MotionKind.VIBRATION,) * 2
+    assert found.kinds == (ModeKind.RIGID,) * 6 + (ModeKind.VIBRATION,) * 2
     unit = np.sqrt(E * slenderness**2 / 12 / RHO)
     expected = euler_frequencies(elements)[2:4]
     # Half of the 2e-6 of omega^2 that are promised; shear and rotary inertia are 4 (h/L)^2 = 4e-7.
@@ -118,9 +108,7 @@ def test_thin_linkages_keep_their_rigid_motions_and_the_law_of_similarity(
     number = rigid[d - 2]
     found = modes(linkage(kind, d, slenderness, 3), number + 2)
     thick = modes(linkage(kind, d, 2e-3, 3), number + 2)
-    assert [k == MotionKind.RIGID for k in found.kinds[: number + 2]] == [True] * number + [
-        False
-    ] * 2
+    assert [k == ModeKind.RIGID for k in found.kinds[: number + 2]] == [True] * number + [False] * 2
     scale = slenderness / 2e-3
     bending = thick.frequencies[number : number + 2] * scale
     np.testing.assert_allclose(found.frequencies[number : number + 2], bending, rtol=1e-3)

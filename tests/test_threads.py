@@ -15,33 +15,31 @@ import threadpoolctl
 
 from ancfdae import (
     BEAM_2D,
+    DOP853,
     HHT,
     Adjoint,
     ContinuousAdjoint,
-    Direct,
-    Explicit,
+    DirectDifferentiation,
     FiniteDifference,
     Integral,
     Radau,
-    adjoint_error,
     assemble,
-    custom,
     differentiate,
     equilibrium,
+    equilibrium_gradient,
+    estimate_adjoint_error,
     evaluate,
     gradient,
     modes,
-    observations,
-    observe,
-    position,
+    record_observables,
     simulate,
-    static_gradient,
     suggest_step,
 )
 from ancfdae.assembly import block
 from ancfdae.numerics import threads
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.threads import in_one_thread
+from ancfdae.observables import custom, observe, position
 from ancfdae.studies.parts import RunOfParts
 
 from scenes import clamped, planar_pair
@@ -105,9 +103,9 @@ def calls():
         "HHT": lambda: simulate(scene, end, HHT(step)),
         "HHT, controlled": lambda: simulate(scene, end, HHT(rtol=1e-3)),
         "Radau": lambda: simulate(scene, end, Radau(step)),
-        "Explicit": lambda: simulate(scene, 2**-9, Explicit(1e-4, intervals=1)),
+        "DOP853": lambda: simulate(scene, 2**-9, DOP853(1e-4, intervals=1)),
         "kept instants": lambda: simulate(scene, end, HHT(step), keep=2),
-        "observations": lambda: observations(
+        "observations": lambda: record_observables(
             scene, [position(rod.at_end, 1)], end, HHT(step), keep=2
         ),
         "direct": lambda: differentiate(scene, end, Radau(step), design=DESIGN),
@@ -115,9 +113,9 @@ def calls():
         "adjoint of Radau": lambda: gradient_by(Adjoint(), Radau(step)),
         "checkpoints": lambda: gradient_by(Adjoint(memory=20_000)),
         "continuous adjoint": lambda: gradient_by(ContinuousAdjoint()),
-        "error from one run": lambda: adjoint_error(scene, bend, end, HHT(step)),
+        "error from one run": lambda: estimate_adjoint_error(scene, bend, end, HHT(step)),
         "equilibrium": lambda: equilibrium(held, design=DESIGN),
-        "static gradient": lambda: static_gradient(
+        "static gradient": lambda: equilibrium_gradient(
             held, position(held.members[0].at_end, 1), design=DESIGN, method=Adjoint()
         ),
         "modes": lambda: modes(scene, 2, design=DESIGN),
@@ -190,7 +188,7 @@ def test_observables_are_evaluated_in_one_thread(call):
         case "evaluate":
             evaluate(Integral(y), run, system)
         case _:
-            method = Direct() if call == "direct" else FiniteDifference()
+            method = DirectDifferentiation() if call == "direct" else FiniteDifference()
             gradient(system, Integral(y), 2**-7, HHT(2**-9), method=method)
     # A function of the user is tried before a run, with the user's number of threads.
     assert all(each == {1} for each in seen[seen.index({1}) :])

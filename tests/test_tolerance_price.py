@@ -12,20 +12,18 @@ from ancfdae import (
     Material,
     Pin,
     PointOnLine,
-    Rectangle,
     RigidBody,
     Scene,
-    SlideFriction,
     SpringDamper,
     Terminal,
+    TranslationalFriction,
     assemble,
-    position,
-    reaction,
     simulate,
-    velocity,
 )
-from ancfdae.equations import EstimatedErrors
-from ancfdae.integrators.problem import Problem
+from ancfdae.equations import ErrorEstimates
+from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.observables import position, reaction, velocity
+from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.observables.states import states_of
 from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.gradients import _wanted
@@ -55,7 +53,7 @@ def spring(a):
 
 
 def rubbing(a):
-    return SlideFriction(a.at(0), (1, 0), 0.1, 1e-4, name="f")
+    return TranslationalFriction(a.at(0), (1, 0), 0.1, 1e-4, name="f")
 
 
 def seer(tolerance=1e-3):
@@ -68,7 +66,7 @@ def seer(tolerance=1e-3):
 def sample(steps, error, x):
     """A run that estimates the error of its derivatives, and found x for value and slope."""
     vectors = [np.array([x]), np.array([x])]
-    return Sample(vectors, EstimatedErrors(error, (error,)), steps, None, None)
+    return Sample(vectors, ErrorEstimates(error, (error,)), steps, None, None)
 
 
 @pytest.mark.parametrize(
@@ -99,9 +97,9 @@ def test_extrapolation_is_believed_where_waves_change_nothing(whole, improved):
 def test_beams_alone_have_no_transitions_of_forces_to_look_for(monkeypatch):
     scene, _ = rod()
     system = assemble(scene, ["rod.height"])
-    run, problem = simulate(system, 0.3, HHT(0.3 / 32, -0.05)), Problem.of(system, 0.3)
+    run, problem = simulate(system, 0.3, HHT(0.3 / 32, -0.05)), InitialValueProblem.of(system, 0.3)
     seen = passed_over(problem, run, 1e-3)
-    monkeypatch.setattr(Problem, "accelerations", property(lambda self: 1 / 0))
+    monkeypatch.setattr(InitialValueProblem, "accelerations", property(lambda self: 1 / 0))
     assert passed_over(problem, run, 1e-3) == seen == RESOLVED
     assert _smooth(system)
     # Loads that move, and bodies whose joints turn, are looked at.
@@ -112,7 +110,7 @@ def test_beams_alone_have_no_transitions_of_forces_to_look_for(monkeypatch):
     system = assemble(sliding(spring, rubbing)[0], ["s.stiffness"])
     run = simulate(system, 3.0, HHT(3.0 / 64, -0.05))
     with pytest.raises(ZeroDivisionError):
-        passed_over(Problem.of(system, 3.0), run, 1e-3)
+        passed_over(InitialValueProblem.of(system, 3.0), run, 1e-3)
 
 
 def counted(push):

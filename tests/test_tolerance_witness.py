@@ -11,29 +11,25 @@ import pytest
 import scipy
 
 from ancfdae import (
+    DOP853,
     HHT,
-    Explicit,
     Integral,
     Pin,
     PointForce,
     PointOnLine,
     RigidBody,
     Scene,
-    SlideFriction,
     SpringDamper,
-    StabilityWarning,
     Terminal,
-    ToleranceMissed,
-    UserLaw,
+    TranslationalFriction,
     assemble,
-    custom,
     gradient,
-    observe,
-    position,
     simulate,
-    velocity,
 )
-from ancfdae.integrators.problem import Problem
+from ancfdae.errors import StabilityWarning, ToleranceWarning
+from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.laws import UserLaw
+from ancfdae.observables import custom, observe, position, velocity
 from ancfdae.studies.tolerance.bars import Estimate, spread
 from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.gradients import _wanted
@@ -79,7 +75,7 @@ def test_a_wave_that_numerical_damping_eats_is_not_forgotten(tolerance):
     scene, b = ringing()
     t_end, h, design = 0.05, 1e-5, ["s.stiffness", "m.stiffness"]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ToleranceMissed)
+        warnings.simplefilter("ignore", ToleranceWarning)
         found = gradient(
             scene, Terminal(position(b.at(0), 0)), t_end, tolerance=tolerance, design=design
         )
@@ -102,7 +98,7 @@ def test_a_damped_wave_has_the_amplitude_and_frequency_that_it_began_with():
     scene, _ = ringing()
     system = assemble(scene, ["m.stiffness"])
     run = simulate(system, 0.5, HHT(0.5 / 128, -0.05))
-    wave = waves_of(Problem.of(system, 0.5), run)[-1]
+    wave = waves_of(InitialValueProblem.of(system, 0.5), run)[-1]
     # omega = sqrt(STIFF (1/HEAVY + 1/LIGHT)), less the soft motion that second differences also
     # hold, less than 1 % of them.
     assert wave.speed == pytest.approx(math.sqrt(STIFF * (1 / HEAVY + 1 / LIGHT)), rel=0.01)
@@ -189,7 +185,7 @@ def test_waves_that_physics_takes_away_ask_for_no_steps(damping, eaten):
     """Numerical damping takes 0.1 a step of 1/128 s at most, 12.8 /s; physics 0 or 222 /s."""
     system, run = stiff_pair(damping)
     x = system.n_q // 2  # Of the light mass.
-    problem = Problem.of(system, 1.0)
+    problem = InitialValueProblem.of(system, 1.0)
     waves = unresolved(problem, run, -0.05, True)
     assert any(wave.damped for wave in waves) is eaten
     found = missed(problem, run, waves, (lambda states: [states.q[-1:, x]], [False], None))
@@ -248,8 +244,8 @@ def test_a_pulse_of_an_objective_is_not_stepped_over():
 
 
 def test_slow_laws_have_no_features_and_pulses_have_stops():
-    slow = features(Problem.of(assemble(struck(0.3, 1.0)[0]), 2.0), [], 2.0)
-    fast = features(Problem.of(assemble(struck(1e-3, 1.0)[0]), 2.0), [], 2.0)
+    slow = features(InitialValueProblem.of(assemble(struck(0.3, 1.0)[0]), 2.0), [], 2.0)
+    fast = features(InitialValueProblem.of(assemble(struck(1e-3, 1.0)[0]), 2.0), [], 2.0)
     assert slow == (0, ())
     # Thirty steps of 64 in 2 s are the width; more than 2 / 1e-3 steps follow it to a fifth.
     assert fast.steps >= 1024
@@ -258,7 +254,7 @@ def test_slow_laws_have_no_features_and_pulses_have_stops():
 
 
 def test_a_long_run_of_a_pendulum_keeps_the_tolerance():
-    """Explicit errs by hundreds of its tolerances after 40 s; SciPy has one coordinate."""
+    """DOP853 errs by hundreds of its tolerances after 40 s; SciPy has one coordinate."""
     length, t_end, tolerance = 1.0, 40.0, 1e-4
     bar = RigidBody("a", (length / 2, 0), mass=1.0, inertia=1 / 12)
     scene = Scene([], [Pin(bar.at(-length / 2))], (0, -9.81), bodies=[bar])
@@ -297,7 +293,7 @@ def rubbing(coulomb, smooth_speed):
     """A kilogram on a spring, let go half a metre from rest, against dry friction."""
     a = RigidBody("a", (0.0, 0), mass=1.0, inertia=1.0)
     spring = SpringDamper(a.at(0), RUB, 0.0, 1 + STRETCHED, ground=(-1.0, 0.0), name="s")
-    dry = SlideFriction(a.at(0), (1, 0), coulomb, smooth_speed, name="f")
+    dry = TranslationalFriction(a.at(0), (1, 0), coulomb, smooth_speed, name="f")
     return Scene([], [PointOnLine(a.at(0), direction=(1, 0))], loads=[spring, dry], bodies=[a]), a
 
 
@@ -319,7 +315,7 @@ def of_rubbing(coulomb, smooth_speed, at):
     return x, x_k * RUB, x_c * coulomb
 
 
-# Steps of HHT that see no transition agree at 64 to 512; so do loose tolerances of Explicit; the
+# Steps of HHT that see no transition agree at 64 to 512; so do loose tolerances of DOP853; the
 # third sticks.
 @pytest.mark.parametrize(
     ("coulomb", "smooth_speed", "tolerance"),
@@ -375,13 +371,13 @@ def test_a_transition_of_friction_is_as_wide_as_its_speed(coulomb, smooth_speed)
     runs = [simulate(system, 0.5, HHT(0.5 / n, hht_alpha=-0.05)) for n in (64, 512)]
     speed, pull = np.abs(runs[-1].v).max(), np.abs(runs[-1].a).max()
     for run in runs:
-        found = passed_over(Problem.of(system, 0.5), run, 1e-3)
+        found = passed_over(InitialValueProblem.of(system, 0.5), run, 1e-3)
         assert found.narrow == pytest.approx(2 * smooth_speed / np.ptp(runs[-1].v[:, 0]), rel=0.5)
         assert found.steps == pytest.approx(4 * 0.5 * pull / (2 * smooth_speed), rel=0.5)
         assert speed < 10
     smooth, _ = rubbing(coulomb, 2.0)
     run = simulate(smooth, 0.5, HHT(0.5 / 256, hht_alpha=-0.05))
-    problem = Problem.of(assemble(smooth, ["f.coulomb"]), 0.5)
+    problem = InitialValueProblem.of(assemble(smooth, ["f.coulomb"]), 0.5)
     assert passed_over(problem, run, 1e-3) == RESOLVED
 
 
@@ -514,7 +510,7 @@ def test_no_random_scene_errs_without_a_word(family, seed, tolerance):
     given = case(family, seed)
     exact = gradient(given.told, given.objective, given.t_end, given.reference)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ToleranceMissed)
+        warnings.simplefilter("ignore", ToleranceWarning)
         found = gradient(given.system, given.objective, given.t_end, tolerance=tolerance)
     scale = np.where(given.system.b == 0, 1.0, np.abs(given.system.b))
     size = np.linalg.norm(exact.gradient * scale)
@@ -531,16 +527,16 @@ def test_no_random_scene_errs_without_a_word(family, seed, tolerance):
     [("rod", 1001, 1e-3), ("rod", 1002, 1e-3), ("ringing", 1000, 1e-2)],
 )
 def test_bars_over_time_hold_at_single_instants(family, seed, tolerance):
-    """Undamped rods whose velocity and reaction swing; Explicit knows them. 23 to 34 % were out."""
+    """Undamped rods whose velocity and reaction swing; DOP853 knows them. 23 to 34 % were out."""
     draft = FAMILIES[family](np.random.default_rng([seed, *map(ord, family)]))
     system = assemble(draft.scene, draft.design)
     axis = 0 if draft.straight else 1
     seen = [position(draft.point, axis), velocity(draft.point, 0), *draft.others]
     at = np.linspace(0, draft.t_end, 65)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ToleranceMissed)
+        warnings.simplefilter("ignore", ToleranceWarning)
         found = observed_within(system, seen, at, draft.t_end, tolerance, False)
-    run = simulate(system, draft.t_end, Explicit(1e-10, intervals=64))
+    run = simulate(system, draft.t_end, DOP853(1e-10, intervals=64))
     exact = np.stack([observe(x, run, system)[::8] for x in seen], axis=1)
     off = np.abs(found.values - exact) > found.bars + 1e-12 * np.abs(exact).max(axis=0)
     assert off.mean(axis=0).max() <= 0.05
@@ -557,7 +553,7 @@ def test_two_time_scales_are_answered_within_a_few_runs():
     # Central differences err by (omega t h)^2 / 6 = 2e-6.
     assert found.accuracy.reached
     assert found.gradient[0] * STIFF == pytest.approx(slope, rel=1e-2)
-    # Runs of HHT follow the waves with 4,000 steps, those of Explicit with 108 to 400.
+    # Runs of HHT follow the waves with 4,000 steps, those of DOP853 with 108 to 400.
     assert sum(trial.steps for trial in found.accuracy.trials) < 12_000
 
 

@@ -8,24 +8,12 @@ import numpy as np
 import pytest
 
 import ancfdae.integrators.radau.newton as radau_newton
-from ancfdae import (
-    HHT,
-    Explicit,
-    FormulaSystem,
-    InvalidInput,
-    NotTraced,
-    Radau,
-    Terminal,
-    Traits,
-    check_system,
-    custom,
-    differentiate,
-    gradient,
-    simulate,
-)
-from ancfdae.equations.motion import Direction
+from ancfdae import DOP853, HHT, Radau, Terminal, check_system, differentiate, gradient, simulate
+from ancfdae.equations.motion import StateDirection
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors import InvalidInputError, NotTracedWarning
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.extend import FormulaSystem, SystemProperties
 from ancfdae.integrators.hht import compiled
 from ancfdae.integrators.index_1 import Accelerations, ListedAccelerations, accelerations
 from ancfdae.kernels import (
@@ -43,6 +31,7 @@ from ancfdae.kernels import (
 )
 from ancfdae.numerics.extrapolation import scaled_derivative
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
+from ancfdae.observables import custom
 
 # ---- single rules, by means over circles -------------------------------------------------------
 
@@ -342,14 +331,12 @@ def test_redundant_coordinates_move_like_the_angle():
     ends = []
     for kind, height in HEIGHTS.items():
         system = kind()
-        found = gradient(system, height, 1.0, Explicit(1e-11))
+        found = gradient(system, height, 1.0, DOP853(1e-11))
         ends.append([found.value, *found.gradient])
         for i in range(3):
             step = 1e-4 * np.eye(3)[i]
             pair = (
-                gradient(
-                    system.with_values(system.b + s * step), height, 1.0, Explicit(1e-12)
-                ).value
+                gradient(system.with_values(system.b + s * step), height, 1.0, DOP853(1e-12)).value
                 for s in (1, -1)
             )
             difference = np.subtract(*pair) / 2e-4
@@ -398,7 +385,7 @@ class Iterated(Swing):
 
 def test_a_warning_names_the_line_and_what_it_costs():
     with pytest.warns(
-        NotTraced,
+        NotTracedWarning,
         match=r"calls mass_matrix, .*hundred times as long.*M\[0, 0\]\.real < 0\.6",
     ):
         system = Iterated()
@@ -431,12 +418,14 @@ class Floats(Swing):
 
 
 def test_formulas_that_are_none_are_refused():
-    with pytest.raises(InvalidInput, match=r"with_values: must return the system at the values b"):
+    with pytest.raises(
+        InvalidInputError, match=r"with_values: must return the system at the values b"
+    ):
         Forgetting()
-    with pytest.raises(InvalidInput, match=r"Floats\.force") as told:
+    with pytest.raises(InvalidInputError, match=r"Floats\.force") as told:
         Floats()
     assert any("np.zeros(n, dtype=q.dtype)" in note for note in told.value.__notes__)
-    with pytest.raises(InvalidInput, match=r"Remembering\.force"):
+    with pytest.raises(InvalidInputError, match=r"Remembering\.force"):
         Remembering()
 
 
@@ -466,14 +455,14 @@ def test_round_off_of_constraints_at_the_start_is_no_other_value():
 class Corner(Swing):
     """A force that is not defined at rest: v / |v|."""
 
-    traits = Traits(constant_mass=True)
+    traits = SystemProperties(constant_mass=True)
 
     def force(self, t, q, v):
         return [-q[0] - 0.1 * v[0] / np.sqrt(v[0] ** 2)]
 
 
 def test_a_division_by_zero_at_the_start_is_told():
-    with pytest.raises(InvalidInput, match="must be finite"):
+    with pytest.raises(InvalidInputError, match="must be finite"):
         simulate(Corner(), 0.1, HHT(0.01))
 
 
@@ -597,7 +586,7 @@ class SwingInPython(InPython, Swing):
 class SymmetricSwing(SwingInSpace):
     """A pendulum whose matrices are stored as an envelope."""
 
-    traits = Traits(symmetric=True)
+    traits = SystemProperties(symmetric=True)
 
 
 class SymmetricSwingInPython(InPython, SymmetricSwing):
@@ -684,7 +673,7 @@ class CalledElbow(Elbow):
 
 @pytest.fixture
 def called_elbow():
-    with pytest.warns(NotTraced, match="calls mass_matrix and force"):
+    with pytest.warns(NotTracedWarning, match="calls mass_matrix and force"):
         return CalledElbow()
 
 
@@ -701,7 +690,7 @@ def test_derivatives_of_called_functions_are_those_of_lists(called_elbow):
     assert not called_elbow.index_1
     b = listed.b + 1j * step * rng.uniform(-1, 1, 10)
     moved = [x.with_values(b) for x in (called_elbow, listed)]
-    direction = Direction(0.7, v + 1j * step * a, a - 1j * step * q)
+    direction = StateDirection(0.7, v + 1j * step * a, a - 1j * step * q)
     for name, arguments in {
         "force_along": (t, q + 1j * step * v, v - 1j * step * a, direction),
         "mass_along": (q + 1j * step * v, a - 1j * step * q),
@@ -718,7 +707,7 @@ def test_derivatives_of_called_functions_are_those_of_lists(called_elbow):
             np.testing.assert_allclose(ours[part], exact[part], rtol=1e-12, atol=1e-13)
 
 
-@pytest.mark.parametrize("method", [HHT(2.0**-5), Radau(2.0**-4), Explicit(1e-8)])
+@pytest.mark.parametrize("method", [HHT(2.0**-5), Radau(2.0**-4), DOP853(1e-8)])
 def test_runs_of_called_functions_are_those_of_lists(called_elbow, method):
     ends = []
     for system in (called_elbow, Elbow()):
@@ -753,7 +742,9 @@ def test_a_constraint_that_cannot_be_traced_is_refused():
         def position_constraint(self, t, q):
             return np.array([np.interp(q[0], [0.0, 1.0], [0.0, 1.0])])
 
-    with pytest.raises(InvalidInput, match=r"Table\.position_constraint: .*np\.interp.*Mechanical"):
+    with pytest.raises(
+        InvalidInputError, match=r"Table\.position_constraint: .*np\.interp.*Mechanical"
+    ):
         Table()
 
     class Checked(Swing):
@@ -762,7 +753,7 @@ def test_a_constraint_that_cannot_be_traced_is_refused():
                 raise ValueError
             super().__init__(b)
 
-    with pytest.raises(InvalidInput, match=r"Checked\.with_values: .*b\[0\] <= 0.*comparison"):
+    with pytest.raises(InvalidInputError, match=r"Checked\.with_values: .*b\[0\] <= 0.*comparison"):
         Checked()
 
 

@@ -1,4 +1,4 @@
-"""`tradeoff`: rows, Pareto front, recommendation, failures as rows, worker processes."""
+"""`work_precision`: rows, Pareto front, recommendation, failures as rows, worker processes."""
 
 import multiprocessing
 import pickle
@@ -10,38 +10,32 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    DOP853,
     HHT,
     IDA,
+    AdaptiveSteps,
     Adjoint,
-    ControlledSteps,
-    Direct,
-    Explicit,
-    GivenSteps,
+    DirectDifferentiation,
     Integral,
-    Interrupted,
-    InvalidInput,
-    Setting,
-    TargetNotReached,
-    Tradeoff,
-    custom,
+    PrescribedSteps,
     gradient,
-    kinetic_energy,
-    position,
-    strain_energy,
-    tradeoff,
+    work_precision,
 )
-from ancfdae.model.bodies import Point
+from ancfdae.errors import Interrupted, InvalidInputError, TargetNotReachedError
+from ancfdae.model.bodies import MaterialPoint
+from ancfdae.observables import custom, kinetic_energy, position, strain_energy
+from ancfdae.results import MeasuredSetting, WorkPrecision
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
 
-TIP = Point("pendulum", 1.0)
+TIP = MaterialPoint("pendulum", 1.0)
 OBJECTIVE = Integral((position(TIP, 1) + 0.5) ** 2 + 1e-3 * strain_energy() + kinetic_energy())
 SCENE = pendulum(elements=1, youngs_modulus=1e6)
 DESIGN = ("pendulum.height", "pendulum.youngs_modulus")
 T_END = 0.125
-SETTINGS = [HHT(2.0**-8), HHT(2.0**-10), HHT(rtol=1e-2), HHT(rtol=1e-4), IDA(1e-7), Explicit(1e-6)]
-FAILING = HHT(ControlledSteps(1e-7, max_steps=5))
+SETTINGS = [HHT(2.0**-8), HHT(2.0**-10), HHT(rtol=1e-2), HHT(rtol=1e-4), IDA(1e-7), DOP853(1e-6)]
+FAILING = HHT(AdaptiveSteps(1e-7, max_steps=5))
 
 
 def square(t, q, v, lam, b):
@@ -53,14 +47,14 @@ X2 = Integral(custom(square))
 
 @pytest.fixture(scope="module")
 def measured():
-    return tradeoff(
-        SCENE, OBJECTIVE, T_END, [*SETTINGS, FAILING], design=DESIGN, reference=Explicit(1e-9)
+    return work_precision(
+        SCENE, OBJECTIVE, T_END, [*SETTINGS, FAILING], design=DESIGN, reference=DOP853(1e-9)
     )
 
 
 def test_a_row_for_every_setting_in_order(measured):
     assert [row.integrator for row in measured.rows] == [*SETTINGS, FAILING]
-    assert measured.reference.integrator == Explicit(1e-9)
+    assert measured.reference.integrator == DOP853(1e-9)
     for row in measured.rows[:-1]:
         assert row.finished
         assert row.seconds > 0
@@ -70,7 +64,7 @@ def test_a_row_for_every_setting_in_order(measured):
 
 def test_errors_are_those_against_the_reference(measured):
     fine, coarse = (
-        gradient(SCENE, OBJECTIVE, T_END, i, design=DESIGN) for i in (Explicit(1e-9), SETTINGS[0])
+        gradient(SCENE, OBJECTIVE, T_END, i, design=DESIGN) for i in (DOP853(1e-9), SETTINGS[0])
     )
     b = np.array([0.05, 1e6])
     away = np.linalg.norm((coarse.gradient - fine.gradient) * b) / np.linalg.norm(fine.gradient * b)
@@ -108,13 +102,13 @@ def test_pareto_front_goes_from_cheap_to_accurate(measured):
 
 
 def made(seconds, gradient, states=0.0):
-    return Setting(HHT(0.1), seconds, "made", states=states, gradient=gradient)
+    return MeasuredSetting(HHT(0.1), seconds, "made", states=states, gradient=gradient)
 
 
 def test_recommends_the_cheapest_that_is_good_enough():
     a, b, c = made(1.0, 1e-2, 1e-5), made(2.0, 1e-4), made(1.5, 1e-3)
-    failed = Setting(HHT(0.2), 0.1, "failed")
-    table = Tradeoff((a, b, c, failed), made(9.0, 0.0))
+    failed = MeasuredSetting(HHT(0.2), 0.1, "failed")
+    table = WorkPrecision((a, b, c, failed), made(9.0, 0.0))
     assert table.recommend(0.5) is a
     assert table.recommend(1e-3) is c
     assert table.recommend(5e-4) is b
@@ -126,22 +120,24 @@ def test_recommends_the_cheapest_that_is_good_enough():
 def test_times_that_differ_from_call_to_call_do_not_change_the_choice(off):
     """Two settings that cost the same, the second measured ten per cent slower or faster."""
     first, second, slow = made(1.0, 1e-4), made(1.0 + off, 1e-5), made(1.5, 1e-6)
-    assert Tradeoff((slow, first, second), made(9.0, 0.0)).recommend(1e-3) is first
-    assert Tradeoff((second, slow, first), made(9.0, 0.0)).recommend(1e-3) is second
+    assert WorkPrecision((slow, first, second), made(9.0, 0.0)).recommend(1e-3) is first
+    assert WorkPrecision((second, slow, first), made(9.0, 0.0)).recommend(1e-3) is second
 
 
 def test_a_target_out_of_reach_names_the_best():
     best = made(2.0, 1e-4)
-    table = Tradeoff((made(1.0, 1e-2), best), made(9.0, 0.0))
-    with pytest.raises(TargetNotReached, match=r"1e-05 in the gradient.*0\.0001 in 2 s") as error:
+    table = WorkPrecision((made(1.0, 1e-2), best), made(9.0, 0.0))
+    with pytest.raises(
+        TargetNotReachedError, match=r"1e-05 in the gradient.*0\.0001 in 2 s"
+    ) as error:
         table.recommend(1e-5)
     assert error.value.best is best
-    with pytest.raises(TargetNotReached, match="all of them failed"):
-        Tradeoff((Setting(HHT(0.2), 0.1, "failed"),), best).recommend(1.0)
+    with pytest.raises(TargetNotReachedError, match="all of them failed"):
+        WorkPrecision((MeasuredSetting(HHT(0.2), 0.1, "failed"),), best).recommend(1.0)
     for wrong in (0.0, -1.0, np.nan, "1"):
-        with pytest.raises(InvalidInput, match="target_error"):
+        with pytest.raises(InvalidInputError, match="target_error"):
             table.recommend(wrong)
-    with pytest.raises(InvalidInput, match="must be one of"):
+    with pytest.raises(InvalidInputError, match="must be one of"):
         table.recommend(1e-3, of="colour")
 
 
@@ -153,15 +149,20 @@ def test_a_failed_setting_is_a_row_with_its_message(measured):
     assert failed.error("gradient") == np.inf
     assert failed not in measured.pareto()
     # Given steps end elsewhere: the integrator refuses, the table goes on.
-    settings = [HHT(0.1), HHT(GivenSteps((0.0, 0.3)))]
-    one, refused = tradeoff(CartesianPendulum(), X2, 1.0, settings, reference=HHT(0.01)).rows
+    settings = [HHT(0.1), HHT(PrescribedSteps((0.0, 0.3)))]
+    one, refused = work_precision(CartesianPendulum(), X2, 1.0, settings, reference=HHT(0.01)).rows
     assert one.finished
     assert "where the given instants end" in refused.outcome
 
 
 def test_systems_of_any_kind(measured):
-    table = tradeoff(
-        CartesianPendulum(), X2, 1.0, [HHT(0.05), IDA(1e-6)], method=Direct(), repeats=2
+    table = work_precision(
+        CartesianPendulum(),
+        X2,
+        1.0,
+        [HHT(0.05), IDA(1e-6)],
+        method=DirectDifferentiation(),
+        repeats=2,
     )
     coarse, fine = table.rows
     assert coarse.energy is None
@@ -177,14 +178,14 @@ def test_table_names_settings_errors_and_outcomes(measured):
     assert lines[3].startswith("HHT controlled")
     assert "limit of steps" in lines[-2]
     assert "(reference)" in lines[-1]
-    row = Setting(HHT(0.1, hht_alpha=-0.05), 1.0, "")
+    row = MeasuredSetting(HHT(0.1, hht_alpha=-0.05), 1.0, "")
     assert (row.family, row.label) == ("HHT fixed, hht_alpha = -0.05", "step 0.1")
-    row = Setting(HHT(ControlledSteps(1e-3, 1e-5, 9, True)), 1.0, "")
+    row = MeasuredSetting(HHT(AdaptiveSteps(1e-3, 1e-5, 9, True)), 1.0, "")
     assert (row.family, row.label) == (
         "HHT controlled, sensitivities = True",
         "rtol 0.001, atol 1e-05",
     )
-    assert Setting(HHT(GivenSteps((0.0, 0.1))), 1.0, "").label == "given"
+    assert MeasuredSetting(HHT(PrescribedSteps((0.0, 0.1))), 1.0, "").label == "given"
 
 
 def test_plot_is_a_picture(measured, tmp_path):
@@ -193,21 +194,21 @@ def test_plot_is_a_picture(measured, tmp_path):
     assert png.exists()
     titles = [panel.title for panel in measured.panels()]
     assert titles == ["Error of the states", "Error of the gradient"]
-    failed = Tradeoff((Setting(HHT(0.2), 0.1, "failed"),), made(1.0, 0.0))
-    with pytest.raises(InvalidInput, match=r"Tradeoff\.plot"):
+    failed = WorkPrecision((MeasuredSetting(HHT(0.2), 0.1, "failed"),), made(1.0, 0.0))
+    with pytest.raises(InvalidInputError, match=r"WorkPrecision\.plot"):
         failed.plot(tmp_path / "none")
 
 
 def test_worker_processes_measure_the_same(measured):
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as executor:
-        table = tradeoff(
+        table = work_precision(
             SCENE,
             OBJECTIVE,
             T_END,
             [SETTINGS[0], FAILING],
             design=DESIGN,
-            reference=Explicit(1e-9),
+            reference=DOP853(1e-9),
             executor=executor,
         )
         here, there = measured.rows[0], table.rows[0]
@@ -215,8 +216,8 @@ def test_worker_processes_measure_the_same(measured):
         assert there.energy == pytest.approx(here.energy, rel=1e-9)
         assert table.rows[1].outcome == measured.rows[-1].outcome
         unsent = Integral(custom(lambda t, q, v, lam, b: q[:, 0]))
-        with pytest.raises(InvalidInput, match="objective, executor: must pickle"):
-            tradeoff(SCENE, unsent, T_END, SETTINGS, design=DESIGN, executor=executor)
+        with pytest.raises(InvalidInputError, match="objective, executor: must pickle"):
+            work_precision(SCENE, unsent, T_END, SETTINGS, design=DESIGN, executor=executor)
     assert pickle.loads(pickle.dumps(table)) == table
 
 
@@ -236,7 +237,9 @@ class Breaking(ThreadPoolExecutor):
 
 def test_a_lost_worker_is_a_row():
     with Breaking(1) as executor:
-        table = tradeoff(CartesianPendulum(), X2, 1.0, [HHT(0.1), HHT(0.05)], executor=executor)
+        table = work_precision(
+            CartesianPendulum(), X2, 1.0, [HHT(0.1), HHT(0.05)], executor=executor
+        )
     assert table.rows[0].finished
     assert "the worker died" in table.rows[1].outcome
 
@@ -248,7 +251,7 @@ SLOW = HHT(2.0**-20)
 def test_a_setting_that_meets_its_limit_of_time_is_a_row(threads):
     settings, options = [HHT(0.1), SLOW, HHT(0.05)], {"reference": HHT(0.02), "time_limit": 1.0}
     with ThreadPoolExecutor(1) if threads else nullcontext() as executor:
-        table = tradeoff(CartesianPendulum(), X2, 1.0, settings, executor=executor, **options)
+        table = work_precision(CartesianPendulum(), X2, 1.0, settings, executor=executor, **options)
     assert [row.finished for row in table.rows] == [True, False, True]
     assert table.rows[1].outcome == "the limit of time (time_limit = 1 s) was reached"
     # It took a part of the second; the run would take minutes.
@@ -270,14 +273,14 @@ class Pressing(CartesianPendulum):
 def test_an_interrupt_keeps_the_rows():
     settings = [HHT(0.1), HHT(2.0**-4), HHT(0.05)]
     with pytest.raises(Interrupted, match="1 of 3 settings were measured") as caught:
-        tradeoff(Pressing(), X2, 1.0, settings, reference=HHT(0.02))
+        work_precision(Pressing(), X2, 1.0, settings, reference=HHT(0.02))
     table = caught.value.result
-    (whole,) = tradeoff(CartesianPendulum(), X2, 1.0, [HHT(0.1)], reference=HHT(0.02)).rows
+    (whole,) = work_precision(CartesianPendulum(), X2, 1.0, [HHT(0.1)], reference=HHT(0.02)).rows
     assert table.rows[0].gradient == whole.gradient
     assert [row.finished for row in table.rows] == [True, False, False]
     assert table.rows[1].outcome == "not measured: the tradeoff was interrupted"
     with pytest.raises(KeyboardInterrupt):
-        tradeoff(Pressing(), X2, 1.0, [HHT(0.1)], reference=HHT(2.0**-4))
+        work_precision(Pressing(), X2, 1.0, [HHT(0.1)], reference=HHT(2.0**-4))
 
 
 @pytest.mark.parametrize(
@@ -289,7 +292,7 @@ def test_an_interrupt_keeps_the_rows():
         ({"reference": "fine"}, "reference"),
         ({"reference": FAILING}, "reference: must finish"),
         ({"objective": 3.0}, "objective"),
-        ({"objective": Integral(position(Point("rod", 1.0), 0))}, "rod"),
+        ({"objective": Integral(position(MaterialPoint("rod", 1.0), 0))}, "rod"),
         ({"design": ()}, "design"),
         ({"t_end": -1.0}, "t_end"),
         ({"repeats": 0}, "repeats"),
@@ -301,42 +304,42 @@ def test_an_interrupt_keeps_the_rows():
 def test_bad_input_is_refused_by_name(change, match):
     given = {"objective": OBJECTIVE, "design": DESIGN, "t_end": T_END, "settings": SETTINGS}
     given |= change
-    with pytest.raises(InvalidInput, match=match):
-        tradeoff(SCENE, **given)
+    with pytest.raises(InvalidInputError, match=match):
+        work_precision(SCENE, **given)
 
 
 def test_adjoint_where_it_exists_else_a_row():
-    table = tradeoff(
+    table = work_precision(
         CartesianPendulum(), X2, 1.0, [HHT(0.05), IDA(1e-6)], reference=HHT(0.01), method=Adjoint()
     )
     assert table.rows[0].finished
-    assert "InvalidInput" in table.rows[1].outcome
+    assert "InvalidInputError" in table.rows[1].outcome
 
 
-@pytest.mark.filterwarnings("ignore::ancfdae.errors.ManySteps")
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.ManyStepsWarning")
 @pytest.mark.parametrize(
     ("damping_time", "t_end", "why"),
     [(0.0, 2.0**-6, ""), (1.0, 2.0**-6, "to be stable"), (1.0, 2.0**-3, "more than 50000 steps")],
 )
 def test_the_default_reference_can_finish(damping_time, t_end, why):
-    """Damped so, Explicit would need 40,000 steps for 2^-6 s."""
+    """Damped so, DOP853 would need 40,000 steps for 2^-6 s."""
     scene = pendulum(elements=1, youngs_modulus=1e7, damping_time=damping_time)
-    table = tradeoff(scene, Integral(position(TIP, 1)), t_end, [HHT(2.0**-11)], design=DESIGN)
+    table = work_precision(scene, Integral(position(TIP, 1)), t_end, [HHT(2.0**-11)], design=DESIGN)
     assert why in table.reference.outcome
     assert ("Chosen" in table.reference.outcome) == bool(why)
-    assert isinstance(table.reference.integrator, IDA if why else Explicit)
+    assert isinstance(table.reference.integrator, IDA if why else DOP853)
     assert table.rows[0].error("states") < 1e-4
 
 
-@pytest.mark.parametrize("reference", [Explicit(1e-8, max_steps=3), FAILING])
+@pytest.mark.parametrize("reference", [DOP853(1e-8, max_steps=3), FAILING])
 def test_a_reference_that_meets_its_limit_of_steps_is_told_so(reference):
-    with pytest.raises(InvalidInput, match="Raise its max_steps"):
-        tradeoff(CartesianPendulum(), X2, 1.0, [HHT(2.0**-4)], reference=reference)
+    with pytest.raises(InvalidInputError, match="Raise its max_steps"):
+        work_precision(CartesianPendulum(), X2, 1.0, [HHT(2.0**-4)], reference=reference)
 
 
 def test_a_reference_that_fails_otherwise_is_to_be_loosened():
     # Newton's method does not converge in one iteration.
     reference = HHT(0.25, max_iterations=1)
-    with pytest.raises(InvalidInput, match="Loosen it") as caught:
-        tradeoff(CartesianPendulum(), X2, 1.0, [HHT(2.0**-4)], reference=reference)
+    with pytest.raises(InvalidInputError, match="Loosen it") as caught:
+        work_precision(CartesianPendulum(), X2, 1.0, [HHT(2.0**-4)], reference=reference)
     assert "max_steps" not in str(caught.value)

@@ -8,19 +8,19 @@ from ancfdae import (
     Beam,
     Clamp,
     FollowerForce,
+    InitialVelocity,
     Material,
     Pin,
-    Point,
-    Rectangle,
-    RigidMotion,
     Scene,
     SpringDamper,
     Weld,
     assemble,
     differentiate,
-    position,
-    static_gradient,
+    equilibrium_gradient,
 )
+from ancfdae.extend import MaterialPoint
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 
 DESIGN = ("beam.youngs_modulus", "beam.height", "beam.density", "beam.length")
 
@@ -38,7 +38,7 @@ def scaled_run(length, mass, time, dimension, spin=2.0):
     )
     gravity = (0.0, -9.81 * length / time**2, 0.0)[:dimension]
     axis = spin / time if dimension == 2 else (0.0, 0.0, spin / time)
-    start = [RigidMotion("beam", axis, (0.0, *rest))]
+    start = [InitialVelocity("beam", axis, (0.0, *rest))]
     scene = Scene([beam], [Pin(beam.at_start)], gravity=gravity, start=start)
     return differentiate(scene, 0.5 * time, HHT(2.0**-7 * time), design=DESIGN)
 
@@ -56,7 +56,7 @@ def test_motion_reactions_and_sensitivities_scale(length, mass, time, dimension)
     assert other.statistics.iterations == base.statistics.iterations
 
     def tip(run):
-        return run.position(Point("beam", 1.0))
+        return run.position(MaterialPoint("beam", 1.0))
 
     # 1e-10: the Newton tolerance 1e-13 and round-off, amplified by growing sensitivities.
     within = {"rtol": 0.0}
@@ -84,7 +84,7 @@ def static_derivatives(length, mass, time, elements):
     joints = [Clamp(post.at_start), Weld(arm.at_start, post.at_end)]
     scene = Scene([post, arm], joints, loads=[load, spring])
     design = ["post.height", "load.force_y", "spring.stiffness"]
-    found = static_gradient(scene, position(arm.at_end, 0) / length, design=design)
+    found = equilibrium_gradient(scene, position(arm.at_end, 0) / length, design=design)
     return np.append(found.value, found.gradient * assemble(scene, design).b)
 
 
@@ -109,7 +109,7 @@ def test_a_turned_scene_turns_its_solution():
         beam = Beam("beam", start, end, 4, Rectangle(0.05, 0.04), Material(4000, 1e7, 0.3))
         scene = Scene([beam], [Pin(beam.at_start)], gravity=rotation @ [0.0, -9.81])
         runs.append(differentiate(scene, 0.5, HHT(2.0**-7), design=DESIGN))
-    straight, turned = (run.position(Point("beam", 1.0)) for run in runs)
+    straight, turned = (run.position(MaterialPoint("beam", 1.0)) for run in runs)
     np.testing.assert_allclose(turned, straight @ turn.T, atol=1e-11)
 
 
@@ -128,7 +128,8 @@ def test_a_scene_far_from_the_origin_moves_alike():
         runs.append(differentiate(scene, 0.5, HHT(2.0**-7), design=DESIGN))
         assert runs[-1].outcome.success
     near, far = (
-        run.position(Point("beam", 1.0)) - run.position(Point("beam", 0.0)) for run in runs
+        run.position(MaterialPoint("beam", 1.0)) - run.position(MaterialPoint("beam", 0.0))
+        for run in runs
     )
     # Coordinates of 1e3 carry round-off of 1e-13 a step, which 64 steps let grow.
     np.testing.assert_allclose(far, near, atol=1e-9)

@@ -9,7 +9,8 @@ import pytest
 
 import ancfdae
 import ancfdae.plotting
-from ancfdae import Material, UnlikelyValue
+from ancfdae import Material
+from ancfdae.errors import UnlikelyValueWarning
 from ancfdae.errors.unknown_names import _ANSWERS, answer
 
 from documents import ROOT
@@ -71,7 +72,9 @@ def test_private_names_and_modules_are_refused_in_plain_words():
 
 @pytest.mark.parametrize("values", [(2e11, 7850.0), (7e10, 2700.0), (1e7, 1.1e3)])
 def test_a_density_that_looks_like_a_modulus_warns(values):
-    with pytest.warns(UnlikelyValue, match=r"order is Material\(density, youngs_modulus") as told:
+    with pytest.warns(
+        UnlikelyValueWarning, match=r"order is Material\(density, youngs_modulus"
+    ) as told:
         Material(*values, 0.3)
     assert told[0].filename == __file__
 

@@ -5,22 +5,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from ancfdae import (
-    Beam,
-    InvalidInput,
-    Joint,
-    Load,
-    Material,
-    Point,
-    Rectangle,
-    RigidBody,
-    Scene,
-    assemble,
-)
-from ancfdae.model.design import numbers
+from ancfdae import Beam, Material, RigidBody, Scene, assemble
+from ancfdae.errors import InvalidInputError
+from ancfdae.extend import Joint, Load, MaterialPoint
+from ancfdae.model.design import design_numbers
 from ancfdae.model.elements import Quantity
-from ancfdae.model.joints.joint import Equations, empty_coefficients
-from ancfdae.model.loads.load import LAW
+from ancfdae.model.joints.joint import JointEquations, empty_equations
+from ancfdae.model.loads.load import LAW_FIELD
+from ancfdae.sections import Rectangle
 
 from extending.element import Strand
 
@@ -31,13 +23,13 @@ BODY = RigidBody("box", (0, 0), mass=1.0, inertia=0.1)
 class Hold(Joint):
     """Holds the height of a point."""
 
-    point: Point
+    point: MaterialPoint
     name: str = field(default="hold", kw_only=True)
 
     kind = "hold"
 
     def coefficients(self, p, reference):
-        c = empty_coefficients(1, p, reference)
+        c = empty_equations(1, p, reference)
         c.linear[0, 0, 1] = 1.0
         return c
 
@@ -46,12 +38,12 @@ class Hold(Joint):
 class Drag(Load):
     """Drag of a point, in proportion to its velocity."""
 
-    point: Point
+    point: MaterialPoint
     drag: float = 1.0
     name: str = field(default="drag", kw_only=True)
 
     kind = "drag"
-    design_fields = (*numbers("drag"), LAW)
+    design_fields = (*design_numbers("drag"), LAW_FIELD)
 
     def vectors(self, elements):
         return ((self.point, Quantity.POSITION),)
@@ -80,7 +72,7 @@ def answering(value):
     return lambda *_: value
 
 
-FLAT = Equations(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.zeros(1))
+FLAT = JointEquations(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.zeros(1))
 WRONG = {
     "an element without a name": (with_element, {"name": None}, "element.*rope.*name"),
     "an element without slopes": (
@@ -106,7 +98,7 @@ WRONG = {
     ),
     "a field of the design that is none": (
         with_load,
-        {"design_fields": numbers("mass")},
+        {"design_fields": design_numbers("mass")},
         "load of class Wrong.*no field 'mass'",
     ),
     "no force": (with_load, {"force": answering(None)}, r"force of load 'drag': .*\(1, 2\)"),
@@ -117,17 +109,17 @@ WRONG = {
 @pytest.mark.parametrize(("scene", "members", "words"), WRONG.values(), ids=WRONG)
 def test_what_is_declared_wrongly_is_refused_by_name(scene, members, words):
     scene()  # Right without the change.
-    with pytest.raises(InvalidInput, match=words):
+    with pytest.raises(InvalidInputError, match=words):
         scene(**members)
 
 
 def test_a_load_whose_design_has_no_law_is_told_to_have_one():
     @dataclass(frozen=True)
     class Lawless(Load):
-        point: Point
+        point: MaterialPoint
 
         kind = "lawless"
         vectors, force = Drag.vectors, Drag.force
 
-    with pytest.raises(InvalidInput, match=r"Lawless, design_fields.*LAW"):
+    with pytest.raises(InvalidInputError, match=r"Lawless, design_fields.*LAW_FIELD"):
         Lawless(BODY.at(0, 0))

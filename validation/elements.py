@@ -14,17 +14,16 @@ from ancfdae import (
     Pin,
     PointForce,
     PointOnLine,
-    Rectangle,
     SaintVenantKirchhoff,
     Scene,
-    StrainEnergy,
     assemble,
     equilibrium,
     modes,
-    observe,
-    shear_force,
 )
+from ancfdae.extend import StrainEnergyFunction
+from ancfdae.observables import observe, shear_force
 from ancfdae.plotting import Panel, Series
+from ancfdae.sections import Rectangle
 from validation import shapes, short_elements, thin_beams
 from validation.elements_sections import sections
 from validation.report import Agreement, Report
@@ -36,7 +35,7 @@ Array = npt.NDArray[np.float64]
 _E: Final = 1e9
 _DENSITY: Final = 1000.0
 _SLENDER: Final = (0.2, 0.1, 0.01, 0.001)
-_ENERGIES: Final[dict[str, StrainEnergy]] = {
+_ENERGIES: Final[dict[str, StrainEnergyFunction]] = {
     "full law": SaintVenantKirchhoff(),
     "enhanced, exact strains": EnhancedContinuum(assumed_strains=False),
     "enhanced (default)": EnhancedContinuum(),
@@ -66,7 +65,7 @@ def run(report: Report, quick: bool) -> None:
     report.text(_LIMITS)
 
 
-def _beam(d: int, h: float, n: int, nu: float, energy: StrainEnergy) -> Beam:
+def _beam(d: int, h: float, n: int, nu: float, energy: StrainEnergyFunction) -> Beam:
     """Return a beam of length 1 m along x with a square section."""
     rest = (0.0,) * (d - 1)
     material = Material(_DENSITY, _E, nu)
@@ -80,7 +79,7 @@ def _tip(beam: Beam, load: PointForce | Moment) -> Array:
     return place
 
 
-def _deflection(d: int, h: float, n: int, nu: float, energy: StrainEnergy) -> float:
+def _deflection(d: int, h: float, n: int, nu: float, energy: StrainEnergyFunction) -> float:
     """Return the error of the deflection under a small force, relative to Timoshenko's beam."""
     factor, force = 10 * (1 + nu) / (12 + 11 * nu), 1e-6 * _E * h**4
     if isinstance(energy, SaintVenantKirchhoff):
@@ -170,7 +169,7 @@ def _within(report: Report, counts: tuple[int, ...]) -> None:
         )
 
 
-def _bent(n: int, energy: StrainEnergy) -> tuple[float, float]:
+def _bent(n: int, energy: StrainEnergyFunction) -> tuple[float, float]:
     """Return the errors of deflection and shear force in three-point bending."""
     h, beam = 0.1, _beam(2, 0.1, n, 0.0, energy)
     force, factor = 1e-6 * _E * h**4, 1.0 if isinstance(energy, SaintVenantKirchhoff) else 5 / 6

@@ -9,18 +9,16 @@ from ancfdae import (
     Beam,
     Clamp,
     CurvedBeam,
-    ISection,
     Material,
     Moment,
     PointForce,
-    PointSection,
-    Rectangle,
     Scene,
-    Section,
-    Solution,
     assemble,
     equilibrium,
 )
+from ancfdae.extend import Section
+from ancfdae.results import Solution
+from ancfdae.sections import ISection, QuadratureSection, Rectangle
 from ancfdae.sensitivity.observables.observable import observe
 from ancfdae.sensitivity.observables.section_forces import axial_force, shear_force
 from validation.report import Agreement, Report
@@ -122,7 +120,7 @@ def _off_axis(n: int) -> tuple[float, float]:
     """Errors of shear force and twist of a bar of 30 x 20 mm, its centre at z = 50 mm."""
     nodes, weights = np.array([-1, 0, 1]) * np.sqrt(0.6) / 2, np.array([5, 8, 5]) / 18
     k_y, k_z, J = _properties(Rectangle(0.03, 0.02))
-    section = PointSection(
+    section = QuadratureSection(
         places=[(0.03 * a, 0.05 + 0.02 * b) for a in nodes for b in nodes],
         areas=(6e-4 * np.outer(weights, weights)).ravel().tolist(),
         shear_factors=(k_y, k_z),

@@ -7,24 +7,23 @@ import numpy as np
 import numpy.typing as npt
 
 from ancfdae import (
+    DOP853,
     HHT,
     IDA,
-    ControlledSteps,
-    Direct,
-    ErrorBars,
-    Explicit,
+    AdaptiveSteps,
+    DirectDifferentiation,
     Integral,
-    Integrator,
     Scene,
     Terminal,
     error_bars,
     gradient,
-    position,
-    reaction,
 )
 from ancfdae.equations import MechanicalSystem
+from ancfdae.extend import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.observables import position, reaction
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import ErrorBars
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import as_system
 from validation.error_estimates import estimates
@@ -78,12 +77,10 @@ def run(report: Report, quick: bool) -> None:
 def _cases(quick: bool) -> list[_Case]:
     rigid: list[Integrator] = [HHT(10 / n) for n in ((100,) if quick else (50, 200, 800))]
     rigid += [HHT(rtol=x) for x in ((1e-2,) if quick else (1e-2, 1e-3, 1e-4))]
-    rigid += [IDA(1e-4 if quick else 1e-6), Explicit(1e-6)]
+    rigid += [IDA(1e-4 if quick else 1e-6), DOP853(1e-6)]
     energy = kinetic_energy_integral()
     name = "SUNDIALS slider-crank, energy"
-    cases = [
-        _Case(name, SliderCrank(), energy, (), 10.0, rigid, Explicit(1e-8 if quick else 1e-11))
-    ]
+    cases = [_Case(name, SliderCrank(), energy, (), 10.0, rigid, DOP853(1e-8 if quick else 1e-11))]
     cases += _pendulums(quick)
     if quick:
         return cases
@@ -91,7 +88,7 @@ def _cases(quick: bool) -> list[_Case]:
     slider = Integral((position(scene.beams[1].at_end, 0) - 1.8) ** 2)
     wide = [*(HHT(2.0**-k) for k in (7, 9)), HHT(rtol=1e-2)]
     name = "crank-slider, eq. (43)"
-    return [*cases, _Case(name, scene, slider, design, 0.25, wide, Explicit(1e-7))]
+    return [*cases, _Case(name, scene, slider, design, 0.25, wide, DOP853(1e-7))]
 
 
 def _pendulums(quick: bool) -> list[_Case]:
@@ -103,7 +100,7 @@ def _pendulums(quick: bool) -> list[_Case]:
     steps: list[Integrator] = [HHT(2.0**-k) for k in ((7,) if quick else (6, 8, 10, 12))]
     steps.append(HHT(rtol=1e-2 if quick else 1e-3))
     settings = [*steps, IDA(1e-4 if quick else 1e-6)]
-    reference = Explicit(1e-6 if quick else 1e-9)
+    reference = DOP853(1e-6 if quick else 1e-9)
     pull = Integral(reaction(pin, 0) ** 2 + reaction(pin, 1) ** 2)
     cases = [
         _Case(f"soft pendulum, {what}", beam, objective, design, t_end, settings, reference)
@@ -119,13 +116,18 @@ def _pendulums(quick: bool) -> list[_Case]:
     if not quick:
         short = [HHT(2.0**-k) for k in (9, 12, 15)]
         name = "soft pendulum, y after 1/16 s"
-        cases.append(_Case(name, beam, Terminal(tip), design, 2.0**-4, short, Explicit(1e-10)))
+        cases.append(_Case(name, beam, Terminal(tip), design, 2.0**-4, short, DOP853(1e-10)))
     return cases
 
 
 def _measured(case: _Case, quick: bool) -> list[_Found]:
     exact = gradient(
-        case.model, case.objective, case.t_end, case.reference, design=case.design, method=Direct()
+        case.model,
+        case.objective,
+        case.t_end,
+        case.reference,
+        design=case.design,
+        method=DirectDifferentiation(),
     )
     rows = []
     for integrator in case.settings:
@@ -157,7 +159,7 @@ def _row(
     exact = np.append(value, slope)
     kind = type(integrator).__name__
     if isinstance(integrator, SteppedIntegrator):
-        controlled = isinstance(integrator.steps, ControlledSteps)
+        controlled = isinstance(integrator.steps, AdaptiveSteps)
         kind = "HHT, controlled" if controlled else "HHT, fixed"
     return _Found(
         case.name,
@@ -280,7 +282,7 @@ _METHOD = """
 HHT-I3 (the accepted steps halved, if they were controlled), a tenth of the tolerance for the
 others.
 From the differences follow a bar for the finest run and, for HHT-I3, an extrapolated value. Here
-the bars are compared with true errors, taken against `Explicit` at a tolerance of 1e-7 to 1e-11
+the bars are compared with true errors, taken against `DOP853` at a tolerance of 1e-7 to 1e-11
 (of the damped pendulum, against HHT-I3 at 2⁻¹⁶ s). *resolved* is what `error_bars` says: whether
 the errors of the derivatives of the motion, as each run estimates them, fall at second order.
 Errors of values are relative to the value, errors of derivatives (times their variable) relative to
@@ -291,6 +293,6 @@ _LIMITS = """
 - A bar is an estimate, not a proof: where a step does not resolve the waves that decide about
   derivatives, differences of runs are not reliable; `resolved` is False there.
 - Errors of the model (elements, constitutive law) are not in the bars.
-- `adjoint_error`, an estimate of the value's error from one run, is compared with it in
+- `estimate_adjoint_error`, an estimate of the value's error from one run, is compared with it in
   `tests/test_error_bars.py` (within 15 %), not here.
 """

@@ -6,17 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import (
-    HHT,
-    ControlledSteps,
-    Explicit,
-    Integrator,
-    MechanicalSystem,
-    Solution,
-    assemble,
-    differentiate,
-)
+from ancfdae import DOP853, HHT, AdaptiveSteps, assemble, differentiate
+from ancfdae.extend import Integrator, MechanicalSystem
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Solution
 from validation.external.slider_crank import SliderCrank
 from validation.report import Agreement, Report
 from validation.scenes import crank_slider, pendulum
@@ -116,12 +109,12 @@ def _cases(quick: bool) -> list[_Case]:
         range(6, 8) if quick else range(5, 11),
         (1e-3,) if quick else (1e-2, 1e-3, 1e-4),
         (1e-2,) if quick else (1e-2, 1e-3, 1e-4),
-        Explicit(1e-9),
+        DOP853(1e-9),
     )
     if quick:
-        short = _Case("soft pendulum", soft, 2.0**-4, range(4, 6), (1e-2,), (), Explicit(1e-6))
+        short = _Case("soft pendulum", soft, 2.0**-4, range(4, 6), (1e-2,), (), DOP853(1e-6))
         return [rigid, short]
-    waves, rtols = Explicit(1e-6, max_steps=1_000_000), (1e-2, 1e-3, 1e-4)
+    waves, rtols = DOP853(1e-6, max_steps=1_000_000), (1e-2, 1e-3, 1e-4)
     crank = assemble(crank_slider(), ("rod.height", "rod.density"))
     stiff, t_stiff = assemble(pendulum(youngs_modulus=2e11), design), 2.0**-6
     damped = assemble(pendulum(damping_time=1e-3), design)
@@ -163,7 +156,7 @@ def _settings(case: _Case) -> list[Integrator]:
     for alpha in _ALPHAS:
         settings += [HHT(case.t_end / 2**k, hht_alpha=alpha) for k in case.steps]
         settings += [HHT(rtol=rtol, hht_alpha=alpha) for rtol in case.rtols]
-        settings += [HHT(ControlledSteps(rtol, sensitivities=True), alpha) for rtol in case.both]
+        settings += [HHT(AdaptiveSteps(rtol, sensitivities=True), alpha) for rtol in case.both]
     return settings
 
 

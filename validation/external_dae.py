@@ -41,7 +41,7 @@ def _verdict(report: Report, requirements: list[Requirement], quick: bool) -> No
 _METHOD = """
 Three published problems, each written by hand as a `MechanicalSystem` (`validation/external/`)
 with its partial derivatives; tests compare every one of them with a complex step. Each is run by
-every integrator (HHT at a fixed step; IDA, IDAS and Explicit with error control) and by every
+every integrator (HHT at a fixed step; IDA, IDAS and DOP853 with error control) and by every
 method of differentiation. Numbers to compare with are *recomputed* by a way that shares nothing
 with this package: minimal coordinates and an integrator of high order. *Published* values, where
 there are any, are in the first table. Times are processor seconds of one call, sensitivities
@@ -65,7 +65,7 @@ To the question: not everywhere; see the rows with NO.
 """
 
 _ANSWER = """
-HHT is right to what its step gives at second order; IDA, IDAS and Explicit are right to their
+HHT is right to what its step gives at second order; IDA, IDAS and DOP853 are right to their
 tolerance, times the growth of errors over the run (up to 1000 on the Cartesian pendulum).
 Direct differentiation, discrete adjoint and complex step of HHT are the same number to round-off;
 the adjoint of IDAS and its direct differentiation agree to ten times the tolerance; finite

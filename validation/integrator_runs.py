@@ -6,21 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import (
-    HHT,
-    IDA,
-    IDAS,
-    Explicit,
-    FixedSteps,
-    Integrator,
-    MissingPackage,
-    Solution,
-    differentiate,
-)
+from ancfdae import DOP853, HHT, IDA, IDAS, FixedSteps, differentiate
 from ancfdae.assembly.system import AncfSystem
+from ancfdae.errors import MissingPackageError
+from ancfdae.extend import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
 from ancfdae.numerics.timing import stopwatch
+from ancfdae.results import Solution
 from validation.scenes import pendulum_deflection
 
 __all__ = [
@@ -90,7 +83,7 @@ def differentiated_run(system: AncfSystem, t_end: float, integrator: Integrator)
     clock = stopwatch()
     try:
         solution = differentiate(system, t_end, integrator)
-    except MissingPackage:
+    except MissingPackageError:
         return None
     return Run(integrator, solution, clock())
 
@@ -106,7 +99,7 @@ def label(integrator: Integrator) -> str:
     """Return the setting that decides about accuracy."""
     if isinstance(integrator, SteppedIntegrator):
         return f"step 2^{int(np.log2(step_of(integrator)))} s"
-    assert isinstance(integrator, IDA | IDAS | Explicit)
+    assert isinstance(integrator, IDA | IDAS | DOP853)
     return f"rtol {integrator.rtol:.0e}"
 
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ancfdae import HHT, IDA, IDAS, Explicit, Integrator, assemble
+from ancfdae import DOP853, HHT, IDA, IDAS, assemble
 from ancfdae.assembly.system import AncfSystem
+from ancfdae.extend import Integrator
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
 from ancfdae.plotting import Panel, Series
 from validation import integrators_crank_slider
@@ -62,7 +63,7 @@ def run(report: Report, quick: bool) -> None:
     system = assemble(pendulum(), _DESIGN)
     runs = [(i, differentiated_run(system, extent.t_end, i)) for i in _settings(extent)]
     reference = differentiated_run(
-        system, extent.t_end, Explicit(extent.reference, _intervals(extent), max_steps=MANY)
+        system, extent.t_end, DOP853(extent.reference, _intervals(extent), max_steps=MANY)
     )
     assert reference is not None
     found = [(r, errors(r, reference, _SPACING)) for _, r in runs if r is not None]
@@ -90,7 +91,7 @@ def _settings(extent: _Extent) -> list[Integrator]:
     found += [IDA(rtol, n, MANY, _INDEX_1) for rtol in extent.tolerances[-2:]]
     found += [IDAS(rtol, intervals=n, max_steps=MANY) for rtol in extent.tolerances]
     found += [IDAS(rtol, n, MANY, _INDEX_1) for rtol in extent.tolerances[-2:]]
-    return [*found, *(Explicit(rtol, n, max_steps=MANY) for rtol in extent.tolerances)]
+    return [*found, *(DOP853(rtol, n, max_steps=MANY) for rtol in extent.tolerances)]
 
 
 # ---------------------------------------------------------------- work table
@@ -367,7 +368,7 @@ def _question(report: Report, found: Sequence[tuple[Run, Errors]], reference: Ru
     hht = [p for p in points if p.family == "HHT-I3" and p.error <= 1e-2]
     hht = hht or [p for p in points if p.family == "HHT-I3"][-1:]
     paid = min(hht, key=lambda p: p.seconds)
-    explicit = [p for p in points if p.family == "Explicit"]
+    explicit = [p for p in points if p.family == "DOP853"]
     lines = [
         f"{p.label}: {p.digits:.1f} digits for {p.seconds:.2g} s, "
         f"{p.seconds / paid.seconds:.2g} of the time of HHT-I3"
@@ -382,7 +383,7 @@ def _question(report: Report, found: Sequence[tuple[Run, Errors]], reference: Ru
     report.text(
         "Expected was: *for soft scenes the explicit path gives 6 to 8 digits of the sensitivities "
         f"for less CPU time than HHT-I3 pays for two.* HHT-I3 pays {paid.seconds:.2g} s at "
-        f"{paid.label} for {paid.digits:.1f} digits. Explicit, " + "; ".join(lines) + ". "
+        f"{paid.label} for {paid.digits:.1f} digits. DOP853, " + "; ".join(lines) + ". "
         f"So the answer is **{'yes' if yes else 'no'}** in this run."
     )
     report.text(_ANSWER)
@@ -394,9 +395,9 @@ package. *HHT-I3*: fixed step, hht_alpha = -0.3, second order, eq. (1) with posi
 constraints. *IDA*: SUNDIALS, variable order up to 5, sensitivities appended to the system. *IDAS*:
 the same formulas by another wrapper, sensitivities staggered. Both on two forms: *GGL*, positions
 and velocities on the constraints (stabilised index 2), and *index 1*, accelerations on the
-constraints. *Explicit*: DOP853, order 8, accelerations from the index-1 form. They share the
+constraints. *DOP853*: DOP853, order 8, accelerations from the index-1 form. They share the
 assembler and the derivatives of its terms; equations, step control, linear algebra and the
-sensitivity equations of each are its own. The reference is Explicit at a tolerance a hundred times
+sensitivity equations of each are its own. The reference is DOP853 at a tolerance a hundred times
 below the others. Processor times are of one process on one core of a shared machine: read their
 ratios, to a third. Digits are -log10 of a relative error.
 """
@@ -414,7 +415,7 @@ never die out (the fastest mode of the linearised beam has 4108 rad/s, 650 perio
 and a sensitivity to E counts their phases: error times frequency times time. The tolerances bound
 the error of one step; IDA and IDAS add up tens of thousands of them, whence 1 to 20 times the
 tolerance in the sensitivities. Tighter ones would bring more digits at the price of the table;
-Explicit at 1e-11 comes closest to the limit of round-off.
+DOP853 at 1e-11 comes closest to the limit of round-off.
 """
 
 _CONVERGENCE_NOTES = """
@@ -428,7 +429,7 @@ period on the order is two. Single instants, and variables whose error has parts
 _ANSWER = """
 Why: what is wanted are phases of waves. A method that does not resolve them loses the sensitivities
 even where it is stable, so the unconditional stability of HHT-I3 is of no use here; one that does
-resolve them is stable at that step anyway. Explicit takes one and a half radians of the fastest
+resolve them is stable at that step anyway. DOP853 takes one and a half radians of the fastest
 mode in a step at rtol 1e-7; HHT-I3, of order 2, needs about fifty steps in a period for two digits.
 The answer is for soft scenes: with the modulus of steel waves are a hundred times faster than here
 and the explicit step falls with them. Where only the slow motion is wanted there, HHT-I3 can be the
@@ -440,7 +441,7 @@ _LIMITS = """
   frequency, about sqrt(12) times the speed of pressure waves over the thickness.
 - Errors are measured against a run of the same package; that the equations themselves are right is
   the subject of the tests (oracle, complex step) and of the other reports.
-- The crank's three variables are compared over the whole run between Explicit and HHT-I3 only;
+- The crank's three variables are compared over the whole run between DOP853 and HHT-I3 only;
   SUNDIALS carries the rod's three there, and all six in the first instants.
 - Processor times are of NumPy code with small matrices: overheads of calls, not flops.
 """

@@ -6,23 +6,14 @@ from functools import partial
 
 import numpy as np
 
-from ancfdae import (
-    HHT,
-    IDA,
-    IDAS,
-    Explicit,
-    Integral,
-    Integrator,
-    MissingPackage,
-    Point,
-    Solution,
-    assemble,
-    gradient,
-    position,
-)
+from ancfdae import DOP853, HHT, IDA, IDAS, Integral, assemble, gradient
 from ancfdae.assembly.system import AncfSystem
+from ancfdae.errors import MissingPackageError
+from ancfdae.extend import Integrator, MaterialPoint
 from ancfdae.numerics.timing import timed
+from ancfdae.observables import position
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Solution
 from validation.external.runs import Requirement
 from validation.integrator_runs import (
     MANY,
@@ -113,7 +104,7 @@ def run(report: Report, quick: bool) -> list[Requirement]:
         )
         for name, x in zip(_SYMBOLS[3:], distances, strict=True)
     ]
-    which = f"crank-slider, {', '.join(_SYMBOLS[3:])}: Explicit from SUNDIALS, relative, up to"
+    which = f"crank-slider, {', '.join(_SYMBOLS[3:])}: DOP853 from SUNDIALS, relative, up to"
     requirements.append(Requirement(f"{which} {short.t_end:g} s", 1e-6, agreed))
     requirements.append(Requirement(f"{which} {whole.t_end:g} s", 1e-6, agreed_whole))
     return requirements
@@ -127,8 +118,8 @@ def _early(report: Report, system: AncfSystem, extent: _Extent) -> None:
     n, rtol = 4, extent.early_rtol
     spacing = extent.t_early / n
     settings: list[Integrator] = [HHT(2.0**-k) for k in extent.early_exponents]
-    settings += [kind(rtol, intervals=n, max_steps=MANY) for kind in (IDA, IDAS, Explicit)]
-    reference = differentiated_run(system, extent.t_early, Explicit(1e-2 * rtol, n, max_steps=MANY))
+    settings += [kind(rtol, intervals=n, max_steps=MANY) for kind in (IDA, IDAS, DOP853)]
+    reference = differentiated_run(system, extent.t_early, DOP853(1e-2 * rtol, n, max_steps=MANY))
     assert reference is not None
     x_0, x_b0 = _slider(reference.solution, system, spacing)
     rows: list[list[object]] = []
@@ -149,7 +140,7 @@ def _early(report: Report, system: AncfSystem, extent: _Extent) -> None:
             report.figure(f"early.{_key(integrator)}.{name}", value)
         rows.append([*names, done.solution.statistics.steps, *(f"{c:.2g}" for c in cells)])
     report.text(
-        f"Six design variables along, up to t = {extent.t_early:g} s; against Explicit at rtol "
+        f"Six design variables along, up to t = {extent.t_early:g} s; against DOP853 at rtol "
         f"{1e-2 * rtol:.0e} at {n + 1} common instants. Position of the slider and *states*, the "
         "largest difference of any coordinate, in metres (slopes without unit); multipliers "
         "relative to the largest one; sensitivities of the slider's position relative to the "
@@ -187,7 +178,7 @@ def _slider(solution: Solution, system: AncfSystem, spacing: float) -> tuple[Arr
     """Position of the slider and its derivatives times the variables, at common instants."""
 
     def read(s: Solution) -> Array:
-        x: Array = s.position(Point("rod", 1.0))[:, 0]
+        x: Array = s.position(MaterialPoint("rod", 1.0))[:, 0]
         return x
 
     rows = common_rows(solution, spacing)
@@ -211,7 +202,7 @@ def _objective(report: Report, extent: _Objective) -> tuple[list[float], float]:
     """Convergence of HHT-I3 to the path of high order in Psi and its gradient.
 
     Returns the distances of the orders of the rod's sensitivities from 2, and the largest relative
-    difference of Explicit from SUNDIALS in them.
+    difference of DOP853 from SUNDIALS in them.
     """
     place = f"objective.{extent.name}"
     slider = position(crank_slider().beams[1].at_end, 0)
@@ -227,10 +218,10 @@ def _objective(report: Report, extent: _Objective) -> tuple[list[float], float]:
         return _Value(integrator, values, seconds)
 
     rtol = extent.rtol
-    explicit = value(Explicit(rtol, max_steps=MANY))
+    explicit = value(DOP853(rtol, max_steps=MANY))
     try:
         sundials = value(IDAS(rtol, max_steps=MANY), _DESIGN[3:])
-    except MissingPackage:
+    except MissingPackageError:
         sundials = value(IDA(rtol, max_steps=MANY), _DESIGN[3:])
     ladder = [value(HHT(2.0**-k)) for k in extent.exponents]
     exact = np.where(np.isnan(sundials.values), explicit.values, sundials.values)
@@ -244,7 +235,7 @@ def _objective(report: Report, extent: _Objective) -> tuple[list[float], float]:
             report.figure(f"{place}.{_key(each.integrator)}.{name}", error)
     for each in (explicit, sundials, *ladder):
         report.figure(f"{place}.{_key(each.integrator)}.seconds", each.seconds)
-    report.text(f"Up to t = {extent.t_end:g} s; {family(sundials.integrator)} and Explicit.")
+    report.text(f"Up to t = {extent.t_end:g} s; {family(sundials.integrator)} and DOP853.")
     orders = _show(report, extent, ladder, table)
     agreed = _values(report, place, explicit, sundials, ladder)
     return [abs(order - 2) for order in orders[4:]], agreed
@@ -297,7 +288,7 @@ def _show(
             )
         ],
         title=f"Crank-slider up to t = {extent.t_end:g} s, HHT-I3",
-        caption="Rod (2): against SUNDIALS; crank (1) against Explicit.",
+        caption="Rod (2): against SUNDIALS; crank (1) against DOP853.",
     )
     return orders
 
@@ -322,16 +313,16 @@ def _values(
     report.text(
         f"Values. Processor times: {_paid(sundials)} (three variables), {_paid(explicit)} (six), "
         f"{_paid(ladder[-1])} (six). *Extrapolated*: from the last two steps of HHT-I3, as a "
-        "second-order method. Digits: -log10 of the relative difference, of Explicit and of "
-        "HHT-I3 from SUNDIALS (for the crank's variables from Explicit)."
+        "second-order method. Digits: -log10 of the relative difference, of DOP853 and of "
+        "HHT-I3 from SUNDIALS (for the crank's variables from DOP853)."
     )
     header = [
         "",
         f"SUNDIALS, {label(sundials.integrator)}",
-        f"Explicit, {label(explicit.integrator)}",
+        f"DOP853, {label(explicit.integrator)}",
     ]
     header += [f"HHT-I3, {label(finest)}", "HHT-I3 extrapolated"]
-    header += ["digits: Explicit", "digits: HHT-I3", "digits: extrapolated"]
+    header += ["digits: DOP853", "digits: HHT-I3", "digits: extrapolated"]
     report.table(header, rows)
     apart = np.abs(explicit.values[4:] / sundials.values[4:] - 1)
     for name, number in zip(_SYMBOLS[3:], apart, strict=True):
@@ -355,7 +346,7 @@ def _mean_order(column: Array) -> float:
 _PSI = """
 Ψ = ∫ (x - 1.8)² dt and b · dΨ/db, in m² s. SUNDIALS is IDAS, or IDA where sundials4py is not
 installed, with the rod's three variables along; HHT-I3 is compared with it, and for the crank's
-variables with Explicit. SUNDIALS and Explicit integrate Ψ beside the motion, HHT-I3 by the
+variables with DOP853. SUNDIALS and DOP853 integrate Ψ beside the motion, HHT-I3 by the
 trapezoidal rule over its steps.
 """
 
@@ -372,5 +363,5 @@ Over the whole run a ladder of HHT-I3 that resolves the fastest mode would need 
 more. At the steps above it does not, and although errors fall by 2 to 4 powers of ten single
 halvings are irregular: parts of an error that come from different modes have different signs, and
 the sum passes through zero (E_2 and rho_2 near 2^-13 s). Extrapolation gains nothing there. The
-order is therefore taken from the short run. What SUNDIALS and Explicit agree on is not affected.
+order is therefore taken from the short run. What SUNDIALS and DOP853 agree on is not affected.
 """

@@ -25,23 +25,22 @@ from ancfdae import (
     CABLE_2D,
     CABLE_3D,
     Beam,
-    Circle,
     Clamp,
     Distance,
-    Equilibrium,
     FollowerForce,
-    InvalidInput,
     Material,
     Moment,
     Pin,
     PointForce,
-    Rectangle,
     Scene,
     SpringDamper,
     assemble,
     equilibrium,
 )
+from ancfdae.errors import InvalidInputError
 from ancfdae.numerics.arrays import Array
+from ancfdae.results import Equilibrium
+from ancfdae.sections import Circle, Rectangle
 
 _MATERIALS = (
     Material(7850.0, 2.1e11, 0.3),
@@ -132,7 +131,7 @@ def checked(scene: Scene) -> Truth:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = equilibrium(scene, max_steps=_MOST_STEPS)
-    except InvalidInput as refused:
+    except InvalidInputError as refused:
         return Truth(type(refused).__name__)
     if not found.outcome.success:
         return Truth(found.outcome.verdict.name)

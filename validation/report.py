@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 import ancfdae
 from ancfdae import plotting
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInputError
 from ancfdae.numerics.timing import stopwatch
 
 __all__ = ["Agreement", "Report", "environment"]
@@ -83,7 +83,7 @@ class Report:
     def heading(self, text: str, level: int = 2) -> None:
         """Start a section; `level` is 2 to 4, as 1 is the title of the report."""
         if not 2 <= level <= 4:
-            raise InvalidInput("Report.heading", "level must be 2, 3 or 4", level)
+            raise InvalidInputError("Report.heading", "level must be 2, 3 or 4", level)
         self._body.append(f"{'#' * level} {text}")
         self._bar.update()
 
@@ -103,7 +103,7 @@ class Report:
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If there are no rows or a row has not as many cells as the header.
         """
         self._body.append(_table(header, rows))
@@ -115,11 +115,11 @@ class Report:
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If the name is taken or is not letters, digits, ``_``, ``.`` and ``-`` from a letter on.
         """
         if name in self._figures or not _FLAT_NAME.fullmatch(name):
-            raise InvalidInput(
+            raise InvalidInputError(
                 "Report.figure",
                 "a name must be new and consist of letters, digits, '_', '.' and '-'",
                 repr(name),
@@ -140,11 +140,11 @@ class Report:
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If the name is taken or cannot be a file name, or if `plotting.draw` refuses the panels.
         """
         if name in self._plots or not _FLAT_NAME.fullmatch(name):
-            raise InvalidInput(
+            raise InvalidInputError(
                 "Report.plot",
                 "a name must be new and consist of letters, digits, '_', '.' and '-'",
                 repr(name),
@@ -291,7 +291,7 @@ def _colophon(meta: dict[str, object]) -> str:
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     if not rows or any(len(row) != len(header) for row in rows):
-        raise InvalidInput(
+        raise InvalidInputError(
             "Report.table",
             f"there must be rows of {len(header)} cells each",
             [len(row) for row in rows],

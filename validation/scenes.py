@@ -8,19 +8,19 @@ import numpy.typing as npt
 
 from ancfdae import (
     Beam,
+    InitialVelocity,
     Material,
-    NodeState,
+    NodalState,
     Pin,
-    Point,
     PointOnLine,
-    Rectangle,
     Revolute,
-    RigidMotion,
     SaintVenantKirchhoff,
     Scene,
-    Solution,
     Spherical,
 )
+from ancfdae.extend import MaterialPoint
+from ancfdae.results import Solution
+from ancfdae.sections import Rectangle
 
 __all__ = ["crank_slider", "pendulum", "pendulum_deflection"]
 
@@ -29,7 +29,7 @@ def pendulum(
     dimension: int = 2,
     youngs_modulus: float = 1e7,
     elements: int = 5,
-    start: Sequence[RigidMotion | NodeState] = (),
+    start: Sequence[InitialVelocity | NodalState] = (),
     damping_time: float = 0.0,
 ) -> Scene:
     """Return the flexible pendulum of section 4.1, planar or spatial.
@@ -57,8 +57,10 @@ def pendulum_deflection(solution: Solution) -> npt.NDArray[Any]:
     The frame sits at the pin with its x axis along the tangent of the centre line; the
     deflection is the y component of the free end. Accepts complex solutions.
     """
-    tangent = solution.slope(Point("pendulum", 0.0))
-    arm = solution.position(Point("pendulum", 1.0)) - solution.position(Point("pendulum", 0.0))
+    tangent = solution.slope(MaterialPoint("pendulum", 0.0))
+    arm = solution.position(MaterialPoint("pendulum", 1.0)) - solution.position(
+        MaterialPoint("pendulum", 0.0)
+    )
     length = np.sqrt(np.sum(tangent * tangent, axis=1))
     across = tangent[:, 0] * arm[:, 1] - tangent[:, 1] * arm[:, 0]
     result: npt.NDArray[Any] = across / length

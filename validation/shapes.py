@@ -10,18 +10,17 @@ import scipy
 
 from ancfdae import (
     Beam,
-    Circle,
     Clamp,
     CurvedBeam,
     Cylindrical,
     Material,
     Moment,
     PointForce,
-    Rectangle,
     Scene,
     assemble,
     equilibrium,
 )
+from ancfdae.sections import Circle, Rectangle
 from ancfdae.sensitivity.observables.quantities import strain_energy
 from ancfdae.sensitivity.observables.states import States
 from validation.report import Report

@@ -12,11 +12,11 @@ from ancfdae import (
     Material,
     Pin,
     PointForce,
-    Rectangle,
     Scene,
     equilibrium,
     simulate,
 )
+from ancfdae.sections import Rectangle
 from validation.report import Agreement, Report
 
 __all__ = ["fill"]

@@ -1,9 +1,10 @@
-"""Report on work and precision: which integrator for which scene, by the library's `tradeoff`."""
+"""Report on work and precision: which integrator for which scene, by the library's `work_precision`."""
 
 from collections.abc import Sequence
 
-from ancfdae import Explicit, Setting, Tradeoff
+from ancfdae import DOP853
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import MeasuredSetting, WorkPrecision
 from validation.report import Agreement, Report
 from validation.work_precision_control import gains, newton, trust
 from validation.work_precision_findings import (
@@ -97,7 +98,7 @@ def _named(found: Sequence[Measured], name: str) -> Measured | None:
     return next((each for each in found if each.case.name == name), None)
 
 
-def _within(table: Tradeoff, seconds: float) -> Setting | None:
+def _within(table: WorkPrecision, seconds: float) -> MeasuredSetting | None:
     """Return the HHT setting with the least error of the gradient in some processor time."""
     rows = [
         row
@@ -115,7 +116,7 @@ def _pointwise(report: Report, found: Sequence[Measured]) -> None:
     texts, factors = [], []
     for kind, table in zip(OBJECTIVES, soft.tables, strict=True):
         explicit = next(
-            row for row in table.rows if isinstance(row.integrator, Explicit) and row.finished
+            row for row in table.rows if isinstance(row.integrator, DOP853) and row.finished
         )
         best = _within(table, explicit.seconds)
         if best is None:
@@ -216,7 +217,7 @@ def _scene(report: Report, each: Measured) -> None:
     report.table([*header, "steps or outcome"], rows)
 
 
-def _cells(row: Setting, other: Setting, reference: bool) -> list[object]:
+def _cells(row: MeasuredSetting, other: MeasuredSetting, reference: bool) -> list[object]:
     name = row.family + (" (reference)" if reference else "")
     own = (row.states, row.multipliers, row.drift, row.energy)
     numbers = (*own, row.objective, row.gradient, other.objective, other.gradient)
@@ -225,7 +226,7 @@ def _cells(row: Setting, other: Setting, reference: bool) -> list[object]:
     return [name, row.label, f"{row.seconds:.2g}", *shown, end]
 
 
-def _panel(title: str, table: Tradeoff, of: str) -> Panel:
+def _panel(title: str, table: WorkPrecision, of: str) -> Panel:
     lines: dict[str, list[tuple[float, float]]] = {}
     for row in table.rows:
         error = getattr(row, of)
@@ -241,7 +242,7 @@ def _panel(title: str, table: Tradeoff, of: str) -> Panel:
     return Panel(title, "processor time [s]", "relative error [-]", series, "log", "log")
 
 
-def _line(row: Setting) -> str:
+def _line(row: MeasuredSetting) -> str:
     if alpha(row) is None:
         return type(row.integrator).__name__
     kind = "both controlled" if controlled_both(row) else "fixed"
@@ -250,18 +251,19 @@ def _line(row: Setting) -> str:
 
 
 _METHOD = """
-Every number comes from `ancfdae.tradeoff`, the call with which users measure their own scenes.
-Each setting runs with two design variables along (direct differentiation) for two objectives: the
-gradient of a time integral (*integrated*) and of a value at the end time (*pointwise*). Errors
-are relative to a reference, the last row of each table: states and multipliers the largest over
-201 common times over the largest of the reference, gradients in the Euclidean norm after
-multiplication by the design values. Processor time is that of motion and gradient, the smaller of
-two runs where one takes less than a second; on a shared machine read ratios, to a third.
+Every number comes from `ancfdae.work_precision`, the call with which users measure their own
+scenes. Each setting runs with two design variables along (direct differentiation) for two
+objectives: the gradient of a time integral (*integrated*) and of a value at the end time
+(*pointwise*). Errors are relative to a reference, the last row of each table: states and
+multipliers the largest over 201 common times over the largest of the reference, gradients in the
+Euclidean norm after multiplication by the design values. Processor time is that of motion and
+gradient, the smaller of two runs where one takes less than a second; on a shared machine read
+ratios, to a third.
 
 *HHT fixed* and *HHT controlled* are HHT-I3 with `step` or with `rtol`, each at four values of
 hht_alpha; *both* stands for `sensitivities=True`, where the tolerance bounds the errors
 of the derivatives as well as those of the motion. *IDA*, *IDAS* (needs Python 3.12; a row says so
-where it is missing) and *Explicit* are of high order. End times are short where the beam is
+where it is missing) and *DOP853* are of high order. End times are short where the beam is
 stiff: at E = 2e11 N/m² the fastest wave has 6e5 rad/s, so high order takes half a million steps
 for a second; 2⁻⁶ s hold two and a half periods of the first bending mode (1.1e3 rad/s). With
 damping the waves die out, but their decay, up to 1e8 1/s, is out of reach of an explicit step, so
@@ -281,7 +283,7 @@ _ANSWER = """
 In words:
 
 - **Soft, undamped.** Up to an error of 1 % of either gradient, HHT-I3 at a fixed step, 30 times
-  cheaper than high order. For a pointwise gradient better than 1e-3: Explicit. In the same time its
+  cheaper than high order. For a pointwise gradient better than 1e-3: DOP853. In the same time its
   errors are a thousand times smaller, because each halving of the step gains HHT a factor of four
   at best and the undamped waves, whose phases a pointwise sensitivity counts, need a step far below
   their periods first. An integral averages waves out, so HHT remains the cheaper one down to
@@ -294,11 +296,11 @@ In words:
 - **Stiff or medium, damped.** HHT-I3, with error control at rtol of 3e-4 or less. An explicit
   step is out of the question, and IDA at 1e-5 stops at its limit of steps below (run to the end
   it took 50 s, 200 times as long, for an error of 0.2).
-- **Rigid (slider-crank).** HHT-I3 to 1e-3, Explicit for more: 18 steps give five digits.
-- **Paper's crank-slider.** Soft and undamped: HHT-I3 for a per cent, Explicit beyond.
+- **Rigid (slider-crank).** HHT-I3 to 1e-3, DOP853 for more: 18 steps give five digits.
+- **Paper's crank-slider.** Soft and undamped: HHT-I3 for a per cent, DOP853 beyond.
 - **Any scene, and a gradient that has to keep a tolerance without a reference at hand.** HHT-I3
   with `sensitivities=True` (up to fifteen times the time of the best fixed step), or
-  Explicit where it finishes.
+  DOP853 where it finishes.
 
 A coarse setting in the column 1e-01 may be right by chance: on undamped scenes errors do not fall
 steadily before waves are resolved. Look at the tables below, or ask for two settings in a row.
@@ -316,7 +318,8 @@ wanted, 0 never.
 """
 
 _LIMITS = """
-- Seven scenes, one objective of each kind, two variables: `tradeoff` is there to measure others.
+- Seven scenes, one objective of each kind, two variables: `work_precision` is there to measure
+others.
 - An error below that of the reference means nothing. References of high order are good to 1e-7 or
   better, those of the damped pendulums of larger modulus are HHT at 2⁻¹⁴ of the end time, good to
   about 1e-6.

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from ancfdae import Setting, Tradeoff
+from ancfdae.results import MeasuredSetting, WorkPrecision
 from validation.report import Agreement, Report
 from validation.work_precision_findings import (
-    Choice,
     Gain,
+    ModelChoice,
     alpha,
     best_gain,
     control,
@@ -87,14 +87,16 @@ def trust(report: Report, found: Sequence[Measured]) -> None:
 
 
 def _ratios(
-    report: Report, found: Sequence[Measured], choice: Choice, prefix: str
+    report: Report, found: Sequence[Measured], choice: ModelChoice, prefix: str
 ) -> dict[str, float]:
     """Tell the largest errors over tolerances per scene; return those over all."""
     rows: list[list[object]] = []
     worst: dict[str, float] = {}
     for each in found:
         cells: list[object] = [each.case.title]
-        looks: list[tuple[str, str, Sequence[Tradeoff]]] = [("states", "states", each.tables[:1])]
+        looks: list[tuple[str, str, Sequence[WorkPrecision]]] = [
+            ("states", "states", each.tables[:1])
+        ]
         for kind, table in zip(OBJECTIVES, each.tables, strict=True):
             looks += [(f"objective {kind}", "objective", [table])]
             looks += [(f"gradient {kind}", "gradient", [table])]
@@ -132,7 +134,7 @@ def newton(report: Report, quick: bool) -> None:
     report.text(_NEWTON_NOTES)
 
 
-def _place(row: Setting) -> str:
+def _place(row: MeasuredSetting) -> str:
     steps = control(row)
     assert steps is not None
     return f"rtol {steps.rtol:.0e}, alpha {alpha(row):g}"

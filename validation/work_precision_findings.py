@@ -6,7 +6,9 @@ from functools import partial
 
 import numpy as np
 
-from ancfdae import HHT, ControlledSteps, Setting, TargetNotReached, Tradeoff
+from ancfdae import HHT, AdaptiveSteps
+from ancfdae.errors import TargetNotReachedError
+from ancfdae.results import MeasuredSetting, WorkPrecision
 
 __all__ = [
     "Gain",
@@ -22,37 +24,37 @@ __all__ = [
     "short_name",
 ]
 
-Choice = Callable[[Setting], bool]
+ModelChoice = Callable[[MeasuredSetting], bool]
 
 
-def fixed(row: Setting) -> bool:
+def fixed(row: MeasuredSetting) -> bool:
     """Whether a setting is HHT-I3 at a fixed step."""
     return alpha(row) is not None and control(row) is None
 
 
-def controlled(row: Setting) -> bool:
+def controlled(row: MeasuredSetting) -> bool:
     """Whether a setting is HHT-I3 with error control of the motion alone."""
     return control(row) is not None and not controlled_both(row)
 
 
-def controlled_both(row: Setting) -> bool:
+def controlled_both(row: MeasuredSetting) -> bool:
     """Whether a setting is HHT-I3 with error control of motion and derivatives."""
     steps = control(row)
     return steps is not None and steps.sensitivities
 
 
-def control(row: Setting) -> ControlledSteps | None:
+def control(row: MeasuredSetting) -> AdaptiveSteps | None:
     """Return the error control of HHT-I3; None for other integrators and fixed steps."""
     steps = row.integrator.steps if isinstance(row.integrator, HHT) else None
-    return steps if isinstance(steps, ControlledSteps) else None
+    return steps if isinstance(steps, AdaptiveSteps) else None
 
 
-def alpha(row: Setting) -> float | None:
+def alpha(row: MeasuredSetting) -> float | None:
     """Return the numerical damping of HHT-I3; None for other integrators."""
     return row.integrator.hht_alpha if isinstance(row.integrator, HHT) else None
 
 
-def short_name(row: Setting) -> str:
+def short_name(row: MeasuredSetting) -> str:
     """Return family and setting in a few characters."""
     damping = alpha(row)
     if damping is not None:
@@ -61,41 +63,43 @@ def short_name(row: Setting) -> str:
     return f"{type(row.integrator).__name__} {row.label}"
 
 
-def cheapest_of(table: Tradeoff, target: float, choice: Choice) -> Setting | None:
+def cheapest_of(table: WorkPrecision, target: float, choice: ModelChoice) -> MeasuredSetting | None:
     """Return the recommendation among some settings; None if none is accurate enough."""
     rows = tuple(row for row in table.rows if choice(row))
     try:
-        return Tradeoff(rows, table.reference).recommend(target)
-    except TargetNotReached:
+        return WorkPrecision(rows, table.reference).recommend(target)
+    except TargetNotReachedError:
         return None
 
 
-def settled(table: Tradeoff) -> Tradeoff:
+def settled(table: WorkPrecision) -> WorkPrecision:
     """Leave out what is accurate by chance: settings whose finer ones have larger errors.
 
     Settings of a family stand in the table from coarse to fine.
     """
-    families: dict[str, list[Setting]] = {}
+    families: dict[str, list[MeasuredSetting]] = {}
     for row in table.rows:
         families.setdefault(row.family, []).append(row)
-    kept: list[Setting] = []
+    kept: list[MeasuredSetting] = []
     for rows in families.values():
         worst = 0.0
         for row in reversed(rows):
             if row.error("gradient") >= worst:
                 worst = row.error("gradient")
                 kept.append(row)
-    return Tradeoff(tuple(kept), table.reference)
+    return WorkPrecision(tuple(kept), table.reference)
 
 
-def seconds_for(table: Tradeoff, error: float, choice: Choice) -> float:
+def seconds_for(table: WorkPrecision, error: float, choice: ModelChoice) -> float:
     """Return the processor time at which a family reaches an error of the gradient.
 
     Between the measured settings of the Pareto front the time is interpolated in logarithms, as if
     any step could be chosen; outside of them it is not a number.
     """
     rows = tuple(row for row in table.rows if choice(row))
-    front = [row for row in Tradeoff(rows, table.reference).pareto() if row.error("gradient") > 0]
+    front = [
+        row for row in WorkPrecision(rows, table.reference).pareto() if row.error("gradient") > 0
+    ]
     front.sort(key=lambda row: row.error("gradient"))
     errors = np.log([row.error("gradient") for row in front])
     if not front or not errors[0] <= np.log(error) <= errors[-1]:
@@ -109,13 +113,13 @@ class Gain:
 
     Attributes
     ----------
-    row : Setting
+    row : MeasuredSetting
         The controlled setting.
     fixed_seconds : float
         What the best fixed step needs for the same error.
     """
 
-    row: Setting
+    row: MeasuredSetting
     fixed_seconds: float
 
     @property
@@ -125,13 +129,13 @@ class Gain:
 
 
 def best_gain(
-    table: Tradeoff, floor: float, same_alpha: bool, choice: Choice, ceiling: float = 0.1
+    table: WorkPrecision, floor: float, same_alpha: bool, choice: ModelChoice, ceiling: float = 0.1
 ) -> Gain | None:
     """Return the controlled setting that gains most against the best fixed step.
 
     Parameters
     ----------
-    table : Tradeoff
+    table : WorkPrecision
     floor, ceiling : float
         Errors below the first are not known, for the reference is no better; errors above the
         second are not counted.
@@ -150,13 +154,13 @@ def best_gain(
     return min(gains, key=lambda gain: gain.ratio, default=None)
 
 
-def _is_fixed(row: Setting, damping: float | None) -> bool:
+def _is_fixed(row: MeasuredSetting, damping: float | None) -> bool:
     return fixed(row) and damping in (None, alpha(row))
 
 
 def largest_ratio(
-    tables: Sequence[Tradeoff], of: str, choice: Choice
-) -> tuple[float, Setting | None]:
+    tables: Sequence[WorkPrecision], of: str, choice: ModelChoice
+) -> tuple[float, MeasuredSetting | None]:
     """Return the largest error over tolerance of some settings, and where it was."""
     worst, where = 0.0, None
     for table in tables:

@@ -5,24 +5,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ancfdae import (
+    DOP853,
     HHT,
     IDA,
     IDAS,
-    ControlledSteps,
-    Explicit,
+    AdaptiveSteps,
     Integral,
-    Integrator,
-    MechanicalSystem,
-    Point,
     Radau,
-    StabilityWarning,
     Terminal,
-    Tradeoff,
     assemble,
-    custom,
-    position,
-    tradeoff,
+    work_precision,
 )
+from ancfdae.errors import StabilityWarning
+from ancfdae.extend import Integrator, MaterialPoint, MechanicalSystem
+from ancfdae.observables import custom, position
+from ancfdae.results import WorkPrecision
 from ancfdae.sensitivity.objectives import Objective
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.integrator_runs import MANY, Array
@@ -82,14 +79,14 @@ class Measured:
     """A case with its tables, in the order of `OBJECTIVES`."""
 
     case: Case
-    tables: tuple[Tradeoff, ...]
+    tables: tuple[WorkPrecision, ...]
 
 
 def measured(case: Case, quick: bool) -> Measured:
     """Measure every setting for both objectives."""
     settings = [*_second_order(case, ALPHAS), *(Radau(rtol=x) for x in case.rtols), *case.high]
     tables = tuple(
-        tradeoff(
+        work_precision(
             case.system,
             objective,
             case.t_end,
@@ -102,14 +99,14 @@ def measured(case: Case, quick: bool) -> Measured:
     return Measured(case, tables)
 
 
-def newton_tolerances(rtols: Sequence[float], quick: bool) -> tuple[str, list[Tradeoff]]:
+def newton_tolerances(rtols: Sequence[float], quick: bool) -> tuple[str, list[WorkPrecision]]:
     """Measure the controlled step with a loose tolerance of Newton's method and with the default.
 
     Returns
     -------
     str
         The scene.
-    list of Tradeoff
+    list of WorkPrecision
         One for each tolerance; the loose one, rtol/1000, first.
     """
     case = _pendulum("newton", 2e11, 1e-3, 2.0**-6 if quick else 1.0, range(1), rtols, (), ())
@@ -117,9 +114,11 @@ def newton_tolerances(rtols: Sequence[float], quick: bool) -> tuple[str, list[Tr
     settings: list[Integrator] = []
     settings += [HHT(rtol=rtol, newton_tolerance=_LOOSE * rtol) for rtol in rtols]
     settings += [HHT(rtol=rtol) for rtol in rtols]
-    table = tradeoff(case.system, case.objectives[0], case.t_end, settings, reference=reference)
+    table = work_precision(
+        case.system, case.objectives[0], case.t_end, settings, reference=reference
+    )
     halves = table.rows[: len(rtols)], table.rows[len(rtols) :]
-    return case.title, [Tradeoff(rows, table.reference) for rows in halves]
+    return case.title, [WorkPrecision(rows, table.reference) for rows in halves]
 
 
 def _second_order(case: Case, alphas: Sequence[float]) -> list[Integrator]:
@@ -129,9 +128,9 @@ def _second_order(case: Case, alphas: Sequence[float]) -> list[Integrator]:
         warnings.simplefilter("ignore", StabilityWarning)
         for alpha in alphas:
             settings += [HHT(case.t_end / 2**k, hht_alpha=alpha) for k in case.steps]
-            controls = [ControlledSteps(rtol, max_steps=_FEW) for rtol in case.rtols]
+            controls = [AdaptiveSteps(rtol, max_steps=_FEW) for rtol in case.rtols]
             controls += [
-                ControlledSteps(rtol, max_steps=_FEW_BOTH, sensitivities=True) for rtol in case.both
+                AdaptiveSteps(rtol, max_steps=_FEW_BOTH, sensitivities=True) for rtol in case.both
             ]
             settings += [HHT(steps, alpha) for steps in controls]
     return settings
@@ -143,7 +142,7 @@ def _high(
     settings: list[Integrator] = []
     settings += [IDA(rtol, intervals=intervals, max_steps=MANY) for rtol in ida]
     settings += [IDAS(rtol, intervals=intervals, max_steps=MANY) for rtol in ida]
-    return [*settings, *(Explicit(r, intervals, max_steps=MANY) for r in explicit)]
+    return [*settings, *(DOP853(r, intervals, max_steps=MANY) for r in explicit)]
 
 
 def cases(quick: bool) -> list[Case]:
@@ -168,7 +167,7 @@ def cases(quick: bool) -> list[Case]:
     ]
 
 
-_QUICK_HIGH = [IDA(1e-5), Explicit(1e-5)]
+_QUICK_HIGH = [IDA(1e-5), DOP853(1e-5)]
 
 
 def _pendulum(
@@ -184,9 +183,9 @@ def _pendulum(
     """Return the flexible pendulum; height and density are its design."""
     scene = pendulum(youngs_modulus=modulus, damping_time=damping)
     system = assemble(scene, ("pendulum.height", "pendulum.density"))
-    tip = position(Point("pendulum", 1.0), 1)
+    tip = position(MaterialPoint("pendulum", 1.0), 1)
     words = f", retardation time {damping:g} s" if damping else ""
-    reference: Integrator = Explicit(1e-10 if modulus < 1e8 else 1e-7, max_steps=MANY)
+    reference: Integrator = DOP853(1e-10 if modulus < 1e8 else 1e-7, max_steps=MANY)
     if modulus > 1e8 and damping:
         reference = Radau(t_end / 2**10)
     return Case(
@@ -211,8 +210,8 @@ def _crank(
     high: Sequence[Integrator],
 ) -> Case:
     """Return the paper's crank-slider; height and density of the rod are its design."""
-    slider = position(Point("rod", 1.0), 0)
-    middle = position(Point("rod", 0.5), 1)
+    slider = position(MaterialPoint("rod", 1.0), 0)
+    middle = position(MaterialPoint("rod", 0.5), 1)
     return Case(
         "crank",
         f"Crank-slider of the paper, {t_end:g} s",
@@ -223,7 +222,7 @@ def _crank(
         rtols,
         both,
         high,
-        Explicit(1e-7, max_steps=MANY),
+        DOP853(1e-7, max_steps=MANY),
     )
 
 
@@ -246,7 +245,7 @@ def _slider(
         rtols,
         both,
         high,
-        Explicit(1e-10, max_steps=MANY),
+        DOP853(1e-10, max_steps=MANY),
     )
 
 

@@ -12,10 +12,10 @@ from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.reference import Reference
-from ancfdae.errors import InconsistentStart
+from ancfdae.errors.kinds import InconsistentStartError
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 @final
@@ -31,13 +31,13 @@ class AssembledStart:
     mapping: ParameterMap
     reference: Reference
     joints: JointConstraints
-    pattern: Pattern
+    pattern: SparsityPattern
     b: Array
     displaced: bool
 
     @cached_property
     def state(self) -> tuple[Array, Array]:
-        """The start q, v; raises InconsistentStart where joints stay open that nothing projects."""
+        """The start q, v; raises InconsistentStartError where joints stay open that nothing projects."""
         if self._stands:
             q = self.reference.Z.ravel()
             v = self.reference.velocities(q, None)
@@ -120,7 +120,7 @@ class AssembledStart:
     def _follow(self, i: int) -> tuple[Array, Array]:
         """Differentiate the assembled q and v with respect to design variable i; (n_q,) each.
 
-        Raises InconsistentStart if rigid motions cannot keep all joints closed, unless
+        Raises InconsistentStartError if rigid motions cannot keep all joints closed, unless
         `project_start` lets bodies strain.
         """
         declared = self._declared(i)
@@ -134,7 +134,7 @@ class AssembledStart:
     @staticmethod
     def _require_followed(joint: str | None, variable: str) -> None:
         if joint is not None:
-            raise InconsistentStart(
+            raise InconsistentStartError(
                 f"design variable {variable!r}",
                 "rigid motions of the bodies must follow it",
                 f"joint {joint!r}, which they leave open",

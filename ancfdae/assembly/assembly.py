@@ -28,7 +28,7 @@ import numpy as np
 
 from ancfdae.assembly.closing import SOFT, Closing, Declared, Matrix, Unknowns
 from ancfdae.assembly.rigid_motions import RigidMotions
-from ancfdae.errors import InconsistentStart
+from ancfdae.errors.kinds import InconsistentStartError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.least_norm import LeastNorm
 
@@ -145,7 +145,7 @@ class Assembly:
         if nearest is not None:
             return nearest
         joint, gap = self._widest(self.closing.start(False)[0])
-        raise InconsistentStart(
+        raise InconsistentStartError(
             "assembly",
             "rigid motions of the bodies must close all joints",
             f"no convergence in {_ITERATIONS} iterations, nor from {_RESTARTS} random starts; as "
@@ -224,7 +224,7 @@ class Assembly:
     def _position_inverse(self) -> LeastNorm:
         inverse = LeastNorm(self.closing.matrix_at(self._positions))
         if np.any(inverse.leaves_open(len(self._positions[0])) > _FREE):
-            raise InconsistentStart(
+            raise InconsistentStartError(
                 "assembly",
                 "must be the only one nearby",
                 "a mechanism at a point where it branches",
@@ -317,7 +317,7 @@ class Assembly:
         """Refuse joints that rigid motions leave open."""
         if self.moves and self._open(self._positions[0]) > _CLOSED:
             joint, gap = self._widest(self._positions[0])
-            raise InconsistentStart(
+            raise InconsistentStartError(
                 "assembly",
                 "rigid motions of the bodies must close all joints",
                 f"joint {joint!r} that stays open by {gap:.3g} of the size of the mechanism",

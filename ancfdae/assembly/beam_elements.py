@@ -10,7 +10,7 @@ from ancfdae.assembly.block import unit_vectors
 from ancfdae.assembly.layout import BeamLayout
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
-from ancfdae.errors import named
+from ancfdae.errors.checks import named
 from ancfdae.model.bodies import BeamBody
 from ancfdae.model.elements import Batch
 from ancfdae.numerics.arrays import Array

@@ -10,8 +10,8 @@ from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.section_results import SectionForces, StressPoints
-from ancfdae.errors import InvalidInput
-from ancfdae.model.bodies import Point, require_in_section
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.bodies import MaterialPoint, require_in_section
 from ancfdae.model.elements import Batch
 from ancfdae.model.elements.element import SectionPlace
 from ancfdae.model.scene import Scene
@@ -31,10 +31,10 @@ class BeamSections:
     ) -> None:
         self._scene, self._layout = scene, layout
         self._numbering, self._mapping, self._b = numbering, mapping, b
-        self._forces: dict[Point, SectionForces] = {}
-        self._stresses: dict[Point | str, StressPoints] = {}
+        self._forces: dict[MaterialPoint, SectionForces] = {}
+        self._stresses: dict[MaterialPoint | str, StressPoints] = {}
 
-    def forces(self, point: Point) -> SectionForces:
+    def forces(self, point: MaterialPoint) -> SectionForces:
         """Return the evaluator of the section forces at a point of a beam."""
         if point not in self._forces:
             self._forces[point] = self.forces_in(point.beam, *self._locate(point))
@@ -59,10 +59,10 @@ class BeamSections:
                     nodes |= {element + (xi == 1.0), element + (xi > 0.0)}
         return nodes
 
-    def _locate(self, point: Point) -> tuple[int, float]:
+    def _locate(self, point: MaterialPoint) -> tuple[int, float]:
         return self._layout.beam(point.beam).locate(point.fraction, point.before)
 
-    def require_material(self, where: str, point: Point) -> None:
+    def require_material(self, where: str, point: MaterialPoint) -> None:
         """Refuse a point of a beam that lies outside its section, or in a hole of it."""
         element, _ = self._element(point)
         section, sizes = element.batch.kind.section, element.batch.sizes[0].real.tolist()
@@ -70,14 +70,14 @@ class BeamSections:
         require_in_section(where, point, section.half_extents)
         # In the plane a point stands for all of the width.
         if element.element.d == 3 and not section.holds(point.y, point.z):
-            raise InvalidInput(
+            raise InvalidInputError(
                 where,
                 "there must be material at the point",
                 f"y = {point.y}, z = {point.z} of {section}",
                 "Move the point into a wall.",
             )
 
-    def stress_at(self, point: Point) -> StressPoints:
+    def stress_at(self, point: MaterialPoint) -> StressPoints:
         """Return the evaluator of the stress at a point of a beam."""
         if point not in self._stresses:
             element, xi = self._element(point)
@@ -93,7 +93,7 @@ class BeamSections:
             self._stresses[beam] = StressPoints(elements, _STRESS_PLACES, elements.outline)
         return self._stresses[beam]
 
-    def _element(self, point: Point) -> tuple[BeamElements, float]:
+    def _element(self, point: MaterialPoint) -> tuple[BeamElements, float]:
         """Return the element that a point lies in, and where."""
         element, xi = self._locate(point)
         return self._elements(point.beam, slice(element, element + 1)), xi
@@ -102,7 +102,7 @@ class BeamSections:
         place, values = self._layout.beam(beam), self._mapping.values(self._b)
         body, mapping = self._scene.beam(beam), self._mapping
         if body.rigid:
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"beam {beam!r}",
                 "must deform to have section forces and stresses",
                 "a rigid one, which has no strain",

@@ -14,7 +14,7 @@ from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.rigid_motions import RigidMotions
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.least_norm import DENSE
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 #: delta: what moving by the size of the mechanism counts beside joints that stay open by as much.
 SOFT = 1e-3
@@ -52,7 +52,7 @@ class Closing:
 
     motions: RigidMotions
     declared: Declared
-    pattern: Pattern
+    pattern: SparsityPattern
     rows: int
     free: Array
     size: float

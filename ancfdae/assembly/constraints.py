@@ -15,7 +15,7 @@ import numpy as np
 
 from ancfdae.assembly.joint_factors import JointFactors, JointPartials
 from ancfdae.assembly.joint_structure import JointStructure
-from ancfdae.errors import InconsistentStart
+from ancfdae.errors.kinds import InconsistentStartError
 from ancfdae.kernels import (
     ConstraintPlan,
     Constraints,
@@ -25,7 +25,7 @@ from ancfdae.kernels import (
     constraints,
 )
 from ancfdae.numerics.arrays import STEP, Array, only
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 @final
@@ -43,7 +43,7 @@ class JointConstraints:
     n_b: int
 
     @staticmethod
-    def on(pattern: Pattern, structure: JointStructure, n_b: int) -> JointConstraints:
+    def on(pattern: SparsityPattern, structure: JointStructure, n_b: int) -> JointConstraints:
         """Return constraints whose curvature is placed on a pattern that holds the couplings."""
         curved = pattern.index(*structure.couplings)
         return JointConstraints(structure, curved, pattern.size, n_b)
@@ -100,7 +100,7 @@ class JointConstraints:
         """Refuse a start at which a drive is half a turn off, where its equation holds as well."""
         name = self.opposite(q, t)
         if name is not None:
-            raise InconsistentStart(
+            raise InconsistentStartError(
                 f"joint {name!r}",
                 "the section must start at the angle of the law",
                 "one that points the other way",

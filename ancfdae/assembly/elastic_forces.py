@@ -24,7 +24,7 @@ from ancfdae.kernels import (
 )
 from ancfdae.model.elements import curvature, elastic
 from ancfdae.numerics.arrays import STEP, Array, only
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 @final
@@ -45,7 +45,7 @@ class ElementPlaces:
     size: int
 
     @staticmethod
-    def of(numbering: Numbering, pattern: Pattern) -> ElementPlaces:
+    def of(numbering: Numbering, pattern: SparsityPattern) -> ElementPlaces:
         """Return the places on a pattern that holds the entries of every element."""
         vectors, d = numbering.vectors, numbering.d
         n, width = len(vectors), vectors.shape[1] * d

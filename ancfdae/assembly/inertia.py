@@ -27,7 +27,7 @@ from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.patterns import LinearMap, Pattern
+from ancfdae.numerics.patterns import LinearMap, SparsityPattern
 
 
 @final
@@ -163,7 +163,7 @@ class Inertia:
         blocks: Sequence[MassBlocks],
         numbering: Numbering,
         n_b: int,
-        pattern: Pattern,
+        pattern: SparsityPattern,
         gravity: tuple[Array, Array],
     ) -> None:
         self._n_b, self._n_q, self._d, self._blocks = (

@@ -19,7 +19,7 @@ from ancfdae.assembly.layout import JointLayout
 from ancfdae.assembly.vectors import Vectors
 from ancfdae.kernels import ConstraintPlan
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 @final
@@ -79,7 +79,7 @@ class JointStructure:
     vectors: Vectors
     joints: tuple[JointLayout, ...]
     indices: tuple[Array, ...]
-    pattern: Pattern
+    pattern: SparsityPattern
     couplings: tuple[Array, Array]
 
     @staticmethod
@@ -184,7 +184,9 @@ def _placed(
     of_linear, of_products = _entries(first, linear_at), _entries(first, raw_at)
     rows = linear_row[of_linear[0]], np.repeat(row, 2 * d)[of_products[0]]
     columns = column[of_linear[1]], column[of_products[1]]
-    pattern = Pattern((int(begin[-1][3]), vectors.n_q), *map(np.concatenate, (rows, columns)))
+    pattern = SparsityPattern(
+        (int(begin[-1][3]), vectors.n_q), *map(np.concatenate, (rows, columns))
+    )
     places = tuple(pattern.index(*x) for x in zip(rows, columns, strict=True))
     linear = np.searchsorted(of_linear[0], begin[:, 1])
     products = np.searchsorted(of_products[0], begin[:, 2] * 2 * d)

@@ -9,7 +9,8 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import UnknownName, named
+from ancfdae.errors.checks import named
+from ancfdae.errors.kinds import UnknownNameError
 from ancfdae.model.bodies import locate, require_fraction
 from ancfdae.model.elements import BeamElement, Quantity
 from ancfdae.numerics.arrays import Array
@@ -158,17 +159,17 @@ class Layout:
         return (*(body.name for body in self.bodies), *self.masses)
 
     def owner(self, name: str) -> int:
-        """Return the place of a name among the `owners`, or raise UnknownName."""
+        """Return the place of a name among the `owners`, or raise UnknownNameError."""
         if name not in self.owners:
-            raise UnknownName("beam or body", name, self.owners)
+            raise UnknownNameError("beam or body", name, self.owners)
         return self.owners.index(name)
 
     def body(self, name: str) -> BodyLayout:
-        """Return the vectors of the beam or rigid body of this name, or raise UnknownName."""
+        """Return the vectors of the beam or rigid body of this name, or raise UnknownNameError."""
         return self._bodies.get(name) or named("beam or body", name, self.bodies)
 
     def beam(self, name: str) -> BeamLayout:
-        """Return the beam of this name, or raise UnknownName."""
+        """Return the beam of this name, or raise UnknownNameError."""
         return self._beams.get(name) or named("beam", name, self.beams)
 
     @cached_property
@@ -180,7 +181,7 @@ class Layout:
         return {beam.name: beam for beam in self.beams}
 
     def joint(self, name: str) -> JointLayout:
-        """Return the joint of this name, or raise UnknownName."""
+        """Return the joint of this name, or raise UnknownNameError."""
         return named("joint", name, self.joints)
 
     def plain(self) -> dict[str, Any]:

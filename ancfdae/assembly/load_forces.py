@@ -11,7 +11,7 @@ import numpy as np
 from ancfdae.assembly.load_input import LoadInput
 from ancfdae.kernels import LoadPlan, load_forces, load_forces_along, load_tangents
 from ancfdae.numerics.arrays import STEP, Array, only
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 @final
@@ -49,7 +49,7 @@ class LoadForces:
     couplings of the loads that move.
     """
 
-    def __init__(self, inputs: Sequence[LoadInput], pattern: Pattern, n_b: int) -> None:
+    def __init__(self, inputs: Sequence[LoadInput], pattern: SparsityPattern, n_b: int) -> None:
         self._inputs, self._pattern, self._n_b = inputs, pattern, n_b
         self._n_q = pattern.shape[0]
         self.uses_velocity = any(item.uses_velocity for item in inputs)

@@ -8,12 +8,12 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.vectors import Vectors
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import LoadPlan
 from ancfdae.model.loads.load import Load
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.operations import Listed, Operations
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 @final
@@ -52,11 +52,11 @@ class LoadInput:
         order = np.lexsort((j, i, row[j], row[i]))
         return column[i[order]], column[j[order]]
 
-    def plan(self, pattern: Pattern) -> LoadPlan:
+    def plan(self, pattern: SparsityPattern) -> LoadPlan:
         """Return the force as operations, with tangents on a pattern that holds the couplings.
 
-        InvalidInput for a force that is made of other functions than jets have, or that is no force
-        on each of its vectors.
+        InvalidInputError for a force that is made of other functions than jets have, or that is no
+        force on each of its vectors.
         """
         shape, size, vectors = self.reference.shape, self.reference.size, self.vectors
         operations = Operations(2 * size)
@@ -71,17 +71,17 @@ class LoadInput:
     def _on_vectors(self, F: object, U: Listed) -> Array:
         """Return the numbers of the forces F, in the shape of the reference vectors.
 
-        Raises InvalidInput if F cannot be brought to that shape.
+        Raises InvalidInputError if F cannot be brought to that shape.
         """
         shape = self.reference.shape
         try:
             return np.broadcast_to(U.numbers(F), shape)
-        except InvalidInput:
+        except InvalidInputError:
             raise
         except (TypeError, ValueError) as error:
             where, rule = f"force of load {self.load.name!r}", f"must have the shape {shape} here"
             repair = "Return an array of the shape of U, made by functions of NumPy."
-            raise InvalidInput(where, rule, repr(F), repair) from error
+            raise InvalidInputError(where, rule, repr(F), repair) from error
 
     @property
     def active(self) -> list[int]:

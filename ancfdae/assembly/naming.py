@@ -10,8 +10,9 @@ import numpy as np
 from ancfdae.assembly.free_motions import motions_in_words
 from ancfdae.assembly.layout import BeamLayout, BodyLayout, Layout
 from ancfdae.equations.naming import Naming
-from ancfdae.errors import InvalidInput, require_index
-from ancfdae.model.bodies import Point, Quantity, require_point
+from ancfdae.errors.checks import require_index
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.numerics.arrays import STEP, Array
 
 
@@ -51,15 +52,15 @@ class SceneNaming(Naming):
     lengths_b: Array
 
     def vector(
-        self, point: Point, quantity: Quantity, place: tuple[Array, Array] | None = None
+        self, point: MaterialPoint, quantity: Quantity, place: tuple[Array, Array] | None = None
     ) -> PointVector:
         """Return how a vector of a material point is made of vectors of its body.
 
-        `place` has the `Point.numbers`, (3,), and their design derivatives, (3, n_b), where the
-        design may move the point.
+        `place` has the `MaterialPoint.numbers`, (3,), and their design derivatives, (3, n_b), where
+        the design may move the point.
 
-        Raises UnknownName if the scene has no body of that name, InvalidInput if the points of the
-        body do not have the vector.
+        Raises UnknownNameError if the scene has no body of that name, InvalidInputError if the
+        points of the body do not have the vector.
         """
         body, beam = self.layout.body(point.beam), self._beam(point.beam)
         numbers, numbers_b = self._place(point) if place is None else place
@@ -93,7 +94,7 @@ class SceneNaming(Naming):
         require_index("slope, along", along, self.layout.d, "0 is along the beam.")
         return self._in_states(states, point, Quantity(along + 1))
 
-    def _in_states(self, states: Array, point: Point, quantity: Quantity) -> Array:
+    def _in_states(self, states: Array, point: MaterialPoint, quantity: Quantity) -> Array:
         require_point("point", point, self.layout.d)
         return self.vector(point, quantity).of(states, self.layout.d)
 
@@ -105,7 +106,7 @@ class SceneNaming(Naming):
     def reaction(self, lam: Array, joint: str) -> Array:
         """Return the force of a joint on its first point, minus its multipliers, shape (k, d)."""
         if not self.layout.joint(joint).holds_position:
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"reaction of {joint!r}",
                 "the joint must hold a point in all directions",
                 "a joint of another kind",
@@ -185,13 +186,13 @@ class SceneNaming(Naming):
     def _beam(self, name: str) -> BeamLayout | None:
         return next((beam for beam in self.layout.beams if beam.name == name), None)
 
-    def _place(self, point: Point) -> tuple[Array, Array]:
+    def _place(self, point: MaterialPoint) -> tuple[Array, Array]:
         numbers = np.array(list(point.numbers().values()))
         return numbers, np.zeros((len(numbers), self.lengths_b.shape[1]))
 
     def _of_body(
         self,
-        point: Point,
+        point: MaterialPoint,
         quantity: Quantity,
         body: BodyLayout,
         numbers: Array,
@@ -199,7 +200,7 @@ class SceneNaming(Naming):
     ) -> PointVector:
         """Return r + x d_1 + y d_2 + z d_3, or one of these directions."""
         if point.fraction is not None:
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"point of {point.beam!r}",
                 "a rigid body has no fractions",
                 point.fraction,

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.scene import Scene
@@ -119,7 +119,7 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
             for row in rows.tolist():
                 other = owner.setdefault((row, which), text)
                 if other != text:
-                    raise InvalidInput(
+                    raise InvalidInputError(
                         "design",
                         "two targets may not write to the same parameter of an element",
                         f"{other} and {text}",

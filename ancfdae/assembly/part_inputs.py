@@ -14,8 +14,8 @@ from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.vectors import Vectors, point_vectors
-from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients
+from ancfdae.model.bodies import MaterialPoint, Quantity
+from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
 from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import Elements, FrameDirection, Part
 from ancfdae.model.parts import Vectors as Names
@@ -44,11 +44,11 @@ class Rigidity(Joint):
         """Return the directions of the axes of the rigid body."""
         return tuple(FrameDirection(self.beam, k + 1) for k in range(elements.d))
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Entries i <= j of d_i . d_j."""
         i, j = np.triu_indices(reference.shape[1])
         rows = np.arange(len(i))
-        c = empty_coefficients(len(i), p, reference)
+        c = empty_equations(len(i), p, reference)
         c.bilinear[rows, i, j] = c.bilinear[rows, j, i] = 1.0
         c.offset[:] = 0.5 * (i == j)
         return c
@@ -98,7 +98,7 @@ class PartInputs:
         used = reference_b if load.refers else {}
         return LoadInput(load, vectors, p, p_b, reference, used)
 
-    def in_reference(self, point: Point, quantity: Quantity) -> tuple[Array, Array]:
+    def in_reference(self, point: MaterialPoint, quantity: Quantity) -> tuple[Array, Array]:
         """Return a vector of a point in the reference, (d,), and its design partials, (d, n_b)."""
         vectors = self._vectors([self.naming.vector(point, quantity)])
         (U_o,), moving = self._in_reference(vectors)
@@ -115,7 +115,7 @@ class PartInputs:
         still = not (self.reference.active or np.any(vectors.moves))
         whole = self._in_reference(vectors)[0] if still else None
         inputs, first = list[JointInput](), 0
-        alike: dict[object, tuple[Joint, list[Equations]]] = {}
+        alike: dict[object, tuple[Joint, list[JointEquations]]] = {}
         for joint, (points, p, p_b) in zip(joints, parts, strict=True):
             first, begin = first + len(points), first
             if whole is None:

@@ -12,7 +12,7 @@ from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.model.scene import Scene
-from ancfdae.model.starts import NodeState, RigidMotion
+from ancfdae.model.starts import InitialVelocity, NodalState
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.rotations import cayley, generators, rotation
 
@@ -56,7 +56,7 @@ class Reference:
         parts = []
         for body in self._scene.members:
             X, start = self._vectors[body.name], self._scene.start_of.get(body.name)
-            parts.append(self._of(start.coordinates, body) if isinstance(start, NodeState) else X)
+            parts.append(self._of(start.coordinates, body) if isinstance(start, NodalState) else X)
         return np.concatenate(parts)
 
     def velocities(self, q: Array, motion: Array | None) -> Array:
@@ -70,9 +70,9 @@ class Reference:
             vectors, first = q[first : first + X.size].reshape(X.shape), first + X.size
             start = self._scene.start_of.get(body.name)
             V = np.zeros_like(vectors)
-            if isinstance(start, RigidMotion):
+            if isinstance(start, InitialVelocity):
                 V = self._rigid_velocity(body, start, vectors)
-            elif isinstance(start, NodeState) and start.velocities is not None:
+            elif isinstance(start, NodalState) and start.velocities is not None:
                 V = self._of(start.velocities, body)
                 V = V if motion is None else V @ cayley(motion[k : k + 1, d:], d)[0].T
             parts.append(V.ravel())
@@ -140,7 +140,9 @@ class Reference:
         numbers, numbers_b = self._mapping.numbers(body.name, self._b)
         return numbers[first:], numbers_b[first:]
 
-    def _rigid_velocity(self, body: BeamBody | RigidBody, start: RigidMotion, X: Array) -> Array:
+    def _rigid_velocity(
+        self, body: BeamBody | RigidBody, start: InitialVelocity, X: Array
+    ) -> Array:
         """Velocity v + omega x (r - about) of positions and omega x slope of slopes."""
         d = X.shape[-1]
         numbers = self._placed(body)[0][len(body.placement()) :]

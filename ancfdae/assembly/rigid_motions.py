@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 from ancfdae.numerics.rotations import cayley, cayley_partials
 
 
@@ -71,7 +71,7 @@ class RigidMotions:
         """Return the product of `matrix` with rates x, (n_bodies, n_x): shape (n_q,)."""
         return np.asarray(np.einsum("vix,vx->vi", T, x[self._owner]).ravel())
 
-    def reach(self, pattern: Pattern, B: Array, T: Array) -> Array:
+    def reach(self, pattern: SparsityPattern, B: Array, T: Array) -> Array:
         """Return how far rows of B go with displacements, and with any motion, (n_rows, 2)."""
         vector, axis = np.divmod(pattern.columns, self._d)
         pair = pattern.rows.astype(np.int64) * self._count + self._owner[vector]

@@ -9,7 +9,7 @@ import numpy as np
 from ancfdae.assembly.layout import BeamLayout, BodyLayout, JointLayout, Layout, RigidNodes
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.equations import Solution, solution_file
-from ancfdae.errors import named, require_each, require_path
+from ancfdae.errors.checks import named, require_each, require_path
 from ancfdae.model.elements import ALL_ELEMENTS, BeamElement
 from ancfdae.numerics.arrays import Array
 
@@ -19,7 +19,7 @@ _ELEMENT = "element of a solution file"
 def load_solution(
     path: str | os.PathLike[str], *, elements: Sequence[BeamElement] = ()
 ) -> Solution:
-    """Read a solution written by `Solution.save`; InvalidInput if the file holds no solution.
+    """Read a solution written by `Solution.save`; InvalidInputError if the file holds no solution.
 
     A file knows its elements by name; give `elements` of your own.
     """

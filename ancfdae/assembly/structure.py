@@ -19,7 +19,7 @@ from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.model.scene_design import SCENE
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 @final
@@ -40,7 +40,7 @@ class Structure:
     layout: Layout
     soft: ParameterMap
     forms: ElementForms
-    pattern: Pattern
+    pattern: SparsityPattern
     places: ElementPlaces
     constraint_names: tuple[str, ...]
     reach: float
@@ -60,7 +60,7 @@ class Structure:
         moving = [item.couplings for item in loads if not item.load.constant]
         bodies = numbering.couplings(scene.frame is not None)
         entries = zip(bodies, joints.couplings, *moving, strict=True)
-        pattern = Pattern((numbering.n_q, numbering.n_q), *map(np.concatenate, entries))
+        pattern = SparsityPattern((numbering.n_q, numbering.n_q), *map(np.concatenate, entries))
         places = ElementPlaces.of(numbering, pattern)
         layout = replace(layout, joints=joints.joints)
         soft = mapping.only(numbering.elements)

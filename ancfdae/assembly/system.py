@@ -16,9 +16,16 @@ from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbers import Numbers
 from ancfdae.assembly.parameters import parameter_map
 from ancfdae.assembly.works import Works
-from ancfdae.equations import DesignPartials, Direction, Linearisation, PlannedSystem, Traits
+from ancfdae.equations import (
+    DesignPartials,
+    Linearisation,
+    PlannedSystem,
+    StateDirection,
+    SystemProperties,
+)
 from ancfdae.equations.motion import States
-from ancfdae.errors import InvalidInput, require_kind
+from ancfdae.errors.checks import require_kind
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
 from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
@@ -34,8 +41,8 @@ if TYPE_CHECKING:
 def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
     """Turn a scene into a mechanical system.
 
-    Design variables are in the order of the last axis of every sensitivity. Raises InvalidInput or
-    UnknownName if one does not fit the scene.
+    Design variables are in the order of the last axis of every sensitivity. Raises
+    InvalidInputError or UnknownNameError if one does not fit the scene.
     """
     require_kind("scene", scene, (Scene,), "Call Scene(...).")
     variables = as_design(design)
@@ -104,10 +111,10 @@ class AncfSystem(PlannedSystem):
         sizes = f"{self.n_q} coordinates, {self.n_lam} multipliers"
         return f"AncfSystem: {sizes}\n{self._scene}\ndesign variables: {values}"
 
-    def _described(self) -> Traits:
+    def _described(self) -> SystemProperties:
         joints, moving = self._constraints, self._loads.moving
         damped, turning = self._elastic.damped, self._turning is not None
-        return Traits(
+        return SystemProperties(
             constant_mass=True,
             linear_constraints=joints.linear,
             constant_constraints=joints.constant,
@@ -165,7 +172,7 @@ class AncfSystem(PlannedSystem):
         if b.shape != (self.n_b,):
             names = ", ".join(self.design_names[:5]) + (", ..." if self.n_b > 5 else "")
             rule = f"must have shape ({self.n_b},), one value per design variable ({names})"
-            raise InvalidInput("design values", rule, f"shape {b.shape}")
+            raise InvalidInputError("design values", rule, f"shape {b.shape}")
         scene, design = self._scene, self._structure.design
         if np.any(b.real != self.b.real):
             scene.refuse_values(dict(zip(design, b.real.tolist(), strict=True)))
@@ -229,7 +236,7 @@ class AncfSystem(PlannedSystem):
             Q = Q + self._loads.force(q[None], v[None], np.array([t]))[0]
         return Q
 
-    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+    def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
         """Q_q dq + Q_v dv + Q_t dt, shape (n_q,)."""
         dt, *rates = direction
         dQ = self._elastic.force_along((q, v), (rates[0], rates[1]))
@@ -383,7 +390,7 @@ class AncfSystem(PlannedSystem):
         self,
         t: float,
         states: States,
-        direction: Direction,
+        direction: StateDirection,
         states_b: States,
         direction_b: tuple[Array, Array],
     ) -> Array:
@@ -403,7 +410,7 @@ class AncfSystem(PlannedSystem):
         return total + self._constraints.force_along_total(t, *joints, dt)
 
     def along_pull_back(
-        self, t: float, states: States, direction: Direction, mu: Array
+        self, t: float, states: States, direction: StateDirection, mu: Array
     ) -> tuple[Array, Array, Array]:
         """Transposes of tangents along the direction; pair by pair for the design."""
         q, v, _, lam = states

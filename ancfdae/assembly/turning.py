@@ -16,9 +16,9 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.inertia import Inertia
-from ancfdae.model.turning_frame import TurningFrame
+from ancfdae.model.turning_frame import RotatingFrame
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 @final
@@ -26,7 +26,11 @@ class TurningForces:
     """M c, and its derivatives; p are the numbers of the frame with their design derivatives."""
 
     def __init__(
-        self, frame: TurningFrame, numbers: tuple[Array, Array], inertia: Inertia, pattern: Pattern
+        self,
+        frame: RotatingFrame,
+        numbers: tuple[Array, Array],
+        inertia: Inertia,
+        pattern: SparsityPattern,
     ) -> None:
         self._frame, self._inertia, self._pattern = frame, inertia, pattern
         (self._p, self._p_b), self._d = numbers, pattern.shape[0] // len(inertia.places)
@@ -124,7 +128,7 @@ class TurningForces:
         vectors = np.arange(n)[:, None, None] * self._d
         i, j = np.indices((self._d, self._d))
         shape = self._pattern.shape
-        blocks = Pattern(shape, (vectors + i).ravel(), (vectors + j).ravel())
+        blocks = SparsityPattern(shape, (vectors + i).ravel(), (vectors + j).ravel())
         turned = M @ blocks.csr(np.tile(block.ravel(), (n, 1)).reshape(n, self._d, self._d).ravel())
         turned = turned.tocoo()
         kept = turned.data != 0

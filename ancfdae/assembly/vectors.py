@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.naming import PointVector, SceneNaming
-from ancfdae.model.bodies import Point
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.elements import Quantity
 from ancfdae.model.parts import CentreLine, FrameDirection, Normal
 from ancfdae.model.parts import Vectors as Names
@@ -105,7 +105,9 @@ class Vectors:
 
 
 def point_vectors(
-    naming: SceneNaming, names: Names, places: Mapping[Point, tuple[Array, Array]] | None = None
+    naming: SceneNaming,
+    names: Names,
+    places: Mapping[MaterialPoint, tuple[Array, Array]] | None = None,
 ) -> list[PointVector]:
     """Return the vectors that a joint or load names; `places` of points as for `Naming.vector`."""
     vectors = []

@@ -17,12 +17,13 @@ from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.part_inputs import PartInputs
 from ancfdae.assembly.vectors import Vectors
-from ancfdae.errors import InvalidInput, named
+from ancfdae.errors.checks import named
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.joints.joint import DrivenJoint
 from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 @final
@@ -35,7 +36,7 @@ class JointWork:
         moving = len(c.offset) - len(c.shapes)
         alone = replace(item, dropped=tuple(range(moving, len(c.offset))))
         structure = JointStructure.of([alone], vectors)
-        pattern = Pattern((vectors.n_q, vectors.n_q), *structure.couplings)
+        pattern = SparsityPattern((vectors.n_q, vectors.n_q), *structure.couplings)
         self._constraints = JointConstraints.on(pattern, structure, vectors.n_b)
         self.rows = slice(first_row, first_row + moving)
 
@@ -123,14 +124,17 @@ class Works:
             place = self._layout.joint(name)
             joints = [joint for joint in self._scene.joints if joint.name == name]
             if not joints or not isinstance(joints[0], DrivenJoint):
-                rule, repair = "must be driven: others do no work", "Name a Drive or a Guide."
-                raise InvalidInput(f"work of joint {name!r}", rule, "one that is not", repair)
+                rule, repair = (
+                    "must be driven: others do no work",
+                    "Name a RotationDriver or a TranslationDriver.",
+                )
+                raise InvalidInputError(f"work of joint {name!r}", rule, "one that is not", repair)
             item = self._inputs.joint(at_unit_rate(joints[0]) if unit_rate else joints[0])
             self._joints[key] = JointWork(*item, place.first_row)
         return self._joints[key]
 
     def of_load(self, name: str) -> LoadWork:
-        """Return the evaluator of the power of a load; raise UnknownName."""
+        """Return the evaluator of the power of a load; raise UnknownNameError."""
         if name not in self._loads:
             load = named("load", name, self._scene.loads)
             self._loads[name] = LoadWork(self._inputs.load(load), self._n_b)

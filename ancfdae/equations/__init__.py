@@ -6,17 +6,17 @@ every override of a system with what it overrides. It knows no beam and no joint
 """
 
 from ancfdae.equations.formula_system import FormulaSystem
-from ancfdae.equations.motion import Direction
+from ancfdae.equations.motion import StateDirection
 from ancfdae.equations.naming import Naming
 from ancfdae.equations.solution import Solution
-from ancfdae.equations.solution_parts import EstimatedErrors, Sensitivities, Statistics
+from ancfdae.equations.solution_parts import ErrorEstimates, Sensitivities, Statistics
 from ancfdae.equations.system import (
     DesignPartials,
     Linearisation,
     ListedSystem,
     MechanicalSystem,
     PlannedSystem,
-    Traits,
+    SystemProperties,
     planned,
     reaction,
 )

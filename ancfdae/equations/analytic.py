@@ -8,7 +8,7 @@ import numpy as np
 
 from ancfdae.equations.complex_steps import at_values
 from ancfdae.equations.system import MechanicalSystem
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 
 # Relative difference of complex step and finite difference that is refused, the steps of these and
@@ -23,7 +23,7 @@ _BESIDE, _BEYOND = 1e-2, (0.4, -0.4)
 def require_analytic(system: MechanicalSystem, names: Collection[str]) -> None:
     """Evaluate methods of a system with complex numbers, near the start and on both sides.
 
-    InvalidInput if one fails on complex numbers, drops an imaginary part or has another shape.
+    InvalidInputError if one fails on complex numbers, drops an imaginary part or has another shape.
     """
     for away in (_BESIDE, *_BEYOND):
         for name, along, shape in _probes(system, away):
@@ -43,7 +43,7 @@ def require_analytic(system: MechanicalSystem, names: Collection[str]) -> None:
                 continue  # It is not defined there.
             if value.shape != shape:
                 rule = f"must return an array of shape {shape}"
-                raise InvalidInput(where, rule, f"shape {value.shape}")
+                raise InvalidInputError(where, rule, f"shape {value.shape}")
             if refused and (away == _BESIDE or np.all(value.imag == 0)):
                 raise _unsafe(where, "a complex step that differs from the finite difference")
 
@@ -99,12 +99,12 @@ def _start(system: MechanicalSystem) -> tuple[Array, Array]:
     if not q.shape == v.shape == (system.n_q,):
         rule = f"must return two arrays q and v of shape ({system.n_q},)"
         got = f"shapes {q.shape} and {v.shape}"
-        raise InvalidInput(f"{type(system).__name__}.start", rule, got)
+        raise InvalidInputError(f"{type(system).__name__}.start", rule, got)
     return q, v
 
 
-def _unsafe(where: str, got: str) -> InvalidInput:
-    return InvalidInput(
+def _unsafe(where: str, got: str) -> InvalidInputError:
+    return InvalidInputError(
         where,
         "must be analytic and accept complex numbers",
         got,

@@ -7,9 +7,9 @@ from typing import Self, TypeVar
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 #: What is wrong with a `with_values` that does not hand its argument on.
 FORGOTTEN = (
@@ -66,7 +66,7 @@ class ComplexSteps(abc.ABC):
         self,
         value: Callable[[Array], Array],
         x: Array,
-        pattern: Pattern,
+        pattern: SparsityPattern,
         *beside: Array | None,
     ) -> Array:
         """Return d value/dx by complex steps, on a pattern.
@@ -81,8 +81,8 @@ class ComplexSteps(abc.ABC):
 
 
 def at_values(system: _System, b: Array) -> _System:
-    """Return `with_values` of a system; raise InvalidInput if it forgets them."""
+    """Return `with_values` of a system; raise InvalidInputError if it forgets them."""
     other = system.with_values(b)
     if not np.array_equal(other.b, b):
-        raise InvalidInput(f"{type(system).__name__}.with_values", *FORGOTTEN)
+        raise InvalidInputError(f"{type(system).__name__}.with_values", *FORGOTTEN)
     return other

@@ -15,7 +15,8 @@ from ancfdae.equations.proof import (
     start,
 )
 from ancfdae.equations.system import MechanicalSystem
-from ancfdae.errors import InvalidInput, require_count, require_index, require_kind
+from ancfdae.errors.checks import require_count, require_index, require_kind
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
 
 # Design values that vanish are varied by parts of one, the largest of which is half of this.
@@ -43,7 +44,7 @@ class Finding:
 
 @final
 @dataclass(frozen=True)
-class Conformance:
+class SystemCheck:
     """Findings of `check_system` on a system of the class `name`; print it."""
 
     name: str
@@ -60,10 +61,10 @@ class Conformance:
         return tuple(finding for finding in self.findings if not finding.passed)
 
     def raise_if_wrong(self) -> None:
-        """Raise InvalidInput, naming what is wrong, unless all passed."""
+        """Raise InvalidInputError, naming what is wrong, unless all passed."""
         if self.wrong:
             names = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
-            raise InvalidInput(
+            raise InvalidInputError(
                 self.name,
                 "must agree with its own values and their differences",
                 f"{len(self.wrong)} of {len(self.findings)} that do not: {names}",
@@ -81,7 +82,7 @@ class Conformance:
         return "\n".join([*lines, f"{len(self.findings)} checks, {wrong}."])
 
 
-def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -> Conformance:
+def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -> SystemCheck:
     """Check every member of a mechanical system against its values.
 
     Every member that a system may override is compared with what the base class derives from the
@@ -106,14 +107,16 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If `system` is no MechanicalSystem or its design values are complex.
     """
     require_kind("system", system, (MechanicalSystem,), "Assemble a scene first.")
     require_count("samples", samples, "2 is plenty.")
     require_index("seed", seed, 2**32, "For example 0.")
     if np.asarray(system.b).dtype.kind != "f":
-        raise InvalidInput("system.b", "must be real", system.b.dtype, "Check with real values.")
+        raise InvalidInputError(
+            "system.b", "must be real", system.b.dtype, "Check with real values."
+        )
     rng = np.random.default_rng(seed)
     findings, system = dict[str, Finding](), _inside(system)
 
@@ -128,8 +131,8 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
                 check(add, probe)
                 # What has the wrong shape or cannot be derived makes nonsense of what follows.
                 if check in (shapes, refusals) and not all(x.passed for x in findings.values()):
-                    return Conformance(type(system).__name__, tuple(findings.values()))
-    return Conformance(type(system).__name__, tuple(findings.values()))
+                    return SystemCheck(type(system).__name__, tuple(findings.values()))
+    return SystemCheck(type(system).__name__, tuple(findings.values()))
 
 
 def _inside(system: MechanicalSystem) -> MechanicalSystem:
@@ -140,6 +143,6 @@ def _inside(system: MechanicalSystem) -> MechanicalSystem:
         less[i] = -_AWAY
         try:
             system.with_values(less)
-        except InvalidInput:
+        except InvalidInputError:
             b[i] = _AWAY
     return system if np.array_equal(b, system.b) else system.with_values(b)

@@ -16,12 +16,12 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.equations.motion import Direction
+from ancfdae.equations.motion import StateDirection
 from ancfdae.equations.system import MechanicalSystem
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.extrapolation import real_derivative
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 # Methods that forces, masses and constraints do not determine: where a system stands, which states
 # no body can have, which part of a force is stress, which root of a constraint is meant, and which
@@ -96,7 +96,7 @@ class Derived:
         return self._others[key]
 
     def _by_coordinate(
-        self, value: Callable[[Array], Array], x: Array, pattern: Pattern, *_: Array | None
+        self, value: Callable[[Array], Array], x: Array, pattern: SparsityPattern, *_: Array | None
     ) -> Array:
         steps = np.diag(coordinate_sizes(x, self.system.weights))
         columns = [real_derivative(lambda e, y=y: value(x + e * y)) / y.sum() for y in steps]  # type: ignore[misc]
@@ -114,7 +114,7 @@ class Related(Derived):
         """M_q dq from `mass` by differences, values on the pattern."""
         return self._by_number(lambda e: self.system.mass(q + e * dq))
 
-    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+    def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
         """Q_t dt + Q_q dq + Q_v dv."""
         dt, dq, dv = direction
         return self._by_number(lambda e: self.system.force(t + e * dt, q + e * dq, v + e * dv))

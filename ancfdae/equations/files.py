@@ -7,11 +7,12 @@ from pathlib import Path
 from subprocess import CalledProcessError
 from typing import IO, final
 
-from ancfdae.errors import AncfdaeError, require_folder
+from ancfdae.errors.checks import require_folder
+from ancfdae.errors.kinds import AncfdaeError
 
 
 @final
-class NotSaved(AncfdaeError, OSError):
+class SaveError(AncfdaeError, OSError):
     """A file that could not be written, as on a full disk; what was there before is kept."""
 
 
@@ -21,14 +22,14 @@ _REFUSED = OSError, CalledProcessError
 
 @contextmanager
 def saving(where: str, path: Path) -> Iterator[None]:
-    """Raise NotSaved if writing fails, as on a full disk or without permission."""
+    """Raise SaveError if writing fails, as on a full disk or without permission."""
     try:
         yield
-    except NotSaved:
+    except SaveError:
         raise
     except _REFUSED as error:
         reason = (isinstance(error, OSError) and error.strerror) or error
-        raise NotSaved(
+        raise SaveError(
             f"{where} {str(path)!r}: must be written whole; got {reason}. "
             "Make room on its disk or name another place; what was there before is kept."
         ) from error
@@ -38,7 +39,7 @@ def saving(where: str, path: Path) -> Iterator[None]:
 def replacing(where: str, path: Path) -> Iterator[IO[bytes]]:
     """Yield a temporary file that is moved to `path` when it is complete, and removed if not.
 
-    InvalidInput if the folder of `path` does not exist.
+    InvalidInputError if the folder of `path` does not exist.
     """
     require_folder(where, path)
     with replacing_path(where, path) as temporary, temporary.open("x+b") as file:

@@ -20,13 +20,13 @@ import numpy as np
 from ancfdae.equations.analytic import require_analytic
 from ancfdae.equations.complex_steps import FORGOTTEN
 from ancfdae.equations.formulas import Formulas, Value
-from ancfdae.equations.motion import Direction
-from ancfdae.equations.system import DesignPartials, Linearisation, ListedSystem, Traits
-from ancfdae.errors import InvalidInput, NotTraced
+from ancfdae.equations.motion import StateDirection
+from ancfdae.equations.system import DesignPartials, Linearisation, ListedSystem, SystemProperties
+from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning
 from ancfdae.kernels import Csr, ListPlan, OperationList
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.extrapolation import scaled_derivative
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 # What a motion consists of.
 _RATES = ("q", "v", "a", "j")
@@ -46,10 +46,10 @@ class FormulaSystem(ListedSystem):
     of their own constructor. The first three are smooth functions of q, v, t and ``self.b`` in
     functions of NumPy. They are called once, with arrays of symbols in place of numbers, and
     become lists of operations that are evaluated at compiled speed. If M or Q needs a number (`if`,
-    a table, `np.linalg.solve`), a warning (`NotTraced`) names the line, and it is called with
-    complex numbers at each evaluation: a run takes some hundred times as long. `start` is called
-    with complex ``self.b``. Any partial may be overridden by a formula of the user; `check_system`
-    compares.
+    a table, `np.linalg.solve`), a warning (`NotTracedWarning`) names the line, and it is called
+    with complex numbers at each evaluation: a run takes some hundred times as long. `start` is
+    called with complex ``self.b``. Any partial may be overridden by a formula of the user;
+    `check_system` compares.
 
     Whether M is constant, Phi linear and Q independent of v is found from the formulas and added
     to `traits`.
@@ -61,7 +61,7 @@ class FormulaSystem(ListedSystem):
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If a method returns another shape, if a method that is called with complex numbers does not
         accept them or drops an imaginary part, or if a weight is not positive.
     """
@@ -94,7 +94,7 @@ class FormulaSystem(ListedSystem):
         self.b = self.b * 1.0
         if self.b.shape != (self.n_b,):
             rule = f"must have shape ({self.n_b},)"
-            raise InvalidInput(f"{where}.b", rule, self.b.shape, "Name all in `design_names`.")
+            raise InvalidInputError(f"{where}.b", rule, self.b.shape, "Name all in `design_names`.")
         self.pattern = _full(self.n_q, self.n_q)
         self.constraint_pattern = _full(self.n_lam, self.n_q)
         handed = _HANDED.get()
@@ -108,13 +108,13 @@ class FormulaSystem(ListedSystem):
         self.weights = self.coordinate_weights()
         if not np.all(self.weights > 0):
             repair = "Override `coordinate_weights`."
-            raise InvalidInput(f"{where}.weights", "must be positive", self.weights, repair)
+            raise InvalidInputError(f"{where}.weights", "must be positive", self.weights, repair)
 
     def _trace(self) -> None:
         """Trace the formulas; those that need numbers are tried with complex ones."""
         kind, tracing = type(self), _TRACING.get()
         if kind in tracing:
-            raise InvalidInput(f"{kind.__name__}.with_values", *FORGOTTEN)
+            raise InvalidInputError(f"{kind.__name__}.with_values", *FORGOTTEN)
         token = _TRACING.set(tracing | {kind})
         try:
             self._formulas = Formulas(self)
@@ -131,10 +131,10 @@ class FormulaSystem(ListedSystem):
         )
         try:
             require_analytic(self, called)
-        except InvalidInput as error:
+        except InvalidInputError as error:
             error.add_note(message)
             raise
-        warnings.warn(message, NotTraced, stacklevel=4)
+        warnings.warn(message, NotTracedWarning, stacklevel=4)
 
     # -- what a user writes ----------------------------------------------------------------------
 
@@ -151,7 +151,7 @@ class FormulaSystem(ListedSystem):
         M = np.asarray(self.mass_matrix(self.start()[0]))
         if M.shape != (self.n_q, self.n_q):
             where, rule = f"{type(self).__name__}.mass_matrix", f"must have shape {(self.n_q,) * 2}"
-            raise InvalidInput(where, rule, M.shape, "Return it as an array, (n_q, n_q).")
+            raise InvalidInputError(where, rule, M.shape, "Return it as an array, (n_q, n_q).")
         return np.diagonal(M).real.astype(float)
 
     def _require_the_same(self) -> None:
@@ -181,14 +181,14 @@ class FormulaSystem(ListedSystem):
             known = np.isfinite(called)
             gap = np.max(np.abs(listed.reshape(called.shape) - called)[known], initial=0.0)
             if not gap <= _SAME * np.max(np.abs(called[known]), initial=0.0):
-                raise InvalidInput(
+                raise InvalidInputError(
                     f"{kind.__name__}.{name}",
                     "must return values that follow from t, q, v and b alone",
                     f"other values for numbers than for symbols, by {gap:.1e}",
                     "Keep no state in the system, and convert no arguments.",
                 )
 
-    def _found(self) -> Traits:
+    def _found(self) -> SystemProperties:
         """Return the traits with what the formulas show."""
         traits, depends, called = self.traits, self._formulas.depends, self._formulas.called
         linear = traits.linear_constraints or not depends(Formulas.constraint_q, 0, on="q")
@@ -243,7 +243,7 @@ class FormulaSystem(ListedSystem):
             return np.asarray(type(self).force(self, t, q, v))
         return self._values(Formulas.force, t=[t], q=q, v=v)[0]
 
-    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+    def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
         """Differentiate Q along a direction."""
         dt, dq, dv = direction
         if "force" not in self._formulas.called:
@@ -337,11 +337,11 @@ class FormulaSystem(ListedSystem):
 
 
 @cache
-def _full(rows: int, columns: int) -> Pattern:
-    return Pattern.full((rows, columns))
+def _full(rows: int, columns: int) -> SparsityPattern:
+    return SparsityPattern.full((rows, columns))
 
 
-def _csr(pattern: Pattern) -> Csr:
+def _csr(pattern: SparsityPattern) -> Csr:
     """Return the places of a full pattern, with values of one."""
     rows, columns = pattern.shape
     first = np.arange(rows + 1, dtype=np.int32) * np.int32(columns)

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations.complex_steps import FORGOTTEN
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import OperationList, list_values
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
@@ -74,7 +74,7 @@ class Formulas:
         (t,), q, v, b = (Traced.array(operations, self._at[x]) for x in ("t", "q", "v", "b"))
         moved = self._traced_or_refused(where, lambda: system.with_values(b))
         if not np.array_equal(Traced.numbers(operations, moved.b), self._at["b"]):
-            raise InvalidInput(where, *FORGOTTEN)
+            raise InvalidInputError(where, *FORGOTTEN)
         self._M = self._or_called("mass_matrix", (n, n), lambda: moved.mass_matrix(q.copy()))
         self._Q = self._or_called("force", (n,), lambda: moved.force(t, q.copy(), v.copy()))
         where = f"{self.kind.__name__}.position_constraint"
@@ -86,7 +86,7 @@ class Formulas:
         try:
             return self._numbers(name, value(), shape)
         except _FAILURES as error:
-            if isinstance(error, InvalidInput):
+            if isinstance(error, InvalidInputError):
                 raise
             self.called[name] = told(error)
             return np.full(shape, self._operations.constant(np.nan))
@@ -95,17 +95,19 @@ class Formulas:
         try:
             return value()
         except _FAILURES as error:
-            if isinstance(error, InvalidInput):
+            if isinstance(error, InvalidInputError):
                 raise
             repair = "Write it so, or write all values by formulas (MechanicalSystem)."
             rule = "must be made of functions of NumPy that take symbols"
-            raise InvalidInput(where, rule, told(error), repair) from error
+            raise InvalidInputError(where, rule, told(error), repair) from error
 
     def _numbers(self, name: str, value: Any, shape: tuple[int, ...]) -> Array:
         numbers = Traced.numbers(self._operations, value)
         if numbers.shape != shape:
             where, rule = f"{self.kind.__name__}.{name}", f"must have shape {shape}"
-            raise InvalidInput(where, rule, numbers.shape, f"Return an array of the shape {shape}.")
+            raise InvalidInputError(
+                where, rule, numbers.shape, f"Return an array of the shape {shape}."
+            )
         return numbers
 
     def values(self, of: Value, *which: Any, rows: int | None = None, **at: Any) -> list[Array]:

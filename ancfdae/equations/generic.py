@@ -15,10 +15,10 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations.motion import Direction, Motion
-from ancfdae.equations.system import MechanicalSystem, Traits
+from ancfdae.equations.motion import Motion, StateDirection
+from ancfdae.equations.system import MechanicalSystem, SystemProperties
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 class Sizes(NamedTuple):
@@ -41,7 +41,7 @@ class Generic(MechanicalSystem):
         self.n_q, self.n_lam, self.design_names = system.n_q, system.n_lam, system.design_names
         self.pattern, self.constraint_pattern = system.pattern, system.constraint_pattern
         self.weights, given = system.weights, system.traits
-        self.traits = Traits(given.constant_mass, velocity_forces=given.velocity_forces)
+        self.traits = SystemProperties(given.constant_mass, velocity_forces=given.velocity_forces)
         # Partials of s.
         q, v, b_sizes = (np.cos(np.arange(len(x))) / x for x in (sizes.q, sizes.v, sizes.b))
         self._q, self._v, self._t = q, v, 1 / sizes.time
@@ -70,7 +70,7 @@ class Generic(MechanicalSystem):
         along_v = self._v @ (v - self._m.v) if self.traits.velocity_forces else 0.0
         return self._sizes.force * self._grown_at(q, t) * np.exp(along_v)
 
-    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+    def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
         """Q ds, the derivative of Q along (dt, dq, dv), shape (n_q,)."""
         dt, dq, dv = direction
         along_v = self._v @ dv if self.traits.velocity_forces else 0.0
@@ -97,5 +97,5 @@ class Generic(MechanicalSystem):
         s = self._q @ (q - self._m.q) + (0.0 if t is None else self._t * (t - self._m.t))
         return np.asarray(self._grown * np.exp(s))
 
-    def _product(self, pattern: Pattern, values: Array) -> Array:
+    def _product(self, pattern: SparsityPattern, values: Array) -> Array:
         return np.asarray(values[pattern.rows] * self._q[pattern.columns])

@@ -10,7 +10,7 @@ from ancfdae.numerics.arrays import Array
 States: TypeAlias = tuple[Array, Array, Array, Array]
 
 
-class Direction(NamedTuple):
+class StateDirection(NamedTuple):
     """A direction of (t, q, v): along the motion it is (1, v, a)."""
 
     t: float

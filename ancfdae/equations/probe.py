@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.equations.derived import coordinate_sizes, design_sizes
 from ancfdae.equations.generic import Sizes
-from ancfdae.equations.motion import Direction, Motion
+from ancfdae.equations.motion import Motion, StateDirection
 from ancfdae.equations.system import MechanicalSystem, reaction
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
@@ -67,7 +67,7 @@ class Probe:
         given["states_b"] = tuple(given[f"{name}_b"] for name in ("q", "v", "a", "lam"))
         given["direction_b"] = given["v_b"], given["a_b"]
         rates_b = *given["states_b"][:3], given["a_b"] / T
-        time, still = Direction(1.0, m.v, d.a), Direction(0.0, d.v, d.a)
+        time, still = StateDirection(1.0, m.v, d.a), StateDirection(0.0, d.v, d.a)
         return [
             given
             | {"motion": rates[:order], "direction": time if order % 2 else still}

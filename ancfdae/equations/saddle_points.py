@@ -4,7 +4,7 @@ import numpy as np
 import scipy
 
 from ancfdae.equations.system import MechanicalSystem
-from ancfdae.errors import RedundantConstraints, SingularMatrix
+from ancfdae.errors.kinds import RedundantConstraintsError, SingularMatrix
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
@@ -20,7 +20,7 @@ _SWEEPS = 3
 def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> SaddlePoint:
     """Check the constraints and return the system's saddle-point matrices.
 
-    They are checked and scaled at q, by default the start; RedundantConstraints if dependent.
+    They are checked and scaled at q, by default the start; RedundantConstraintsError if dependent.
     """
     values = system.constraint_q(t, system.start()[0] if q is None else q)
     patterns = system.pattern, system.constraint_pattern
@@ -51,7 +51,7 @@ def refuse_redundant(system: MechanicalSystem, matrices: SaddlePoint, values: Ar
     length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel())
     empty = np.flatnonzero(length == 0)
     if len(empty):
-        raise RedundantConstraints(
+        raise RedundantConstraintsError(
             f"joint {system.constraint_names[int(empty[0])]!r}",
             "every constraint must depend on a coordinate",
             "a row of zeros in Phi_q",
@@ -75,7 +75,7 @@ def refuse_redundant(system: MechanicalSystem, matrices: SaddlePoint, values: Ar
         dependent += [system.constraint_names[int(row)] for row in rows[involved]]
         redundant += len(rows) - rank
     if redundant:
-        raise RedundantConstraints(
+        raise RedundantConstraintsError(
             "joints " + ", ".join(repr(name) for name in sorted(set(dependent))),
             "constraints must be independent",
             f"{redundant} redundant of {system.n_lam}",

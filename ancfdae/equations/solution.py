@@ -14,22 +14,20 @@ from numpy.typing import ArrayLike
 
 from ancfdae.equations.naming import Naming
 from ancfdae.equations.solution_parts import (
-    EstimatedErrors,
+    ErrorEstimates,
     Sensitivities,
     Statistics,
     states_table,
 )
-from ancfdae.errors import (
-    InvalidInput,
-    Outcome,
-    UnknownName,
-    Verdict,
+from ancfdae.errors.checks import (
     require_array,
     require_flag,
     require_function,
     require_path,
     require_text,
 )
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
+from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.errors.text import listed, page
 from ancfdae.numerics.arrays import STEP, Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
@@ -49,7 +47,7 @@ class Solution:
     lam : array, shape (n_t, n_lam)
         Lagrange multipliers; J per unit of the constraint, so N for a constraint in m.
     statistics : Statistics
-    outcome : Outcome
+    outcome : RunOutcome
     naming : Naming or None
         Names of points and joints; None for a system that is not an ANCF scene.
     sensitivities : Sensitivities or None
@@ -57,7 +55,7 @@ class Solution:
         Degree of the polynomials between the instants: 1 for HHT, whose instants are its steps,
         3 for Radau, which adds the stages of its steps, 8 for Gauss-Lobatto instants
         (`ancfdae.numerics.time_grid`).
-    estimated_errors : EstimatedErrors or None
+    estimated_errors : ErrorEstimates or None
         Of HHT only; the others keep their tolerances to themselves.
     control : tuple of float
         State of the step control at the last instant, with which ``simulate(..., after=solution)``
@@ -70,11 +68,11 @@ class Solution:
     a: Array
     lam: Array
     statistics: Statistics
-    outcome: Outcome
+    outcome: RunOutcome
     naming: Naming | None
     sensitivities: Sensitivities | None = None
     degree: int = 1
-    estimated_errors: EstimatedErrors | None = None
+    estimated_errors: ErrorEstimates | None = None
     control: tuple[float, ...] = ()
 
     # -- named access --------------------------------------------------------------------------
@@ -92,10 +90,10 @@ class Solution:
         return self._known_naming().ends(self.q, beam)
 
     def position(self, point: Any) -> Array:
-        """Position of a point like ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``, (n_t, d).
+        """Position of a point like ``rod.at(0.3)`` or ``MaterialPoint("rod", 0.3, y=0.01)``, (n_t, d).
 
-        In m. UnknownName if the scene has no body of that name, InvalidInput if z is not zero in
-        the plane.
+        In m. UnknownNameError if the scene has no body of that name, InvalidInputError if z is not
+        zero in the plane.
         """
         return self._known_naming().position(self.q, point)
 
@@ -118,7 +116,7 @@ class Solution:
     def reaction(self, joint: str) -> Array:
         """Force of a joint on its first point, shape (n_t, d): minus its multipliers (eq. 1).
 
-        InvalidInput if its first equations do not equate positions; see `multipliers`.
+        InvalidInputError if its first equations do not equate positions; see `multipliers`.
         """
         return self._known_naming().reaction(self.lam, joint)
 
@@ -131,7 +129,7 @@ class Solution:
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If the solution has no sensitivities, or the function drops the imaginary part.
         """
         require_function("derivative, function", function)
@@ -148,7 +146,7 @@ class Solution:
             )
             value = np.asarray(function(shifted))
             if value.dtype.kind != "c":
-                raise InvalidInput(
+                raise InvalidInputError(
                     "function of a solution",
                     "must keep the imaginary part of its input",
                     f"a result of type {value.dtype}",
@@ -170,7 +168,7 @@ class Solution:
         good = asked.ndim == 1 and len(asked) > 0 and bool(np.all(np.diff(asked) > 0))
         if not good or not (self.t[0] <= asked[0] and asked[-1] <= self.t[-1]):
             early = "" if self.outcome.success else f", where the run ended early: {self.outcome}"
-            raise InvalidInput(
+            raise InvalidInputError(
                 "times",
                 f"must increase and lie in [0, {self.t[-1]:.6g}]{early.rstrip('.')}",
                 repr(times),
@@ -208,12 +206,12 @@ class Solution:
         names = self._known_sensitivities().names
         require_text("design variable", name)
         if name not in names:
-            raise UnknownName("design variable", name, names)
+            raise UnknownNameError("design variable", name, names)
         return names.index(name)
 
     def _known_naming(self) -> Naming:
         if self.naming is None:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "named access",
                 "needs the solution of an ANCF scene",
                 "a system of another kind",
@@ -223,7 +221,7 @@ class Solution:
 
     def _known_sensitivities(self) -> Sensitivities:
         if self.sensitivities is None:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "sensitivities",
                 "must have been computed",
                 "a solution of `simulate`",
@@ -241,7 +239,7 @@ class Solution:
         rows, outcome = len(sensitivities.q_b), self.outcome
         steps = (rows - 1) // self.degree
         if verdict is not Verdict.FINISHED:
-            outcome = Outcome(verdict, float(self.t[rows - 1]), steps, 0.0)
+            outcome = RunOutcome(verdict, float(self.t[rows - 1]), steps, 0.0)
         kept = {x: getattr(self, x)[:rows] for x in ("t", "q", "v", "a", "lam")}
         full = self.with_pass(steps, seconds)
         control = self.control if rows == len(self.t) else ()
@@ -287,9 +285,9 @@ class Solution:
 
         Raises
         ------
-        MissingPackage
+        MissingPackageError
             Without pandas, which ``pip install "ancfdae[pandas]"`` brings.
-        InvalidInput
+        InvalidInputError
             If a column is not as long as the solution or has the name of another, or there are no
             derivatives.
         """

@@ -20,8 +20,9 @@ import numpy as np
 
 from ancfdae.equations.files import replacing
 from ancfdae.equations.naming import Naming
-from ancfdae.equations.solution_parts import EstimatedErrors, Sensitivities, Statistics
-from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict
+from ancfdae.equations.solution_parts import ErrorEstimates, Sensitivities, Statistics
+from ancfdae.errors.kinds import InvalidInputError, MissingPackageError
+from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.numerics.arrays import Array
 
 # What is written, and the oldest version that is read: it lacks `control`, and 6 kinks of bodies;
@@ -46,7 +47,7 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
         # `np.savez` would pickle them, and knows how to refuse from NumPy 2.1 on only.
         if array.dtype.hasobject:
             rule, got = "must hold numbers to be saved", f"objects in {name}"
-            raise InvalidInput("solution", rule, got, "Give arrays of numbers.")
+            raise InvalidInputError("solution", rule, got, "Give arrays of numbers.")
     # Settings may be numbers of NumPy, which JSON does not know.
     text = json.dumps(meta, default=np.generic.item)
     put = _put_hdf5 if path.suffix.lower() in _HDF5 else _put_npz
@@ -56,7 +57,7 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
 
 
 def read(path: Path, naming: Unpack) -> dict[str, Any]:
-    """Return the fields of a solution; InvalidInput if the file is not one written by `write`."""
+    """Return the fields of a solution; InvalidInputError if the file is not one written by `write`."""
     try:
         # Opened here, because np.load does not close a file that is not a complete archive.
         with path.open("rb") as raw:
@@ -66,13 +67,13 @@ def read(path: Path, naming: Unpack) -> dict[str, Any]:
         meta = json.loads(text)
         _require_version(path, meta["format"])
         return _unpacked(arrays, meta, naming)
-    except InvalidInput:
+    except InvalidInputError:
         raise
     except FileNotFoundError:
         where, repair = "solution file", "Check the path, and that Solution.save was called."
-        raise InvalidInput(where, "must exist", repr(os.fspath(path)), repair) from None
+        raise InvalidInputError(where, "must exist", repr(os.fspath(path)), repair) from None
     except (OSError, KeyError, ValueError, TypeError, *_DAMAGED) as error:
-        raise InvalidInput(
+        raise InvalidInputError(
             f"solution file {os.fspath(path)!r}",
             "must be a whole file written by Solution.save",
             f"{type(error).__name__}: {error}",
@@ -136,7 +137,7 @@ def _h5py() -> Any:
     try:
         return importlib.import_module("h5py")
     except ImportError as error:
-        raise MissingPackage(
+        raise MissingPackageError(
             "HDF5 files: need the package h5py; got none. Install it: "
             'python3 -m pip install "ancfdae[hdf5]", or save under a name that ends in .npz.'
         ) from error
@@ -149,7 +150,7 @@ def _require_version(path: Path, told: str) -> None:
         raise ValueError(f"the format {told!r}")
     if not _OLDEST <= int(version) <= _VERSION:
         newer = int(version) > _VERSION
-        raise InvalidInput(
+        raise InvalidInputError(
             f"solution file {os.fspath(path)!r}",
             f"must be written by Solution.save in a format from {_OLDEST} to {_VERSION}",
             f"format {version}, of {'a newer' if newer else 'an older'} ancfdae",
@@ -206,7 +207,7 @@ def _unpacked(
     _require_shapes(arrays, meta["names"])
     fields: dict[str, Any] = {name: arrays[name] for name in _STATES} | {
         "statistics": Statistics(**meta["statistics"]),
-        "outcome": Outcome(**outcome),
+        "outcome": RunOutcome(**outcome),
         "naming": None,
         "degree": int(meta["degree"]),
         "control": tuple(map(float, meta.get("control", ()))),
@@ -219,5 +220,5 @@ def _unpacked(
     if meta["estimated_errors"] is not None:
         motion, derivatives = (meta["estimated_errors"][x] for x in ("motion", "derivatives"))
         derivatives = None if derivatives is None else tuple(derivatives)
-        fields["estimated_errors"] = EstimatedErrors(motion, derivatives)
+        fields["estimated_errors"] = ErrorEstimates(motion, derivatives)
     return fields

@@ -8,13 +8,14 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_array, require_kind, require_package
+from ancfdae.errors.checks import require_array, require_kind, require_package
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import columns, listed, page
 from ancfdae.numerics.arrays import Array
 
 
 def pandas() -> Any:
-    """Return the package, or raise MissingPackage, which says how to install it."""
+    """Return the package, or raise MissingPackageError, which says how to install it."""
     return require_package("to_dataframe", "pandas", "pandas")
 
 
@@ -39,7 +40,7 @@ def states_table(
         column = require_array(f"to_dataframe, column {name!r}", values, t.shape)
         if name in table:
             rule = "must differ from the names of all other columns"
-            raise InvalidInput("to_dataframe, columns", rule, repr(name))
+            raise InvalidInputError("to_dataframe, columns", rule, repr(name))
         table[name] = column
     pd = pandas()
     return pd.DataFrame(table, index=pd.Index(t, name="t"))
@@ -90,7 +91,7 @@ class Statistics:
 
 @final
 @dataclass(frozen=True)
-class EstimatedErrors:
+class ErrorEstimates:
     """Discretisation errors that a run of HHT-I3 estimates itself (docs/theory/13-errors.md).
 
     The errors of all steps are added up. On undamped scenes the sums are within a factor of
@@ -108,8 +109,8 @@ class EstimatedErrors:
     derivatives : tuple of float, or None
         Of q_b, one per design variable, relative to the largest size of that derivative in the
         run; nan where the variable has no influence above round-off, inf where the motion grew
-        without bound. None unless it was differentiated by `Direct` or
-        `ControlledSteps(sensitivities=True)`.
+        without bound. None unless it was differentiated by `DirectDifferentiation` or
+        `AdaptiveSteps(sensitivities=True)`.
     """
 
     motion: float

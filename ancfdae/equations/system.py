@@ -6,7 +6,7 @@ Q holds every force that is not inertia M a: for a mass that depends on q, the q
 forces too. The residual of the first equation is f = M a + Phi_q^T lam - Q.
 
 Integrators and sensitivity methods see this and nothing else: no beam, no joint. Matrices are
-value vectors on a fixed `Pattern`, by default ``matrix.ravel()``.
+value vectors on a fixed `SparsityPattern`, by default ``matrix.ravel()``.
 
 **Eleven values** say what a system is; they are abstract here, and written in operations that
 accept complex numbers: its sizes, its design variables, `start`, `mass`, `force` and `constraint`,
@@ -41,17 +41,18 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations.complex_steps import ComplexSteps
-from ancfdae.equations.motion import Direction, States
+from ancfdae.equations.motion import StateDirection, States
 from ancfdae.equations.naming import Naming
-from ancfdae.errors import InvalidInput, require_array, require_finite, require_flag
+from ancfdae.errors.checks import require_array, require_finite, require_flag
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import ListPlan, OperationList, Plan
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 @final
 @dataclass(frozen=True)
-class Traits:
+class SystemProperties:
     """Properties of a system that hold in every state, such as a constant mass.
 
     Attributes
@@ -90,9 +91,9 @@ class Traits:
     def __post_init__(self) -> None:
         *flags, round_off, breakpoints = fields(self)
         for flag in flags:
-            require_flag(f"Traits.{flag.name}", getattr(self, flag.name))
-        require_finite(f"Traits.{round_off.name}", self.force_round_off)
-        require_array(f"Traits.{breakpoints.name}", self.breakpoints)
+            require_flag(f"SystemProperties.{flag.name}", getattr(self, flag.name))
+        require_finite(f"SystemProperties.{round_off.name}", self.force_round_off)
+        require_array(f"SystemProperties.{breakpoints.name}", self.breakpoints)
 
 
 @final
@@ -135,7 +136,7 @@ class MechanicalSystem(ComplexSteps):
     """
 
     n_lam: int
-    traits: Traits = Traits()
+    traits: SystemProperties = SystemProperties()
     #: Distance from the origin of places that forces refer to beside the coordinates; zero if none.
     reach: float = 0.0
     #: Names of points and joints for the solution; None for a system without any.
@@ -145,14 +146,14 @@ class MechanicalSystem(ComplexSteps):
     vector_size: int = 1
 
     @cached_property
-    def pattern(self) -> Pattern:
+    def pattern(self) -> SparsityPattern:
         """Pattern (n_q x n_q) of M, (M a)_q, Q_q, Q_v, (Phi_q^T lam)_q together; here full."""
-        return Pattern.full((self.n_q, self.n_q))
+        return SparsityPattern.full((self.n_q, self.n_q))
 
     @cached_property
-    def constraint_pattern(self) -> Pattern:
+    def constraint_pattern(self) -> SparsityPattern:
         """Pattern (n_lam x n_q) of Phi_q; full by default."""
-        return Pattern.full((self.n_lam, self.n_q))
+        return SparsityPattern.full((self.n_lam, self.n_q))
 
     @cached_property
     def weights(self) -> Array:
@@ -180,7 +181,7 @@ class MechanicalSystem(ComplexSteps):
         """Return the force Q(t, q, v), shape (n_q,): all forces but M a; to be written."""
 
     @abc.abstractmethod
-    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+    def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
         """Return the derivative of Q along a direction, Q_q dq + Q_v dv + Q_t dt, shape (n_q,)."""
 
     @abc.abstractmethod
@@ -204,11 +205,11 @@ class MechanicalSystem(ComplexSteps):
         """Return the values of M_q dq on `pattern`; to be written unless the mass is constant."""
         if self.traits.constant_mass:
             return np.zeros(self.pattern.size)
-        raise InvalidInput(
+        raise InvalidInputError(
             f"{type(self).__name__}.mass_along",
             "must be written where the mass depends on q",
             "no such method",
-            "Write it, or declare traits = Traits(constant_mass=True).",
+            "Write it, or declare traits = SystemProperties(constant_mass=True).",
         )
 
     # -- values with their derivatives -------------------------------------------------------------
@@ -372,7 +373,7 @@ class MechanicalSystem(ComplexSteps):
         self,
         t: float,
         states: States,
-        direction: Direction,
+        direction: StateDirection,
         states_b: States,
         direction_b: tuple[Array, Array],
     ) -> Array:
@@ -383,13 +384,13 @@ class MechanicalSystem(ComplexSteps):
 
         def value(system: MechanicalSystem, *x: Array) -> Array:
             q, v, a, lam, dq, dv = x
-            return residual_along(system, t, (q, v, a, lam), Direction(direction.t, dq, dv))
+            return residual_along(system, t, (q, v, a, lam), StateDirection(direction.t, dq, dv))
 
         x, x_b = (*states, *direction[1:]), (*states_b, *direction_b)
         return self._total(value, *zip(x, x_b, strict=True))
 
     def along_pull_back(
-        self, t: float, states: States, direction: Direction, mu: Array
+        self, t: float, states: States, direction: StateDirection, mu: Array
     ) -> tuple[Array, Array, Array]:
         """Return the partials of mu . `residual_along` with respect to q, v and b.
 
@@ -463,7 +464,7 @@ def reaction(system: MechanicalSystem, t: float, q: Array, lam: Array) -> Array:
 
 
 def residual_along(
-    system: MechanicalSystem, t: float, states: States, direction: Direction
+    system: MechanicalSystem, t: float, states: States, direction: StateDirection
 ) -> Array:
     """Return the derivative of f along a direction of (t, q, v) with a and lam held, (n_q,)."""
     q, v, a, lam = states
@@ -476,7 +477,9 @@ def residual_along(
     return value + system.pattern.dot(system.mass_along(q, direction.q), a)
 
 
-def constraint_q_along(system: MechanicalSystem, t: float, q: Array, direction: Direction) -> Array:
+def constraint_q_along(
+    system: MechanicalSystem, t: float, q: Array, direction: StateDirection
+) -> Array:
     """Return the derivative of Phi_q along a direction on `constraint_pattern`.
 
     dPhi_q/dt = (Phi_q v)_q + Phi_qt is affine in v: what it is at rest belongs to time.

@@ -9,16 +9,16 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from ancfdae.errors.kinds import _LONGEST, InvalidInput, MissingPackage, UnknownName
+from ancfdae.errors.kinds import _LONGEST, InvalidInputError, MissingPackageError, UnknownNameError
 
 
 def require_package(where: str, module: str, extra: str) -> Any:
-    """Import a module of an optional package; raise MissingPackage, naming the extra with it."""
+    """Import a module of an optional package; raise MissingPackageError, naming the extra with it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        raise MissingPackage(
+        raise MissingPackageError(
             f'{where}: needs the package {package}. Install it with pip install "ancfdae[{extra}]".'
         ) from error
 
@@ -33,26 +33,26 @@ _Thing = TypeVar("_Thing", bound=_Named)
 
 
 def named(where: str, name: str, things: Sequence[_Thing]) -> _Thing:
-    """Return the object whose name is `name`; raise UnknownName if none has that name."""
+    """Return the object whose name is `name`; raise UnknownNameError if none has that name."""
     require_text(where, name)
     for thing in things:
         if thing.name == name:
             return thing
-    raise UnknownName(where, name, (thing.name for thing in things))
+    raise UnknownNameError(where, name, (thing.name for thing in things))
 
 
 def require_unique(where: str, rule: str, names: Sequence[str], repair: str) -> None:
-    """Raise InvalidInput if a name occurs twice in `names`."""
+    """Raise InvalidInputError if a name occurs twice in `names`."""
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise InvalidInput(where, rule, twice, repair)
+        raise InvalidInputError(where, rule, twice, repair)
 
 
 def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:
-    """Raise InvalidInput unless `value` is an object of one of the given classes."""
+    """Raise InvalidInputError unless `value` is an object of one of the given classes."""
     if not isinstance(value, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)
-        raise InvalidInput(where, f"must be of type {names}", _shown(value), repair)
+        raise InvalidInputError(where, f"must be of type {names}", _shown(value), repair)
 
 
 def _shown(value: object) -> str:
@@ -65,50 +65,52 @@ def _shown(value: object) -> str:
 
 
 def require_text(where: str, value: object) -> None:
-    """Raise InvalidInput unless `value` is a string, where a name is expected."""
+    """Raise InvalidInputError unless `value` is a string, where a name is expected."""
     require_kind(where, value, (str,), "Give the name, as in rod.name.")
 
 
 def require_path(where: str, value: object) -> Path:
-    """Return `value` as a path. Raise InvalidInput unless it is a string or path, not a folder."""
+    """Return `value` as a path. Raise InvalidInputError unless it is a string or path, not a folder."""
     require_kind(where, value, (str, os.PathLike), "Give the name of a file.")
     path = Path(value)  # type: ignore[arg-type]  # as was just seen
     if path.is_dir():
-        raise InvalidInput(where, "must be a file", f"the folder {value!r}", "Name a file in it.")
+        raise InvalidInputError(
+            where, "must be a file", f"the folder {value!r}", "Name a file in it."
+        )
     return path
 
 
 def require_folder(where: str, path: Path) -> Path:
-    """Return a path; raise InvalidInput if there is no folder to write it to."""
+    """Return a path; raise InvalidInputError if there is no folder to write it to."""
     if not path.parent.is_dir():
         rule, repair = "must lie in a folder that exists", "Create the folder, or correct the path."
-        raise InvalidInput(where, rule, repr(os.fspath(path)), repair)
+        raise InvalidInputError(where, rule, repr(os.fspath(path)), repair)
     return path
 
 
 def require_index(where: str, value: object, count: int, repair: str) -> None:
-    """Raise InvalidInput unless `value` is an integer from 0 to `count` - 1."""
+    """Raise InvalidInputError unless `value` is an integer from 0 to `count` - 1."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or not 0 <= value < count:  # type: ignore[operator]
-        raise InvalidInput(where, f"must lie in 0 to {count - 1}", _shown(value), repair)
+        raise InvalidInputError(where, f"must lie in 0 to {count - 1}", _shown(value), repair)
 
 
 def require_flag(where: str, value: object) -> None:
-    """Raise InvalidInput unless `value` is True or False."""
+    """Raise InvalidInputError unless `value` is True or False."""
     if not isinstance(value, bool | np.bool_):
-        raise InvalidInput(where, "must be True or False", _shown(value))
+        raise InvalidInputError(where, "must be True or False", _shown(value))
 
 
 def require_function(where: str, value: object) -> None:
-    """Raise InvalidInput unless `value` can be called."""
+    """Raise InvalidInputError unless `value` can be called."""
     if not callable(value):
-        raise InvalidInput(where, "must be a function", _shown(value), "Pass f, not f(x).")
+        raise InvalidInputError(where, "must be a function", _shown(value), "Pass f, not f(x).")
 
 
 def require_name(where: str, value: object) -> None:
-    """Raise InvalidInput unless `value` can name a part in design targets like 'rod.height[2]'."""
+    """Raise InvalidInputError unless `value` can name a part in design targets like 'rod.height[2]'."""
     if not isinstance(value, str) or not value or "." in value or "[" in value:
-        raise InvalidInput(
+        raise InvalidInputError(
             where,
             "must be a non-empty string without '.' and '['",
             _shown(value),
@@ -119,18 +121,18 @@ def require_name(where: str, value: object) -> None:
 def require_sequence(
     where: str, value: object, rule: str = "must be a sequence", repair: str = "Put it in a list."
 ) -> tuple[Any, ...]:
-    """Return the entries of a sequence; raise InvalidInput if `value` is not a sequence."""
+    """Return the entries of a sequence; raise InvalidInputError if `value` is not a sequence."""
     try:
         # An iterator has no length: it could be read only once.
         return tuple(value) if len(value) else ()  # type: ignore[arg-type]
     except TypeError:
-        raise InvalidInput(where, rule, _shown(value), repair) from None
+        raise InvalidInputError(where, rule, _shown(value), repair) from None
 
 
 def require_each(
     where: str, values: object, kinds: tuple[type, ...], repair: str
 ) -> tuple[Any, ...]:
-    """Return the entries of a sequence; raise InvalidInput if one is of none of the classes."""
+    """Return the entries of a sequence; raise InvalidInputError if one is of none of the classes."""
     entries = require_sequence(where, values)
     for entry in entries:
         require_kind(where, entry, kinds, repair)
@@ -138,7 +140,7 @@ def require_each(
 
 
 def require_finite(where: str, value: object, repair: str = "") -> None:
-    """Raise InvalidInput unless `value` is a finite real number.
+    """Raise InvalidInputError unless `value` is a finite real number.
 
     Booleans and integers too large for a float are rejected.
     """
@@ -148,7 +150,7 @@ def require_finite(where: str, value: object, repair: str = "") -> None:
     except OverflowError:
         good = False
     if not good:
-        raise InvalidInput(where, "must be a finite real number", _shown(value), repair)
+        raise InvalidInputError(where, "must be a finite real number", _shown(value), repair)
 
 
 # Whole numbers up to this one are floats, too.
@@ -156,55 +158,57 @@ _LARGEST = 2**53
 
 
 def require_count(where: str, value: object, repair: str, most: int = _LARGEST) -> None:
-    """Raise InvalidInput unless `value` is a whole number from 1 to `most`."""
+    """Raise InvalidInputError unless `value` is a whole number from 1 to `most`."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < 1:  # type: ignore[operator]
-        raise InvalidInput(where, "must be a positive integer", _shown(value), repair)
+        raise InvalidInputError(where, "must be a positive integer", _shown(value), repair)
     if value > most:  # type: ignore[operator]
-        raise InvalidInput(where, f"must be at most {most}", _shown(value), repair)
+        raise InvalidInputError(where, f"must be at most {most}", _shown(value), repair)
 
 
 def require_positive(where: str, value: float) -> None:
-    """Raise InvalidInput for a value that is not a finite positive number."""
+    """Raise InvalidInputError for a value that is not a finite positive number."""
     require_finite(where, value)
     if value <= 0:
-        raise InvalidInput(where, "must be positive", _shown(value))
+        raise InvalidInputError(where, "must be positive", _shown(value))
 
 
 def require_not_negative(where: str, value: object, repair: str = "") -> None:
-    """Raise InvalidInput unless `value` is a finite number from zero on."""
+    """Raise InvalidInputError unless `value` is a finite number from zero on."""
     require_finite(where, value)
     if value < 0:  # type: ignore[operator]
-        raise InvalidInput(where, "must not be negative", value, repair)
+        raise InvalidInputError(where, "must not be negative", value, repair)
 
 
 def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
-    """Raise InvalidInput for anything but finite numbers, as many as one of `sizes`."""
+    """Raise InvalidInputError for anything but finite numbers, as many as one of `sizes`."""
     allowed = " or ".join(str(size) for size in sizes)
     rule = f"must have {allowed} components"
     components = require_sequence(where, value, rule, "")
     if len(components) not in sizes:
-        raise InvalidInput(where, rule, components)
+        raise InvalidInputError(where, rule, components)
     for component in components:
         require_finite(where, component)
 
 
 def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
-    """Raise InvalidInput for anything but a vector, as in `require_vector`, that is not zero."""
+    """Raise InvalidInputError for anything but a vector, as in `require_vector`, that is not zero."""
     require_vector(where, value, sizes)
     if not any(value):  # type: ignore[arg-type]  # a sequence, as was just seen
-        raise InvalidInput(where, "must be a direction, a vector that is not zero", value)
+        raise InvalidInputError(where, "must be a direction, a vector that is not zero", value)
 
 
 def require_axial(where: str, value: object, dimension: int | None = None) -> None:
-    """Raise InvalidInput unless `value` is a number (plane) or has three components (space).
+    """Raise InvalidInputError unless `value` is a number (plane) or has three components (space).
 
     If the dimension is given, only the form that belongs to it is accepted.
     """
     is_number = np.ndim(value) == 0  # type: ignore[arg-type]
     if dimension is not None and is_number != (dimension == 2):
         rule = "must be a number in the plane and have 3 components in space"
-        raise InvalidInput(where, rule, _shown(value), f"Here space has {dimension} dimensions.")
+        raise InvalidInputError(
+            where, rule, _shown(value), f"Here space has {dimension} dimensions."
+        )
     if is_number:
         require_finite(where, value)
     else:
@@ -216,8 +220,8 @@ def require_array(
 ) -> np.ndarray[tuple[Any, ...], np.dtype[np.float64]]:
     """Return a copy of `value` as an array of floats.
 
-    Raises InvalidInput if an entry is not a finite number, rows differ in length, or the shape is
-    not `shape`.
+    Raises InvalidInputError if an entry is not a finite number, rows differ in length, or the shape
+    is not `shape`.
     """
     try:
         array = np.asarray(value)
@@ -233,4 +237,4 @@ def require_array(
         else:
             return array.astype(float)
     rule = "must be an array of finite numbers" + ("" if shape is None else f" of shape {shape}")
-    raise InvalidInput(where, rule, got, "Give nested lists of numbers, or an array.")
+    raise InvalidInputError(where, rule, got, "Give nested lists of numbers, or an array.")

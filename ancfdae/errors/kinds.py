@@ -37,11 +37,11 @@ def _sendable(value: object) -> object:
 
 
 @final
-class MissingPackage(AncfdaeError, ImportError):
+class MissingPackageError(AncfdaeError, ImportError):
     """An optional package that is not installed; the message says how to install it."""
 
 
-class InvalidInput(AncfdaeError, ValueError):
+class InvalidInputError(AncfdaeError, ValueError):
     """Input that does not meet a requirement, with the message "where: rule; got value. repair".
 
     Parameters
@@ -62,7 +62,7 @@ class InvalidInput(AncfdaeError, ValueError):
 
 
 @final
-class UnknownName(InvalidInput):
+class UnknownNameError(InvalidInputError):
     """A name that nothing in the scene has; the message lists the known ones."""
 
     def __init__(self, where: str, name: object, known: Iterable[str]) -> None:
@@ -71,12 +71,12 @@ class UnknownName(InvalidInput):
 
 
 @final
-class RedundantConstraints(InvalidInput):
+class RedundantConstraintsError(InvalidInputError):
     """Constraints that are linearly dependent at the start; the message names the joints."""
 
 
 @final
-class InconsistentStart(InvalidInput):
+class InconsistentStartError(InvalidInputError):
     """A start that violates a constraint; the message names the joint and the size."""
 
 
@@ -91,38 +91,38 @@ class StabilityWarning(UserWarning):
 
 
 @final
-class ManySteps(UserWarning):
+class ManyStepsWarning(UserWarning):
     """A run that will take many more steps than a method that suits the scene; it continues."""
 
 
 @final
-class CoarseMesh(UserWarning):
+class CoarseMeshWarning(UserWarning):
     """A state whose elements are too few for their bends; the message names the beams."""
 
 
 @final
-class LargeStrain(UserWarning):
+class LargeStrainWarning(UserWarning):
     """Fibres that are strained beyond what their elements are made for; the message names them."""
 
 
 @final
-class FailedDesign(UserWarning):
+class FailedDesignWarning(UserWarning):
     """A design that an optimiser tried has no values; the message says why."""
 
 
 @final
-class UnlikelyValue(UserWarning):
+class UnlikelyValueWarning(UserWarning):
     """A value that is admissible but looks like another quantity; the message says which.
 
-    ``warnings.simplefilter("ignore", UnlikelyValue)`` silences it.
+    ``warnings.simplefilter("ignore", UnlikelyValueWarning)`` silences it.
     """
 
 
 @final
-class ToleranceMissed(UserWarning):
+class ToleranceWarning(UserWarning):
     """A tolerance is out of reach; the message says what was got and what more would cost."""
 
 
 @final
-class NotTraced(UserWarning):
+class NotTracedWarning(UserWarning):
     """Formulas of a user that need numbers run in Python; the message names the line."""

@@ -35,7 +35,7 @@ class PassFailed(AncfdaeError):
 
 @final
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """How a run ended, at which time, and after how many accepted steps.
 
     Attributes
@@ -90,8 +90,8 @@ class Interrupted(KeyboardInterrupt):
     ----------
     result : object
         What was computed up to there, of the kind that the call returns: a `Solution` (of
-        gradients the run), an `Equilibrium`, a `Sweep` or a `Tradeoff`. In an interactive session
-        it is ``sys.last_value.result``.
+        gradients the run), an `Equilibrium`, a `Sweep` or a `WorkPrecision`. In an interactive
+        session it is ``sys.last_value.result``.
     """
 
     def __init__(self, result: Any, how: str) -> None:
@@ -106,7 +106,7 @@ class Interrupted(KeyboardInterrupt):
 class _Ended(Protocol):
     @property
     def outcome(self) -> Any:
-        """`Outcome`, or one of a search."""
+        """`RunOutcome`, or one of a search."""
 
 
 _Result = TypeVar("_Result", bound=_Ended)

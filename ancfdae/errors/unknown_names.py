@@ -9,7 +9,7 @@ _CONTACT = (
     "Load of your own (docs/howto/own-parts.md)."
 )
 _GEAR = (
-    "Gears are not supported (docs/limits.md). Two Drive joints, with laws in the ratio, prescribe "
+    "Gears are not supported (docs/limits.md). Two RotationDriver joints, with laws in the ratio, prescribe "
     "both rotations."
 )
 _ACCELERATION = (
@@ -22,12 +22,12 @@ _ROTATION = (
 )
 _RUN = "simulate(scene, t_end, HHT(step=...)) integrates the motion (docs/howto/integrator.md)."
 _GROUND = "The ground needs no object: joints and loads take ground=(x, y), a place."
-_SPRING = "Springs are SpringDamper (two points), TorsionSpring (an angle) and Bushing (all axes)."
+_SPRING = "Springs are SpringDamper (two points), TorsionalSpringDamper (an angle) and Bushing (all axes)."
 _GRAVITY = "Gravity is an argument: Scene(..., gravity=(0, -9.81))."
-_MOTOR = "A prescribed rotation is a Drive, a prescribed force or torque a PointForce or Torque."
+_MOTOR = "A prescribed rotation is a RotationDriver, a prescribed force or torque a PointForce or MotorTorque."
 _FORCE = "Forces on a point are PointForce, FollowerForce and DistributedForce."
 _RIGID = "Rigid bodies are RigidBody, RigidBox, RigidCylinder and RigidSphere."
-_LAW = "Functions of time are laws: Constant, Uniform, Harmonic, Ramp, RunUp, Spline, UserLaw."
+_LAW = "Functions of time are laws: Constant, ConstantAcceleration, Harmonic, SmoothStep, RunUp, Spline, UserLaw."
 _MODES = "modes(scene, count) returns frequencies and shapes."
 _OPTIMISE = (
     "Responses gives SciPy values and gradients (docs/optimisation.md); gradient computes one."
@@ -38,7 +38,7 @@ _PLOT = "ancfdae.plotting has the calls history, animate, snapshots and write_vt
 _ANSWERS = {
     **dict.fromkeys(("cable", "rope", "string", "ancfcable", "ancfcable2d", "wire"), _CABLE),
     **dict.fromkeys(("contact", "collision", "impact", "floor", "penalty"), _CONTACT),
-    "friction": "Friction is JointFriction in a joint, SlideFriction along a line.",
+    "friction": "Friction is RotationalFriction in a joint, TranslationalFriction along a line.",
     **dict.fromkeys(("gear", "gears", "rackandpinion", "screw", "belt", "coupler"), _GEAR),
     **dict.fromkeys(("acceleration", "accelerations"), _ACCELERATION),
     **dict.fromkeys(
@@ -73,7 +73,7 @@ _ANSWERS = {
     ),
     **dict.fromkeys(
         ("stress", "maxstress"),
-        "Stresses are von_mises(point) and maximum_stress(beam, sharpness).",
+        "Stresses are von_mises(point) and maximum_von_mises(beam, sharpness).",
     ),
     **dict.fromkeys(
         ("energy", "potentialenergy"),

@@ -34,7 +34,7 @@ from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
 
 # Places that the free motion is to pass, by time.
-Guide: TypeAlias = Callable[[float], Array]
+TranslationDriver: TypeAlias = Callable[[float], Array]
 
 # Largest norm of X on one branch: half of the least at which it may be another.
 CHANGED = 0.5
@@ -186,7 +186,7 @@ class Place:
 
 
 def followed(
-    system: MechanicalSystem, t: float, q: Array, end: float, guide: Guide | None = None
+    system: MechanicalSystem, t: float, q: Array, end: float, guide: TranslationDriver | None = None
 ) -> tuple[float, Array]:
     """Follow a motion on its branch from (t, q); return the time reached, and the place.
 

@@ -20,12 +20,13 @@ from typing import NamedTuple, final
 import numpy as np
 import scipy
 
-from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.dop853 import EXPONENT, Between, Dop853
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.index_1 import ListedAccelerations, stacked
 from ancfdae.integrators.integrand import Points, Rule
-from ancfdae.integrators.problem import Problem, vector_sizes
+from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
@@ -52,7 +53,7 @@ _TOGETHER = 8
 
 @final
 @dataclass(frozen=True)
-class Explicit(HighOrder):
+class DOP853(HighOrder):
     """Explicit integration of order 8 with error control; for soft scenes.
 
     The step is bounded by the highest frequency, so stiff scenes need many steps; a small system
@@ -62,7 +63,7 @@ class Explicit(HighOrder):
     def __post_init__(self) -> None:
         self.require_settings(_LEAST_RTOL)
 
-    def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
+    def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
         """Set up a run by DOP853 from the start of the system."""
         return _ExplicitMarch(self, problem, t_end, quadrature)
 
@@ -94,7 +95,7 @@ class _ExplicitMarch(March):
     """One run; states are rows q and q_b, then v and v_b, shape (2, 1 + n_b, n_q)."""
 
     def __init__(
-        self, settings: Explicit, problem: Problem, t_end: float, quadrature: Quadrature
+        self, settings: DOP853, problem: InitialValueProblem, t_end: float, quadrature: Quadrature
     ) -> None:
         super().__init__(problem, t_end, settings.max_steps)
         self._quadrature, self._problem, self._rtol = quadrature, problem, settings.rtol

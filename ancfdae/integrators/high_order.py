@@ -15,21 +15,16 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import (
-    InvalidInput,
-    Outcome,
-    SingularMatrix,
-    Verdict,
-    require_array,
-    require_count,
-)
+from ancfdae.errors.checks import require_array, require_count
+from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
+from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.integrators.integrand import Integrand
 from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
 from ancfdae.integrators.pace import Pace
 from ancfdae.integrators.prescribed_motion import is_driven, lock
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.quadrature import Quadrature
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.watch import Watch
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
@@ -37,7 +32,7 @@ from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.numerics.time_grid import TimeGrid, next_end
 
-# Steps of which a run warns: Explicit takes 20 s for them in a small system (5,000 a second).
+# Steps of which a run warns: DOP853 takes 20 s for them in a small system (5,000 a second).
 _MANY = 100_000
 # Intervals of a run of which the end alone is asked for.
 _FEW = 4
@@ -71,7 +66,7 @@ class March(abc.ABC):
 
     def __init__(
         self,
-        problem: Problem,
+        problem: InitialValueProblem,
         t_end: float,
         max_steps: int,
         context: Callable[[], AbstractContextManager[None]] = nullcontext,
@@ -171,7 +166,7 @@ class HighOrder(QuadratureIntegrator):
         return replace(self, intervals=min(self.intervals, _FEW))
 
     @abc.abstractmethod
-    def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
+    def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
         """Set up a solver at the start."""
 
     @final
@@ -188,13 +183,13 @@ class HighOrder(QuadratureIntegrator):
         """Integrate from t = 0 to `t_end`, integrals beside the motion."""
         if any(np.iscomplexobj(x) for x in (system.b, *system.start())):
             rule, got = "needs real coordinates and design values", "complex ones"
-            raise InvalidInput(type(self).__name__, rule, got, "Only HHT takes complex steps.")
+            raise InvalidInputError(type(self).__name__, rule, got, "Only HHT takes complex steps.")
         with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
-            problem = Problem.of(system, t_end)
+            problem = InitialValueProblem.of(system, t_end)
             problem = problem.differentiated() if sensitivities else problem
         problem.require_finite()
         grid = TimeGrid.lobatto(t_end, self.intervals)
-        recorder = Recorder(system, len(grid.t), grid.degree, sensitivities)
+        recorder = SolutionRecorder(system, len(grid.t), grid.degree, sensitivities)
         recorder.accepted = 0
         recorder.record(*problem.initial, problem.derivative or ())
         verdict, march, remedy, lost = Verdict.FINISHED, None, "", None
@@ -234,11 +229,13 @@ class HighOrder(QuadratureIntegrator):
         if verdict in (Verdict.NO_CONVERGENCE, Verdict.ERROR_TEST):
             last = recorder.last(1)
             remedy = lock(system, float(last.t[0]), last.q[0], t_end)
-        outcome = Outcome(verdict, recorder.time, recorder.accepted, size, advice=remedy)
+        outcome = RunOutcome(verdict, recorder.time, recorder.accepted, size, advice=remedy)
         return recorder.solution(outcome)
 
 
-def _record(problem: Problem, recorder: Recorder, t: Array, states: Array) -> None:
+def _record(
+    problem: InitialValueProblem, recorder: SolutionRecorder, t: Array, states: Array
+) -> None:
     """Complete states by accelerations and multipliers, and store them."""
     n = problem.system.n_q
     x = problem.accelerations.rows_of(t, states)

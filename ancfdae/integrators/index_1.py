@@ -22,7 +22,7 @@ import numpy as np
 
 from ancfdae.equations import ListedSystem, MechanicalSystem, reaction
 from ancfdae.equations.held import acceleration_side, held_totals
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.kernels import OperationList, index_1_projected, index_1_rows, index_1_stages
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint

@@ -11,7 +11,8 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.errors.checks import require_positive
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrand import Density, Integrand
 from ancfdae.numerics.arrays import Array
 
@@ -82,10 +83,10 @@ class Integrator(abc.ABC):
         """Go on with a run of this integrator on this system, from its last instant to `t_end`.
 
         Returns the whole solution, which is that of a run in one go to round-off. Raises
-        InvalidInput where the run is another one, or the integrator cannot go on.
+        InvalidInputError where the run is another one, or the integrator cannot go on.
         """
         rule = "needs an integrator whose runs can go on, such as HHT"
-        raise InvalidInput("after", rule, repr(self), "Run again from t = 0.")
+        raise InvalidInputError("after", rule, repr(self), "Run again from t = 0.")
 
 
 class QuadratureIntegrator(Integrator):
@@ -204,7 +205,7 @@ class PartwiseIntegrator(Integrator):
 
     @abc.abstractmethod
     def replay(self, system: MechanicalSystem, t_end: float) -> RunInParts:
-        """Return the run to `t_end`; InvalidInput where its steps are not known before."""
+        """Return the run to `t_end`; InvalidInputError where its steps are not known before."""
 
 
 def require_rtol(where: str, rtol: float, least: float) -> None:
@@ -212,4 +213,4 @@ def require_rtol(where: str, rtol: float, least: float) -> None:
     require_positive(where, rtol)
     if not least <= rtol <= 1e-2:
         repair = "For example 1e-6, or 1e-8 for gradients."
-        raise InvalidInput(where, f"must lie in [{least:.0e}, 1e-2]", rtol, repair)
+        raise InvalidInputError(where, f"must lie in [{least:.0e}, 1e-2]", rtol, repair)

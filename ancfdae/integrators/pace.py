@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import final
 
-from ancfdae.errors import ManySteps
+from ancfdae.errors.kinds import ManyStepsWarning
 
 # Steps that together advance by less than this share of the end time. Single steps may be lost in
 # round-off: at tight tolerances Newton's method meets it, and SUNDIALS tries shorter steps until it
@@ -69,6 +69,6 @@ class Pace:
         warnings.warn(
             f"about {(self._t_end - t) / h:.2g} steps are to come, of {h:.2g} s each as the last "
             f"ones: {self._remedy} Ctrl-C ends the run and keeps what is done.",
-            ManySteps,
+            ManyStepsWarning,
             stacklevel=2,
         )

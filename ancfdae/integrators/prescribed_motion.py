@@ -16,8 +16,17 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import Verdict
-from ancfdae.integrators.branch import APART, CHANGED, SMALL, Form, Guide, Place, closed, followed
+from ancfdae.errors.outcomes import Verdict
+from ancfdae.integrators.branch import (
+    APART,
+    CHANGED,
+    SMALL,
+    Form,
+    Place,
+    TranslationDriver,
+    closed,
+    followed,
+)
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
@@ -171,7 +180,7 @@ def _reached_otherwise(system: MechanicalSystem, step: Rows) -> str:
     )
 
 
-def _cubic(step: Rows) -> Guide:
+def _cubic(step: Rows) -> TranslationDriver:
     """Return the cubic through places and velocities at the ends of a step."""
     (t, end), q, v = step
     h = end - t

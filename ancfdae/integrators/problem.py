@@ -21,7 +21,8 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.errors.checks import require_positive
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.index_1 import Accelerations, accelerations
 from ancfdae.integrators.start import (
     InitialSensitivity,
@@ -103,7 +104,7 @@ class Scales:
 
 @final
 @dataclass(frozen=True)
-class Problem:
+class InitialValueProblem:
     """A system at its consistent start, with derivatives where sensitivities are asked for."""
 
     system: MechanicalSystem
@@ -144,7 +145,9 @@ class Problem:
         ):
             if not all(finite(x) for x in arrays):
                 rule, got = "must be finite", "NaN or infinity"
-                raise InvalidInput(f"{what} at the start", rule, got, "Check forces and start.")
+                raise InvalidInputError(
+                    f"{what} at the start", rule, got, "Check forces and start."
+                )
 
     def require_run(self, run: Solution, t_end: float, where: str) -> None:
         """Refuse a run that did not begin as this problem does, or went further than `t_end`."""
@@ -153,7 +156,7 @@ class Problem:
         sizes = run.q.shape[1], run.lam.shape[1]
         if sizes != (system.n_q, system.n_lam):
             got = f"{sizes[0]} coordinates and {sizes[1]} multipliers"
-            raise InvalidInput(where, rule, got, repair)
+            raise InvalidInputError(where, rule, got, repair)
         unbalanced = system.mass_times(start.q, run.a[0] - start.a)
         for difference, size in (
             (run.q[0] - start.q, scales.q),
@@ -161,10 +164,10 @@ class Problem:
             (unbalanced, scales.force),
         ):
             if not np.max(np.abs(difference) / size, initial=0.0) <= _SAME:
-                raise InvalidInput(where, rule, "another start", repair)
+                raise InvalidInputError(where, rule, "another start", repair)
         if run.t[-1] > t_end * (1 + 1e-9):
             rule = f"must end at {t_end:.6g} or before"
-            raise InvalidInput(
+            raise InvalidInputError(
                 where, rule, f"{run.t[-1]:.6g}", "Raise `t_end` to the last time of the run."
             )
 

@@ -8,7 +8,8 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities, Statistics
-from ancfdae.errors import InvalidInput, Outcome
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.outcomes import RunOutcome
 from ancfdae.integrators.prescribed_motion import Rows
 from ancfdae.numerics.arrays import Array
 
@@ -17,7 +18,7 @@ StateRows: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 @final
-class Recorder:
+class SolutionRecorder:
     """Arrays that a run fills row by row, and the counters of its cost (`Statistics`).
 
     There are `rows` instants, the start included; the arrays grow if there are more. `accepted` are
@@ -26,7 +27,7 @@ class Recorder:
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If the trajectory does not fit into memory.
     """
 
@@ -46,7 +47,7 @@ class Recorder:
             if sensitivities:
                 self._arrays += [np.zeros((rows, n, system.n_b)) for n in sizes]
         except MemoryError as error:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "trajectory",
                 "must fit into memory",
                 f"{rows} instants of {sum(sizes)} numbers",
@@ -138,7 +139,7 @@ class Recorder:
         """Forget all instants but the first."""
         self.instants, self._control = 1, ()
 
-    def solution(self, outcome: Outcome) -> Solution:
+    def solution(self, outcome: RunOutcome) -> Solution:
         """Return the recorded states as a `Solution` with this outcome."""
         system = self._system
         t, q, v, a, lam, *derivatives = (array[: self.instants] for array in self._arrays)

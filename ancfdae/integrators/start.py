@@ -26,7 +26,7 @@ from ancfdae.equations.held import (
     velocity_side,
 )
 from ancfdae.equations.saddle_points import refuse_redundant, solve, solve_transposed
-from ancfdae.errors import InconsistentStart, InvalidInput, SingularMatrix
+from ancfdae.errors.kinds import InconsistentStartError, InvalidInputError, SingularMatrix
 from ancfdae.integrators.completion import Completion
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
@@ -62,13 +62,14 @@ class InitialSensitivity(NamedTuple):
 def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) -> InitialState:
     """Solve steps 1 to 3 of the module description.
 
-    InconsistentStart if the declared start violates a constraint and `project_start` is false, or
-    if the projection does not converge; InvalidInput if it or the forces at it are not finite.
+    InconsistentStartError if the declared start violates a constraint and `project_start` is false,
+    or if the projection does not converge; InvalidInputError if it or the forces at it are not
+    finite.
     """
     q, v = system.start()
     if not (finite(q) and finite(v)):
         repair = "Check the values that `start` returns."
-        raise InvalidInput("start", "q and v must be finite", "NaN or infinity", repair)
+        raise InvalidInputError("start", "q and v must be finite", "NaN or infinity", repair)
     if not system.traits.project_start:
         _refuse_inconsistent(system, q, v, t)
     # Forces that are not finite at the start are refused here, not warned about.
@@ -81,7 +82,9 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
         Q = system.force(t, q, v)
         if not finite(Q):
             repair = "Check forces and start."
-            raise InvalidInput("forces at the start", "must be finite", "NaN or infinity", repair)
+            raise InvalidInputError(
+                "forces at the start", "must be finite", "NaN or infinity", repair
+            )
         return InitialState(t, q, v, *solve(factors, Q, acceleration_side(system, t, q, v)))
 
 
@@ -225,7 +228,7 @@ def _factor_mass(
     try:
         return matrices.factor(system.mass(q), system.constraint_q(t, q))
     except SingularMatrix as error:
-        raise InvalidInput(
+        raise InvalidInputError(
             "mass matrix",
             "with the constraints it must determine accelerations and multipliers at the start",
             str(error),
@@ -251,7 +254,7 @@ def _project_position(
             reached = moved
         else:
             return reached
-    raise InconsistentStart(
+    raise InconsistentStartError(
         "start",
         "must be close enough to the constraints to be projected",
         f"no convergence in {_PROJECTION_ITERATIONS} iterations",
@@ -315,7 +318,7 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
         ratio = np.abs(phi.real) / rows
         if system.n_lam and np.any(ratio > _CONSISTENT * size):
             worst = int(np.argmax(ratio))
-            raise InconsistentStart(
+            raise InconsistentStartError(
                 f"start, joint {system.constraint_names[worst]!r}",
                 f"the {what} must satisfy the joint",
                 f"a violation of {float(np.abs(phi[worst])):.3g}",

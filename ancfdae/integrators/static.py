@@ -7,7 +7,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator, Seeds
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.derivatives import Tangent
@@ -28,9 +28,9 @@ class Static(AdjointIntegrator):
     max_steps: int = MAX_STEPS
 
     def refined(self, solution: Solution) -> Integrator:
-        """Raise InvalidInput: an equilibrium has no error of discretisation in time."""
+        """Raise InvalidInputError: an equilibrium has no error of discretisation in time."""
         rule = "an equilibrium must have no error bar in time"
-        raise InvalidInput("Static", rule, repr(self), "Compare meshes: error_bars(meshes=2).")
+        raise InvalidInputError("Static", rule, repr(self), "Compare meshes: error_bars(meshes=2).")
 
     def integrate(
         self,

@@ -11,20 +11,16 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities
-from ancfdae.errors import (
-    InvalidInput,
-    StabilityWarning,
-    Verdict,
-    require_count,
-    require_positive,
-)
+from ancfdae.errors.checks import require_count, require_positive
+from ancfdae.errors.kinds import InvalidInputError, StabilityWarning
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import AdjointIntegrator
-from ancfdae.integrators.problem import Problem, Scales
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.problem import InitialValueProblem, Scales
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control import (
-    ControlledSteps,
+    AdaptiveSteps,
     FixedSteps,
-    GivenSteps,
+    PrescribedSteps,
     StepControl,
 )
 from ancfdae.integrators.step_control.contracts import OneStepMethod, Reached, march
@@ -68,13 +64,13 @@ class SteppedIntegrator(AdjointIntegrator):
         name = type(self).__name__
         control = _control(name, steps, step, rtol)
         if newton_tolerance is None:
-            asked = _SHARE * control.rtol if isinstance(control, ControlledSteps) else EXACT
+            asked = _SHARE * control.rtol if isinstance(control, AdaptiveSteps) else EXACT
             newton_tolerance = max(EXACT, min(asked, _LOOSEST))
         require_positive(f"{name}.newton_tolerance", newton_tolerance)
         if newton_tolerance > _LARGEST:
             rule = f"must be at most {_LARGEST}, a part of the motion"
             repair = f"Leave it out, or take {EXACT}."
-            raise InvalidInput(f"{name}.newton_tolerance", rule, newton_tolerance, repair)
+            raise InvalidInputError(f"{name}.newton_tolerance", rule, newton_tolerance, repair)
         require_count(f"{name}.max_iterations", max_iterations, "15 is plenty.")
         # A NumPy number of single precision would spread its precision.
         object.__setattr__(self, "steps", control)
@@ -84,11 +80,11 @@ class SteppedIntegrator(AdjointIntegrator):
     @property
     def differentiates_runs(self) -> bool:
         """Not where derivatives are controlled along with the motion."""
-        return not (isinstance(self.steps, ControlledSteps) and self.steps.sensitivities)
+        return not (isinstance(self.steps, AdaptiveSteps) and self.steps.sensitivities)
 
     @abc.abstractmethod
     def _stepper(
-        self, problem: Problem, t_end: float, sizes_b: Array, recorder: Recorder
+        self, problem: InitialValueProblem, t_end: float, sizes_b: Array, recorder: SolutionRecorder
     ) -> OneStepMethod[Any]:
         """Return the one-step method of a run; `sizes` are those of the derivatives."""
 
@@ -98,7 +94,7 @@ class SteppedIntegrator(AdjointIntegrator):
 
     @abc.abstractmethod
     def _derivatives(
-        self, problem: Problem, run: Solution, progress: bool
+        self, problem: InitialValueProblem, run: Solution, progress: bool
     ) -> tuple[list[Array], Verdict]:
         """Return q_b, v_b, a_b and lam_b of a run of one step at least, and how the pass ended."""
 
@@ -118,11 +114,11 @@ class SteppedIntegrator(AdjointIntegrator):
     @final
     def _known_instants(self, t_end: float) -> Array:
         """Return the ends of all steps of a run; refuse steps that are not known before."""
-        if isinstance(self.steps, FixedSteps | GivenSteps):
+        if isinstance(self.steps, FixedSteps | PrescribedSteps):
             return self.steps.instants(t_end)
         name, rule = type(self).__name__, "needs steps that are known before the run"
         repair = f"Repeat the steps of a run: {name}.frozen(simulate(...))."
-        raise InvalidInput(f"{name}.steps", rule, repr(self.steps), repair)
+        raise InvalidInputError(f"{name}.steps", rule, repr(self.steps), repair)
 
     def frozen(self, solution: Solution) -> Self:
         """Return the integrator that repeats the steps of a run, whatever the design.
@@ -169,7 +165,7 @@ class SteppedIntegrator(AdjointIntegrator):
         if self._derivatives_along(system):
             rule = "a run that controls the error of its derivatives cannot be continued"
             repair = "Run again from t = 0."
-            raise InvalidInput("after", rule, repr(self.steps), repair)
+            raise InvalidInputError("after", rule, repr(self.steps), repair)
         return self._integrate(system, t_end, after, sensitivities, progress)
 
     @in_one_thread
@@ -183,7 +179,7 @@ class SteppedIntegrator(AdjointIntegrator):
     ) -> Solution:
         steps, started = self.steps, time.perf_counter()
         rows, along = self.degree * steps.count(t_end) + 1, self._derivatives_along(system)
-        problem = Problem.of(system, t_end)
+        problem = InitialValueProblem.of(system, t_end)
         problem = problem.differentiated() if along else problem
         scales = problem.scales
         if after is not None:
@@ -191,11 +187,11 @@ class SteppedIntegrator(AdjointIntegrator):
             if not steps.continues(after.t[:: self.degree], after.control, t_end):
                 rule = "must be a run under the same steps"
                 repair = "Pass its own integrator, and an end after whole steps of it."
-                raise InvalidInput("after", rule, repr(self.steps), repair)
+                raise InvalidInputError("after", rule, repr(self.steps), repair)
             after = after if len(after.t) > 1 else None
 
         def run(sizes_b: Array) -> Solution:
-            recorder = Recorder(system, rows, self.degree, along, after)
+            recorder = SolutionRecorder(system, rows, self.degree, along, after)
             stepper = self._stepper(problem, t_end, sizes_b, recorder)
             if after is None:
                 begun = steps.controller(t_end, stepper)
@@ -222,8 +218,8 @@ class SteppedIntegrator(AdjointIntegrator):
         if self.differentiates_runs:
             return False
         if np.iscomplexobj(system.b):
-            raise InvalidInput(
-                "ControlledSteps.sensitivities",
+            raise InvalidInputError(
+                "AdaptiveSteps.sensitivities",
                 "needs real design values",
                 "complex ones",
                 "Repeat the steps of a run at real values: HHT(...).frozen(solution).",
@@ -232,7 +228,7 @@ class SteppedIntegrator(AdjointIntegrator):
 
     def _rough(self) -> Self:
         """Return the integrator of the run from which the sizes of the derivatives are read."""
-        assert isinstance(self.steps, ControlledSteps)
+        assert isinstance(self.steps, AdaptiveSteps)
         # What Newton's method leaves of the forces must not pass for the derivative in a variable
         # that scales masses and forces alike.
         return self._changed(steps=self.steps.rough(), newton_tolerance=EXACT)
@@ -251,11 +247,13 @@ class SteppedIntegrator(AdjointIntegrator):
         If a matrix is singular or the pass is interrupted, the solution is cut after the last state
         that has derivatives, and its outcome says so.
         """
-        return self._differentiate(Problem.of(system, float(solution.t[-1]) or 1.0), solution)
+        return self._differentiate(
+            InitialValueProblem.of(system, float(solution.t[-1]) or 1.0), solution
+        )
 
     @in_one_thread
     def _differentiate(
-        self, problem: Problem, solution: Solution, progress: bool = False
+        self, problem: InitialValueProblem, solution: Solution, progress: bool = False
     ) -> Solution:
         started, system = time.perf_counter(), problem.system
         problem = problem.differentiated()
@@ -275,7 +273,7 @@ def _control(
     """Return the control of the step, given in full or in short."""
     given: list[Any] = [x for x in (steps, step, rtol) if x is not None]
     if len(given) != 1:
-        raise InvalidInput(
+        raise InvalidInputError(
             name,
             "needs exactly one of steps, step and rtol",
             f"{len(given)} of them",
@@ -284,8 +282,8 @@ def _control(
     if isinstance(steps, StepControl):
         return steps
     try:
-        return FixedSteps(given[0]) if rtol is None else ControlledSteps(rtol)
-    except InvalidInput as error:
+        return FixedSteps(given[0]) if rtol is None else AdaptiveSteps(rtol)
+    except InvalidInputError as error:
         # The user wrote the short form.
         where = f"{name}.step" if rtol is None else f"{name}.rtol"
-        raise InvalidInput(where, error.rule, error.got, error.repair) from None
+        raise InvalidInputError(where, error.rule, error.got, error.repair) from None

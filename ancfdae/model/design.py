@@ -8,15 +8,14 @@ from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
-from ancfdae.errors import (
-    InvalidInput,
-    UnknownName,
+from ancfdae.errors.checks import (
     require_count,
     require_finite,
     require_sequence,
     require_unique,
     require_vector,
 )
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.numerics.arrays import Array
 
 # The owner may contain dots: joints are named like pin(rod@0.5) by default.
@@ -43,24 +42,24 @@ class Designable:
 
     def parameters(self) -> dict[str, float]:
         """Return the numbers that can be design targets, by name; the order is fixed."""
-        numbers: dict[str, float] = {}
+        design_numbers: dict[str, float] = {}
         for name, _ in self.design_fields:
-            numbers |= self.numbers_of(name)
-        return numbers
+            design_numbers |= self.numbers_of(name)
+        return design_numbers
 
     def with_parameters(self, changes: Mapping[str, float]) -> Self:
         """Return the same object with some of its `parameters` changed together.
 
-        Raises UnknownName.
+        Raises UnknownNameError.
         """
         unknown = [parameter for parameter in changes if parameter not in self.parameters()]
         if unknown:
-            raise UnknownName("design target", unknown[0], self.parameters())
+            raise UnknownNameError("design target", unknown[0], self.parameters())
         new: dict[str, object] = {}
         for name, value in self._design_values():
-            numbers = self.numbers_of(name)
-            changed = {key: changes.get(key, number) for key, number in numbers.items()}
-            if changed == numbers:
+            design_numbers = self.numbers_of(name)
+            changed = {key: changes.get(key, number) for key, number in design_numbers.items()}
+            if changed == design_numbers:
                 continue
             if isinstance(value, Designable):
                 inner = zip(value.parameters(), changed.values(), strict=True)
@@ -138,16 +137,16 @@ class Designable:
 
 
 def require_numbers(where: str, value: object) -> None:
-    """Raise InvalidInput for anything but one finite number or more in a sequence."""
+    """Raise InvalidInputError for anything but one finite number or more in a sequence."""
     rule, repair = "must be a sequence of numbers", "Give one number or more in a list."
     given = require_sequence(where, value, rule, repair)
     if isinstance(value, str) or not given:
-        raise InvalidInput(where, rule, repr(value), repair)
+        raise InvalidInputError(where, rule, repr(value), repair)
     for number in given:
         require_finite(where, number)
 
 
-def numbers(*names: str) -> tuple[tuple[str, Callable[[str, Any], None]], ...]:
+def design_numbers(*names: str) -> tuple[tuple[str, Callable[[str, Any], None]], ...]:
     """Return design fields that hold any finite number."""
     return tuple((name, require_finite) for name in names)
 
@@ -190,7 +189,7 @@ class DesignVariable:
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If a target cannot be read, a factor is zero, or the bounds are not ordered.
     """
 
@@ -204,17 +203,17 @@ class DesignVariable:
         repair = 'Write DesignVariable("E", ["rod.youngs_modulus"]).'
         targets = require_sequence(where, self.targets, rule, repair)
         if isinstance(self.targets, str) or not targets:
-            raise InvalidInput(where, rule, repr(self.targets), repair)
+            raise InvalidInputError(where, rule, repr(self.targets), repair)
         for text in targets:
             parse_target(text)
             require_finite(f"{where}, factor of {text}", self.factor(text))
             if self.factor(text) == 0:
                 rule, repair = "a factor must not be zero", "Leave the target out."
-                raise InvalidInput(where, rule, f"0 for {text}", repair)
+                raise InvalidInputError(where, rule, f"0 for {text}", repair)
         if self.bounds is not None:
             require_vector(f"{where}, bounds", self.bounds, (2,))
             if not self.bounds[0] < self.bounds[1]:
-                raise InvalidInput(
+                raise InvalidInputError(
                     where,
                     "the lower bound must lie below the upper one",
                     self.bounds,
@@ -238,11 +237,11 @@ class DesignVariable:
 def parse_target(text: str) -> Target:
     """Read ``"beam.parameter"`` or ``"beam.parameter[element]"``.
 
-    InvalidInput if the text has another form.
+    InvalidInputError if the text has another form.
     """
     match = _TARGET.fullmatch(str(text))
     if match is None:
-        raise InvalidInput(
+        raise InvalidInputError(
             "design target",
             "must read 'beam.parameter' or 'beam.parameter[element]'",
             repr(text),
@@ -255,10 +254,10 @@ def parse_target(text: str) -> Target:
 def as_design(design: Sequence[str | DesignVariable]) -> tuple[DesignVariable, ...]:
     """Turn plain target names into design variables and refuse duplicate names.
 
-    InvalidInput if two variables share a name or a target.
+    InvalidInputError if two variables share a name or a target.
     """
     if isinstance(design, str):
-        raise InvalidInput("design", "must be a sequence", repr(design), "Put it in a list.")
+        raise InvalidInputError("design", "must be a sequence", repr(design), "Put it in a list.")
     variables = tuple(
         item if isinstance(item, DesignVariable) else DesignVariable(item, (item,))
         for item in require_sequence("design", design)
@@ -271,7 +270,7 @@ def as_design(design: Sequence[str | DesignVariable]) -> tuple[DesignVariable, .
     return variables
 
 
-def distribution(target: str, count: int) -> tuple[DesignVariable, ...]:
+def distributed_variables(target: str, count: int) -> tuple[DesignVariable, ...]:
     """One design variable per element of a beam, or per control value of a law.
 
     For example a height distribution, or the torque of a motor over time.

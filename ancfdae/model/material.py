@@ -4,7 +4,8 @@ import warnings
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.errors import InvalidInput, UnlikelyValue, require_finite, require_positive
+from ancfdae.errors.checks import require_finite, require_positive
+from ancfdae.errors.kinds import InvalidInputError, UnlikelyValueWarning
 
 # A density above _DENSE and _HEAVY times the modulus is taken for a modulus, unless the modulus is
 # above _LIGHT: with the numbers of steel exchanged it is 3e7 times; soft rubber, declared in kg and
@@ -31,12 +32,12 @@ class Material:
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If density or modulus is not finite and positive, or nu lies outside (-1, 0.5).
 
     Warns
     -----
-    UnlikelyValue
+    UnlikelyValueWarning
         If the density looks like a modulus: it is above 1e5 and 2,000 times the modulus, which is
         at most 3e4.
     """
@@ -55,12 +56,12 @@ class Material:
                 f"Material: the density, {self.density:g}, looks like a modulus and Young's "
                 f"modulus, {self.youngs_modulus:g}, like a density. The order is Material(density, "
                 "youngs_modulus, poisson_ratio).",
-                UnlikelyValue,
+                UnlikelyValueWarning,
                 stacklevel=3,
             )
         require_finite("Material.poisson_ratio", self.poisson_ratio)
         if not -1.0 < self.poisson_ratio < 0.5:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "Material.poisson_ratio",
                 "must lie in the open interval (-1, 0.5)",
                 self.poisson_ratio,
@@ -68,7 +69,7 @@ class Material:
             )
         require_finite("Material.damping_time", self.damping_time)
         if self.damping_time < 0:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "Material.damping_time",
                 "must not be negative",
                 self.damping_time,

@@ -9,14 +9,9 @@ from typing import Any, ClassVar, Self, TypeAlias, TypeVar, final
 
 import numpy as np
 
-from ancfdae.errors import (
-    InvalidInput,
-    require_axial,
-    require_kind,
-    require_text,
-    require_vector,
-)
-from ancfdae.model.bodies import BeamBody, Point, RigidBody, require_point
+from ancfdae.errors.checks import require_axial, require_kind, require_text, require_vector
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.bodies import BeamBody, MaterialPoint, RigidBody, require_point
 from ancfdae.model.design import Designable
 from ancfdae.model.drawing import Stroke
 from ancfdae.model.elements import BeamElement, Quantity, default_element
@@ -32,7 +27,7 @@ class Elements:
     d: int
     of_beam: Mapping[str, BeamElement]
 
-    def at(self, point: Point) -> BeamElement:
+    def at(self, point: MaterialPoint) -> BeamElement:
         """Return the element at a point; of a rigid body the one whose nodes are like it."""
         return self.of_beam.get(point.beam) or default_element(self.d)
 
@@ -53,7 +48,7 @@ class Normal:
     It stands for the slope across a planar element that has no section.
     """
 
-    point: Point
+    point: MaterialPoint
 
 
 # Names by default hold numbers: pin(rod@0.5).
@@ -70,7 +65,9 @@ class FrameDirection:
 
 
 #: Vectors of material points (which point, and position or which slope), or of whole beams.
-Vectors: TypeAlias = tuple[tuple[Point, Quantity] | Normal | CentreLine | FrameDirection, ...]
+Vectors: TypeAlias = tuple[
+    tuple[MaterialPoint, Quantity] | Normal | CentreLine | FrameDirection, ...
+]
 
 
 @dataclass(frozen=True)
@@ -107,7 +104,7 @@ class Part(Designable, abc.ABC):
         require_kind(where, name, (str,), "Give a name.")
         if _NO_NAME.search(name):
             rule = "must hold no '[' and no dot, except in a number: design targets have them"
-            raise InvalidInput(where, rule, repr(name), "Write '_' or '-' instead.")
+            raise InvalidInputError(where, rule, repr(name), "Write '_' or '-' instead.")
         given = self._given()
         where = f"{self.role} {name!r}" if name else self.kind
         at = given.get("beam")
@@ -144,17 +141,17 @@ class Part(Designable, abc.ABC):
         rest = {name: number for name, number in changes.items() if name not in placing}
         return super(Part, part).with_parameters(rest)
 
-    def point_fields(self) -> dict[str, Point]:
+    def point_fields(self) -> dict[str, MaterialPoint]:
         """Return the fields that hold a point."""
-        return {name: x for name, x in self._given().items() if isinstance(x, Point)}
+        return {name: x for name, x in self._given().items() if isinstance(x, MaterialPoint)}
 
     @cached_property
-    def points(self) -> tuple[Point, ...]:
+    def points(self) -> tuple[MaterialPoint, ...]:
         """The points that the part touches, the one that it acts on first."""
         return tuple(self.point_fields().values())
 
     @property
-    def stands_at(self) -> Point | None:
+    def stands_at(self) -> MaterialPoint | None:
         """The point whose place in the reference is the ground, as none was written."""
         given = self._given()
         joined = "ground" not in given or given["ground"] is not None or given.get("other")
@@ -180,13 +177,13 @@ class Part(Designable, abc.ABC):
     def check_space(self, elements: Elements) -> None:
         """Refuse a part that does not fit the space of the scene.
 
-        InvalidInput if it is spatial and the scene planar, an element lacks a vector that it needs,
-        a vector of its own has another number of components, or an axis that may be left out is
-        given in the plane.
+        InvalidInputError if it is spatial and the scene planar, an element lacks a vector that it
+        needs, a vector of its own has another number of components, or an axis that may be left out
+        is given in the plane.
         """
         where, d = f"{self.role} {self.name!r}", elements.d
         if self.spatial and d != 3:
-            raise InvalidInput(
+            raise InvalidInputError(
                 where, "needs a scene in space", f"one in {d} dimensions", "In the plane use Pin."
             )
         for vector in self._known_vectors(elements):
@@ -195,7 +192,7 @@ class Part(Designable, abc.ABC):
                 elements.at(point).require(where, quantity, point.y, point.z)
         axis = self._given().get("axis")
         if d == 2 and axis is not None and not self._needs("axis"):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"{where}, axis",
                 "must be left out in the plane",
                 axis,
@@ -214,21 +211,21 @@ class Part(Designable, abc.ABC):
         for name, _ in self.design_fields:
             if name not in given:
                 rule, repair = "must have its `design_fields`", "Write it among those of the class."
-                raise InvalidInput(where, rule, f"no field {name!r}", repair)
+                raise InvalidInputError(where, rule, f"no field {name!r}", repair)
 
     def _known_vectors(self, elements: Elements) -> Vectors:
         """Return the vectors declared by `vectors`.
 
-        Raises InvalidInput unless they are a non-empty tuple of vectors of points.
+        Raises InvalidInputError unless they are a non-empty tuple of vectors of points.
         """
         vectors: Any = self.vectors(elements)
-        of_point = Point, Quantity
+        of_point = MaterialPoint, Quantity
         if not (isinstance(vectors, tuple) and vectors) or not all(
             isinstance(x, Normal | CentreLine | FrameDirection)
             or (isinstance(x, tuple) and len(x) == 2 and all(map(isinstance, x, of_point)))
             for x in vectors
         ):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"vectors of {self.role} {self.name!r}",
                 "must be a tuple of one or more vectors of points",
                 repr(vectors),
@@ -247,12 +244,12 @@ class Part(Designable, abc.ABC):
         other, ground = given.get("other"), given.get("ground")
         if other is not None or self._needs("other"):
             require_point(f"{where}, other", other)
-        if isinstance(ground, Point):
+        if isinstance(ground, MaterialPoint):
             where, rule = f"{where}, ground", "must be a place"
-            raise InvalidInput(where, rule, f"the point {ground}", self.no_second_point)
+            raise InvalidInputError(where, rule, f"the point {ground}", self.no_second_point)
         ends = (other is not None) + (ground is not None)
         if ends == 2 or (ends == 0 and self.needs_other_end):
-            raise InvalidInput(
+            raise InvalidInputError(
                 where,
                 "needs either `other`, a second point, or `ground`, a place",
                 "both" if ends else "neither",
@@ -268,7 +265,7 @@ _Any = TypeVar("_Any", bound=Part)
 TARGETS = ("ground_x", "ground_y", "ground_z")
 
 
-def reference_place(point: Point, member: _Member) -> Array:
+def reference_place(point: MaterialPoint, member: _Member) -> Array:
     """Return where a point stands in the reference configuration as declared, shape (d,)."""
     arms, at = list[Array](), point
     while True:

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.errors import require_positive
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_positive
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.elements import Quantity
 from ancfdae.model.parts import Elements, Part, Vectors
 
@@ -19,12 +19,12 @@ class PointMass(Part):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     mass : float
         kg.
     """
 
-    point: Point
+    point: MaterialPoint
     mass: float
 
     role = "body"

@@ -8,8 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import (
-    InvalidInput,
+from ancfdae.errors.checks import (
     named,
     require_flag,
     require_kind,
@@ -17,14 +16,21 @@ from ancfdae.errors import (
     require_unique,
     require_vector,
 )
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
-from ancfdae.model.bodies import BeamBody, Point, RigidBody, require_in_section, require_point
+from ancfdae.model.bodies import (
+    BeamBody,
+    MaterialPoint,
+    RigidBody,
+    require_in_section,
+    require_point,
+)
 from ancfdae.model.joints.joint import Joint
 from ancfdae.model.loads.load import Load
 from ancfdae.model.point_mass import PointMass
 from ancfdae.model.scene_design import SCENE, SceneDesign
-from ancfdae.model.starts import AtRest, NodeState, RigidMotion, Start, checked_start
-from ancfdae.model.turning_frame import TurningFrame, require_frame
+from ancfdae.model.starts import EquilibriumStart, InitialVelocity, NodalState, Start, checked_start
+from ancfdae.model.turning_frame import RotatingFrame, require_frame
 
 
 @final
@@ -43,9 +49,9 @@ class Scene(SceneDesign):
     loads : sequence of Load
     gravity : sequence of float, optional
         Acceleration of gravity; m/s^2.
-    start : sequence of RigidMotion, NodeState or AtRest
+    start : sequence of InitialVelocity, NodalState or EquilibriumStart
         Initial motion; what is not named starts at rest in the reference configuration. With
-        `AtRest` everything starts from an equilibrium.
+        `EquilibriumStart` everything starts from an equilibrium.
     assemble : bool
         Whether bodies that do not meet their joints as declared are moved onto them by rigid
         motions, with the least rotations, instead of being refused; velocities likewise. Where the
@@ -57,14 +63,14 @@ class Scene(SceneDesign):
         norm of the mass matrix, which strains the bodies) instead of being refused; includes
         `assemble`.
     bodies : sequence of RigidBody or PointMass
-    frame : TurningFrame, optional
+    frame : RotatingFrame, optional
         The frame that all of this is declared in where it turns steadily; else it is at rest.
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If dimensions are mixed, names are duplicated, or a vector has the wrong size.
-    UnknownName
+    UnknownNameError
         If a joint or a start names a beam that does not exist.
     """
 
@@ -77,7 +83,7 @@ class Scene(SceneDesign):
     lead: Sequence[str] = ()
     project_start: bool = False
     bodies: Sequence[RigidBody | PointMass] = ()
-    frame: TurningFrame | None = None
+    frame: RotatingFrame | None = None
 
     design_fields = (("gravity", require_vector), ("frame", require_frame))
 
@@ -87,7 +93,9 @@ class Scene(SceneDesign):
         self._freeze("bodies", (RigidBody, PointMass), "Add a RigidBody.")
         self._freeze("joints", (Joint,), "Add a Pin.")
         self._freeze("loads", (Load,), "Add a PointForce.")
-        self._freeze("start", (RigidMotion, NodeState, AtRest), "Add a RigidMotion.")
+        self._freeze(
+            "start", (InitialVelocity, NodalState, EquilibriumStart), "Add a InitialVelocity."
+        )
         for name in ("assemble", "project_start"):
             require_flag(f"Scene.{name}", getattr(self, name))
         self._check_members()
@@ -115,7 +123,7 @@ class Scene(SceneDesign):
         )
 
     def at_rest(self) -> Scene | None:
-        """Return the scene whose equilibrium the motion starts from, None without `AtRest`."""
+        """Return the scene whose equilibrium the motion starts from, None without `EquilibriumStart`."""
         rest = self.rest
         if rest is None:
             return None
@@ -130,31 +138,31 @@ class Scene(SceneDesign):
         )
 
     def _freeze(self, name: str, kinds: tuple[type, ...], repair: str) -> None:
-        """Store a field as a tuple; raise InvalidInput for parts of none of the given classes."""
+        """Store a field as a tuple; raise InvalidInputError for parts of none of the given classes."""
         parts = require_sequence(f"Scene.{name}", getattr(self, name))
         for part in parts:
             require_kind(f"Scene.{name}", part, kinds, repair)
         object.__setattr__(self, name, parts)
 
     def _check_names(self) -> None:
-        """Raise InvalidInput if two parts have one name, or a beam has two starts."""
+        """Raise InvalidInputError if two parts have one name, or a beam has two starts."""
         rule, repair = "every part needs a name of its own", "Rename one of the two parts."
         require_unique("Scene.beams", rule, [beam.name for beam in self.beams], repair)
         require_unique("Scene.bodies", rule, [body.name for body in self.bodies], repair)
         require_unique("Scene.joints", rule, [joint.name for joint in self.joints], repair)
         require_unique("Scene", rule, [part.name for part in self._all_parts()], repair)
         if SCENE in (part.name for part in self._all_parts()):
-            raise InvalidInput("Scene", "'scene' names the scene itself", SCENE, repair)
+            raise InvalidInputError("Scene", "'scene' names the scene itself", SCENE, repair)
         rule, repair = "every beam and body starts once", "Keep one of them."
         require_unique("Scene.start", rule, [start.body for start in self.body_starts], repair)
 
     def _check_members(self) -> None:
         if not self.members:
             rule, repair = "needs at least one beam or rigid body", "Add a Beam or a RigidBody."
-            raise InvalidInput("Scene.beams and bodies", rule, "none", repair)
+            raise InvalidInputError("Scene.beams and bodies", rule, "none", repair)
         dimensions = {body.name: body.dimension for body in self.members}
         if len(set(dimensions.values())) > 1:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "Scene.beams and bodies",
                 "must be all planar or all spatial",
                 dimensions,
@@ -173,7 +181,7 @@ class Scene(SceneDesign):
             for point in part.points:
                 self._check_point(where, point)
 
-    def _check_point(self, where: str, point: Point) -> None:
+    def _check_point(self, where: str, point: MaterialPoint) -> None:
         """Refuse a point outside the sections of the element, or the two elements, it lies in.
 
         Points of rigid bodies may lie anywhere.
@@ -181,7 +189,7 @@ class Scene(SceneDesign):
         require_point(where, point, self.dimension)
         beam = named(f"{where}, beam", point.beam, self.members)
         if (point.fraction is None) != isinstance(beam, RigidBody):
-            raise InvalidInput(
+            raise InvalidInputError(
                 where,
                 "a point of a beam has a fraction, one of a rigid body a place x, y, z",
                 point,
@@ -196,26 +204,26 @@ class Scene(SceneDesign):
         require_in_section(where, point, beam.half_extents(np.flatnonzero(touched)))
 
     def _checked_start(self, start: Start) -> Start:
-        if isinstance(start, AtRest):
+        if isinstance(start, EquilibriumStart):
             return start
         body = self.member(start.body)
         return checked_start(start, body, self.dimension, self.kinks.get(body.name, ()))
 
     def _check_rest(self) -> None:
         """Refuse a start at rest that moves."""
-        rests = [start for start in self.start if isinstance(start, AtRest)]
+        rests = [start for start in self.start if isinstance(start, EquilibriumStart)]
         if not rests:
             return
         if rests[0].gravity is not None:
-            require_vector("AtRest.gravity", rests[0].gravity, (self.dimension,))
+            require_vector("EquilibriumStart.gravity", rests[0].gravity, (self.dimension,))
         starts = self.body_starts
-        moving = any(isinstance(s, RigidMotion) or s.velocities is not None for s in starts)
+        moving = any(isinstance(s, InitialVelocity) or s.velocities is not None for s in starts)
         if len(rests) > 1 or moving:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "Scene.start",
-                "AtRest stands alone or with node states without velocities",
+                "EquilibriumStart stands alone or with node states without velocities",
                 listed(type(start).__name__ for start in self.start),
-                "Leave out what moves; a NodeState tells where the search starts.",
+                "Leave out what moves; a NodalState tells where the search starts.",
             )
 
     def _check_assembly(self) -> None:
@@ -233,4 +241,4 @@ class Scene(SceneDesign):
                 circle = [body.name]
                 while (point := self.member(circle[-1]).attached) and point.beam not in circle:
                     circle.append(point.beam)
-                raise InvalidInput(f"start of {body.name!r}", rule, circle, repair)
+                raise InvalidInputError(f"start of {body.name!r}", rule, circle, repair)

@@ -9,22 +9,16 @@ from typing import Self, TypeAlias, TypeVar
 
 import numpy as np
 
-from ancfdae.errors import (
-    InvalidInput,
-    UnknownName,
-    named,
-    require_finite,
-    require_kind,
-    require_text,
-)
-from ancfdae.model.bodies import BeamBody, Point, Quantity, RigidBody
+from ancfdae.errors.checks import named, require_finite, require_kind, require_text
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
+from ancfdae.model.bodies import BeamBody, MaterialPoint, Quantity, RigidBody
 from ancfdae.model.design import Designable, DesignVariable, Target, parse_target
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.joints.joint import Joint
 from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import TARGETS, Elements, Normal, Part, on_ground, reference_place
 from ancfdae.model.point_mass import PointMass
-from ancfdae.model.starts import AtRest, NodeState, RigidMotion, Start
+from ancfdae.model.starts import EquilibriumStart, InitialVelocity, NodalState, Start
 from ancfdae.numerics.arrays import Array
 
 # Two targets hold the same value up to this relative difference: a length is summed from its n
@@ -65,21 +59,21 @@ class SceneDesign(Designable):
         return tuple(body for body in self.bodies if isinstance(body, PointMass))
 
     @property
-    def rest(self) -> AtRest | None:
-        """The `AtRest` of the scene; None if it does not start from an equilibrium."""
-        return next((start for start in self.start if isinstance(start, AtRest)), None)
+    def rest(self) -> EquilibriumStart | None:
+        """The `EquilibriumStart` of the scene; None if it does not start from an equilibrium."""
+        return next((start for start in self.start if isinstance(start, EquilibriumStart)), None)
 
     @property
-    def body_starts(self) -> list[RigidMotion | NodeState]:
-        """Starts that belong to one body each, without `AtRest`."""
-        return [start for start in self.start if not isinstance(start, AtRest)]
+    def body_starts(self) -> list[InitialVelocity | NodalState]:
+        """Starts that belong to one body each, without `EquilibriumStart`."""
+        return [start for start in self.start if not isinstance(start, EquilibriumStart)]
 
     def beam(self, name: str) -> BeamBody:
-        """Return the beam of this name, or raise UnknownName."""
+        """Return the beam of this name, or raise UnknownNameError."""
         return named("beam", name, self.beams)
 
     def member(self, name: str) -> BeamBody | RigidBody:
-        """Return the beam or rigid body of this name, or raise UnknownName."""
+        """Return the beam or rigid body of this name, or raise UnknownNameError."""
         require_text("beam or body", name)
         return self._members.get(name) or named("beam or body", name, self.members)
 
@@ -128,7 +122,7 @@ class SceneDesign(Designable):
         return {part.name: part for part in parts}
 
     @cached_property
-    def start_of(self) -> dict[str, RigidMotion | NodeState]:
+    def start_of(self) -> dict[str, InitialVelocity | NodalState]:
         """How bodies start that do not start from rest in the reference configuration, by name."""
         return {start.body: start for start in self.body_starts}
 
@@ -143,7 +137,7 @@ class SceneDesign(Designable):
         same, of joints, loads and point masses their parameters and the places of their points,
         then the ground where it was left out; of the owner ``"scene"`` gravity.
 
-        Raises UnknownName.
+        Raises UnknownNameError.
         """
         require_text("owner", owner)
         if owner == SCENE:
@@ -153,9 +147,9 @@ class SceneDesign(Designable):
             numbers = part.parameters() | part.point_numbers()
             return numbers | on_ground(part, self.member).parameters()
         if part is None and owner not in (beam.name for beam in self.beams):
-            raise UnknownName("beam, body, joint or load", owner, self.owners())
+            raise UnknownNameError("beam, body, joint or load", owner, self.owners())
         start = self.start_of.get(owner)
-        motion = start.parameters() if isinstance(start, RigidMotion) else {}
+        motion = start.parameters() if isinstance(start, InitialVelocity) else {}
         numbers = {} if part is None else part.parameters()
         return numbers | self.member(owner).placement() | motion
 
@@ -170,13 +164,13 @@ class SceneDesign(Designable):
             beams = (beam for beam in self.beams if beam.name == target.owner)
             names = [name for beam in beams for name in beam.parameter_names()]
             known = [f"{target.owner}.{name}" for name in (*names, *numbers)]
-            raise UnknownName("design target", str(target), known)
+            raise UnknownNameError("design target", str(target), known)
         part = self.parts().get(target.owner)
         if isinstance(part, Part):
             self._check_point_target(part, target)
         return target
 
-    def place_of(self, point: Point) -> Array:
+    def place_of(self, point: MaterialPoint) -> Array:
         """Return where a point stands in the reference configuration as declared, shape (d,)."""
         return reference_place(point, self.member)
 
@@ -209,8 +203,8 @@ class SceneDesign(Designable):
     def with_values(self, values: Mapping[str | DesignVariable, float]) -> Self:
         """Return the same scene with other parameter values.
 
-        InvalidInput, UnknownName naming the variable or target whose value a part cannot take, such
-        as a negative height.
+        InvalidInputError, UnknownNameError naming the variable or target whose value a part cannot
+        take, such as a negative height.
 
         Parameters
         ----------
@@ -241,7 +235,7 @@ class SceneDesign(Designable):
         for owner, changes in changes_of.items():
             part = self._members.get(owner) or self.parts().get(owner)
             start = self.start_of.get(owner)
-            known = start.parameters() if isinstance(start, RigidMotion) else ()
+            known = start.parameters() if isinstance(start, InitialVelocity) else ()
             started = any(target.parameter in known for _, target, _ in changes)
             if part is None or started or not _fits_alike(part, _with_values(part, changes)):
                 self.with_values(values)
@@ -268,7 +262,7 @@ class SceneDesign(Designable):
         parts = {part.name: part for part in self._all_parts()}
         starts = list(self.start)
         for k, start in enumerate(starts):
-            if isinstance(start, RigidMotion) and start.body in changes_of:
+            if isinstance(start, InitialVelocity) and start.body in changes_of:
                 known = start.parameters()
                 moving = [c for c in changes_of[start.body] if c[1].parameter in known]
                 starts[k] = _with_numbers(start, moving)
@@ -286,14 +280,16 @@ class SceneDesign(Designable):
             bodies=tuple(p for p in parts.values() if isinstance(p, RigidBody | PointMass)),
             joints=tuple(part for part in parts.values() if isinstance(part, Joint)),
             loads=tuple(loads[: len(self.loads)]),
-            start=tuple(s.with_loads(loads) if isinstance(s, AtRest) else s for s in starts),
+            start=tuple(
+                s.with_loads(loads) if isinstance(s, EquilibriumStart) else s for s in starts
+            ),
             assemble=True,
         )
 
     def value(self, variable: DesignVariable) -> float:
         """Return the current value of a design variable.
 
-        InvalidInput if its targets hold different values, so that it has no single one.
+        InvalidInputError if its targets hold different values, so that it has no single one.
         """
         require_kind("value, variable", variable, (DesignVariable,), "Give a DesignVariable.")
         if variable.shares:
@@ -301,7 +297,7 @@ class SceneDesign(Designable):
             return self._single(first) / variable.factor(first)
         values = [value for text in variable.targets for value in self._held(text)]
         if _differ(values):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"design variable {variable.name!r}",
                 "all its targets must hold one and the same value",
                 sorted(set(values)),
@@ -320,8 +316,8 @@ class SceneDesign(Designable):
         held = self._held(text)
         if _differ(held):
             rule = "elements that one variable changes must have one value"
-            repair = "Name the elements, as in 'rod.height[2]', or use `distribution`."
-            raise InvalidInput(f"design target {text}", rule, sorted(set(held)), repair)
+            repair = "Name the elements, as in 'rod.height[2]', or use `distributed_variables`."
+            raise InvalidInputError(f"design target {text}", rule, sorted(set(held)), repair)
         return held[0]
 
     def _held(self, text: str) -> list[float]:
@@ -338,7 +334,7 @@ class SceneDesign(Designable):
     def target_elements(self, target: Target) -> Array:
         """Return the scene-wide numbers of the elements that a target writes to.
 
-        Raises InvalidInput, UnknownName.
+        Raises InvalidInputError, UnknownNameError.
         """
         beam = self.beam(target.owner)
         beam.check_target(target.parameter, target.element)
@@ -373,7 +369,9 @@ class SceneDesign(Designable):
             axes = "xyz"[: element.d] if point.fraction is None else "yz"[: element.n_s - 2]
             if coordinate not in axes:
                 rule = f"points of {point.beam!r} move along {' and '.join(axes) or 'it'} only"
-                raise InvalidInput(where, rule, coordinate, "Remove this variable from `design`.")
+                raise InvalidInputError(
+                    where, rule, coordinate, "Remove this variable from `design`."
+                )
             return
         nodes = self.beam(point.beam).reference().fractions
         at_node = bool(np.any(np.abs(nodes - point.fraction) < 1e-9))
@@ -383,7 +381,7 @@ class SceneDesign(Designable):
             for vector in part.vectors(self.elements)
         )
         if point.fraction in (0.0, 1.0) or (at_node and (slopes or element.can_kink)):
-            raise InvalidInput(
+            raise InvalidInputError(
                 where,
                 "the point must lie inside an element, to move both ways"
                 if point.fraction in (0.0, 1.0)
@@ -410,11 +408,11 @@ def _with_values(part: _Part, changes: list[_Change]) -> _Part:
             part = part.with_placement(moved) if moved else part
             changes = [change for change in changes if change[1].parameter not in placement]
         return _with_numbers(part, changes)
-    except InvalidInput as error:
+    except InvalidInputError as error:
         # The one that the error speaks of, or all that do not fit together.
         named = [c for c in changes if error.where.endswith(f".{c[1].parameter}")] or changes
         where = ", ".join(dict.fromkeys(change[0] for change in named))
-        raise InvalidInput(where, error.rule, error.got, error.repair) from error
+        raise InvalidInputError(where, error.rule, error.got, error.repair) from error
 
 
 def _fits_alike(part: _Part, changed: _Part) -> bool:

@@ -8,14 +8,14 @@ from typing import ClassVar, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.errors import (
-    InvalidInput,
+from ancfdae.errors.checks import (
     require_array,
     require_axial,
     require_each,
     require_text,
     require_vector,
 )
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.model.design import Designable
 from ancfdae.model.loads.load import Load
@@ -24,7 +24,7 @@ from ancfdae.numerics.arrays import Array
 
 @final
 @dataclass(frozen=True)
-class RigidMotion(Designable):
+class InitialVelocity(Designable):
     """Initial velocity of a beam or a rigid body: a rigid-body motion.
 
     v = velocity + angular_velocity x (r - about); slopes turn with it. Design targets, under the
@@ -56,13 +56,13 @@ class RigidMotion(Designable):
     vector_words: ClassVar[Mapping[str, str]] = {"angular_velocity": "angular_velocity"}
 
     def __post_init__(self) -> None:
-        require_text("RigidMotion.body", self.body)
+        require_text("InitialVelocity.body", self.body)
         self.check_fields(f"start of {self.body!r}")
 
 
 @final
 @dataclass(frozen=True)
-class NodeState:
+class NodalState:
     """Initial coordinates and velocities of a beam that is not rigid, node by node.
 
     Parameters
@@ -84,10 +84,10 @@ class NodeState:
 
 @final
 @dataclass(frozen=True)
-class AtRest:
+class EquilibriumStart:
     """Start from an equilibrium: a mechanism that hangs, or is pre-stressed, at rest.
 
-    The search for it starts from the reference configuration, or from the `NodeState` of a beam.
+    The search for it starts from the reference configuration, or from the `NodalState` of a beam.
     Its derivatives with respect to the design are part of those of the motion. A start in an
     unstable equilibrium is warned of (`StabilityWarning`).
 
@@ -106,12 +106,12 @@ class AtRest:
     def __post_init__(self) -> None:
         """Check the loads and store them as a tuple."""
         if self.loads is not None:
-            loads = require_each("AtRest.loads", self.loads, (Load,), "Add a PointForce.")
+            loads = require_each("EquilibriumStart.loads", self.loads, (Load,), "Add a PointForce.")
             object.__setattr__(self, "loads", loads)
         if self.gravity is not None:
-            require_vector("AtRest.gravity", self.gravity)
+            require_vector("EquilibriumStart.gravity", self.gravity)
 
-    def with_loads(self, changed: Sequence[Load]) -> AtRest:
+    def with_loads(self, changed: Sequence[Load]) -> EquilibriumStart:
         """Return the start with the loads of the same names among those given."""
         if self.loads is None:
             return self
@@ -119,27 +119,27 @@ class AtRest:
         return replace(self, loads=tuple(by_name[load.name] for load in self.loads))
 
 
-Start: TypeAlias = RigidMotion | NodeState | AtRest
+Start: TypeAlias = InitialVelocity | NodalState | EquilibriumStart
 
 
 def checked_start(
-    start: RigidMotion | NodeState, beam: BeamBody | RigidBody, d: int, kinks: tuple[int, ...]
-) -> RigidMotion | NodeState:
+    start: InitialVelocity | NodalState, beam: BeamBody | RigidBody, d: int, kinks: tuple[int, ...]
+) -> InitialVelocity | NodalState:
     """Return a start, of a beam with kinks at these nodes, with its arrays as such.
 
-    InvalidInput if vectors have another size, a rigid body has states of nodes, or elements do not
-    meet.
+    InvalidInputError if vectors have another size, a rigid body has states of nodes, or elements do
+    not meet.
     """
     where = f"start of {beam.name!r}"
-    if isinstance(start, RigidMotion):
+    if isinstance(start, InitialVelocity):
         require_vector(f"{where}, about", start.about, (d,))
         if start.velocity is not None:
             require_vector(f"{where}, velocity", start.velocity, (d,))
         require_axial(f"{where}, angular_velocity", start.angular_velocity, d)
         return start
     if isinstance(beam, RigidBody) or beam.rigid:
-        rule, repair = "a rigid body has no nodes", "Give it a RigidMotion."
-        raise InvalidInput(where, rule, "a NodeState", repair)
+        rule, repair = "a rigid body has no nodes", "Give it a InitialVelocity."
+        raise InvalidInputError(where, rule, "a NodalState", repair)
     coordinates = _of_nodes(f"{where}, coordinates", start.coordinates, beam, kinks)
     _require_sections(f"{where}, coordinates", coordinates)
     velocities = None
@@ -157,7 +157,7 @@ def _of_nodes(where: str, given: Array, beam: BeamBody, kinks: tuple[int, ...]) 
     differ = np.any(ends[:-1, 1] != ends[1:, 0], axis=-1)
     differ[np.array(kinks, dtype=np.int64) - 1, Quantity.SLOPE_X] = False
     if np.any(differ):
-        raise InvalidInput(
+        raise InvalidInputError(
             where,
             "elements must meet with the same vectors, except the slope along the beam at kinks",
             f"others at node {1 + int(np.argmax(np.any(differ, axis=1)))}",
@@ -175,7 +175,7 @@ def _require_sections(where: str, coordinates: Array) -> None:
         # Round-off of a determinant is some 1e-16 of the product of the sizes.
         flat |= np.linalg.det(slopes) <= 1e-12 * np.prod(sizes, axis=-1)
     if np.any(flat):
-        raise InvalidInput(
+        raise InvalidInputError(
             where,
             "slopes must span the body with the turning sense of the axes",
             f"{slopes[flat][0].tolist()} at node {np.argwhere(flat)[0].sum()}",

@@ -6,13 +6,8 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import (
-    InvalidInput,
-    require_direction,
-    require_finite,
-    require_kind,
-    require_vector,
-)
+from ancfdae.errors.checks import require_direction, require_finite, require_kind, require_vector
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.design import Designable
 from ancfdae.numerics.arrays import Array, Numbers
 
@@ -22,7 +17,7 @@ _ACROSS = 1e-12
 
 @final
 @dataclass(frozen=True)
-class TurningFrame(Designable):
+class RotatingFrame(Designable):
     """The frame of a scene that turns steadily about a fixed axis: blades, shafts, discs.
 
     All of the scene is declared in it and turns with it: ground, directions of forces, dampers to
@@ -51,25 +46,25 @@ class TurningFrame(Designable):
     )
 
     def __post_init__(self) -> None:
-        self.check_fields("TurningFrame")
+        self.check_fields("RotatingFrame")
 
     def check(self, dimension: int, gravity: Numbers | None) -> None:
         """Refuse vectors of another space, and gravity that turns in the frame."""
         if self.axis is not None:
-            require_vector("TurningFrame.axis, which is for space", self.axis, (3,))
+            require_vector("RotatingFrame.axis, which is for space", self.axis, (3,))
             if dimension == 2:
                 rule, repair = "must be left out in the plane", "A plane turns about z."
-                raise InvalidInput("TurningFrame.axis", rule, self.axis, repair)
+                raise InvalidInputError("RotatingFrame.axis", rule, self.axis, repair)
         if self.through is not None:
-            require_vector("TurningFrame.through", self.through, (dimension,))
+            require_vector("RotatingFrame.through", self.through, (dimension,))
         g = np.zeros(dimension) if gravity is None else np.array(gravity, dtype=float)
         across = self.turn(np.array(list(self.parameters().values())), dimension)[1] @ g
         if np.linalg.norm(across) > _ACROSS * np.linalg.norm(g):
-            raise InvalidInput(
+            raise InvalidInputError(
                 "Scene.gravity",
                 "must act along the axis of the turning frame: across it, it turns there",
                 g.tolist(),
-                "Leave gravity out, or simulate the scene with a Drive in a frame at rest.",
+                "Leave gravity out, or simulate the scene with a RotationDriver in a frame at rest.",
             )
 
     def turn(self, p: Array, dimension: int) -> tuple[Array, Array, Array]:
@@ -83,5 +78,5 @@ class TurningFrame(Designable):
 
 
 def require_frame(where: str, value: object) -> None:
-    """Raise InvalidInput unless `value` is a `TurningFrame`."""
-    require_kind(where, value, (TurningFrame,), "For example TurningFrame(rate=10).")
+    """Raise InvalidInputError unless `value` is a `RotatingFrame`."""
+    require_kind(where, value, (RotatingFrame,), "For example RotatingFrame(rate=10).")

@@ -11,7 +11,7 @@ from typing import TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import Direction
+from ancfdae.equations import StateDirection
 from ancfdae.equations.held import held_pull_back, held_q
 from ancfdae.equations.system import constraint_q_along
 from ancfdae.modes.linearised import Linearised, split
@@ -43,14 +43,14 @@ class Transposed:
     def _stiffness(self, y: Array, x: Array) -> Array:
         """Pull back y^T K x."""
         still = np.zeros(self.small.system.n_q)
-        return self._along(y, Direction(0.0, x, still))
+        return self._along(y, StateDirection(0.0, x, still))
 
     def _damping(self, y: Array, x: Array) -> Array:
         """Pull back y^T D x."""
         still = np.zeros(self.small.system.n_q)
-        return self._along(y, Direction(0.0, still, x))
+        return self._along(y, StateDirection(0.0, still, x))
 
-    def _along(self, y: Array, direction: Direction) -> Array:
+    def _along(self, y: Array, direction: StateDirection) -> Array:
         system, at = self.small.system, self.small.at
         still = np.zeros(system.n_q)
         states = at.q, still, still, at.lam

@@ -4,11 +4,11 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.modes.adjoint import PullBack
-from ancfdae.modes.configuration import Configuration
+from ancfdae.modes.configuration import LinearisationPoint
 from ancfdae.modes.derivatives import differentiate, differentiate_back
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.pairs import coincident
-from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind
+from ancfdae.modes.result import ModeDerivatives, ModeKind, Modes
 from ancfdae.modes.solver import GROUP, solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
@@ -17,14 +17,14 @@ from ancfdae.statics.outcome import motions_in_words
 
 def modes_about(
     system: MechanicalSystem,
-    at: Configuration,
+    at: LinearisationPoint,
     count: int,
     highest: bool,
     damped: bool | None,
     pull_back: PullBack | None,
     saddle: SaddlePoint | None,
 ) -> Modes:
-    """Return modes about a configuration; InvalidInput if it does not fit, or without inertia.
+    """Return modes about a configuration; InvalidInputError if it does not fit, or without inertia.
 
     Velocity forces count if `damped`, by default if there are any. `pull_back` takes derivatives in
     q, lam and b back to the design; without it they go forward, along those of the configuration.
@@ -76,9 +76,9 @@ def _exponents_b(small: Linearised, s: Array, z_b: Array) -> Array:
     return np.where(infinite, np.inf, np.where(s == 0, 0.0, s_b))
 
 
-def _kind(s: complex) -> MotionKind:
+def _kind(s: complex) -> ModeKind:
     if s == 0:
-        return MotionKind.RIGID
+        return ModeKind.RIGID
     if s.real > 0:
-        return MotionKind.GROWING
-    return MotionKind.VIBRATION if s.imag else MotionKind.DECAYING
+        return ModeKind.GROWING
+    return ModeKind.VIBRATION if s.imag else ModeKind.DECAYING

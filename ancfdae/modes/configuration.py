@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.equations import MechanicalSystem, Solution
-from ancfdae.errors import InvalidInput, require_array
+from ancfdae.errors.checks import require_array
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 
 
 @final
 @dataclass(frozen=True)
-class Configuration:
+class LinearisationPoint:
     """Coordinates and multipliers at rest.
 
     Attributes
@@ -38,10 +39,10 @@ class Configuration:
 
     def __repr__(self) -> str:
         sizes = f"{len(self.q)} coordinates, {len(self.lam)} multipliers"
-        return f"Configuration: {sizes}, t = {self.t:.6g}"
+        return f"LinearisationPoint: {sizes}, t = {self.t:.6g}"
 
     @staticmethod
-    def of(solution: Solution, instant: int = -1) -> Configuration:
+    def of(solution: Solution, instant: int = -1) -> LinearisationPoint:
         """Return an instant of a run, with its derivatives if the run has them.
 
         Parameters
@@ -52,16 +53,16 @@ class Configuration:
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If the run has fewer than `instant` + 1 states.
         """
         count = len(solution.t)
         if not -count <= instant < count:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "instant", f"must lie in 0 to {count - 1}", instant, "-1 is the last."
             )
         sensitivities = solution.sensitivities
-        return Configuration(
+        return LinearisationPoint(
             solution.q[instant],
             solution.lam[instant],
             None if sensitivities is None else sensitivities.q_b[instant],
@@ -72,11 +73,11 @@ class Configuration:
 
     def check(self, system: MechanicalSystem) -> None:
         """Refuse other shapes than those of a system, and values that are not finite."""
-        require_array("Configuration.q", self.q, (system.n_q,))
-        require_array("Configuration.lam", self.lam, (system.n_lam,))
+        require_array("LinearisationPoint.q", self.q, (system.n_q,))
+        require_array("LinearisationPoint.lam", self.lam, (system.n_lam,))
         if self.q_b is not None:
-            require_array("Configuration.q_b", self.q_b, (system.n_q, system.n_b))
+            require_array("LinearisationPoint.q_b", self.q_b, (system.n_q, system.n_b))
         if self.lam_b is not None:
-            require_array("Configuration.lam_b", self.lam_b, (system.n_lam, system.n_b))
+            require_array("LinearisationPoint.lam_b", self.lam_b, (system.n_lam, system.n_b))
         if self.v is not None:
-            require_array("Configuration.v", self.v, (system.n_q,))
+            require_array("LinearisationPoint.v", self.v, (system.n_q,))

@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 import scipy
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.rigid import undamped_part
 from ancfdae.numerics.arrays import Array
@@ -137,7 +137,7 @@ class _Within:
 def _cholesky(M: Array) -> Array:
     L, failed = scipy.linalg.lapack.dpotrf(M, lower=True)
     if failed:
-        raise InvalidInput(
+        raise InvalidInputError(
             "mass matrix",
             "must give inertia to every motion that the joints leave",
             "a motion without inertia",

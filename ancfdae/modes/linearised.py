@@ -20,9 +20,9 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.errors import InvalidInput, SingularMatrix
+from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
 from ancfdae.kernels import norm
-from ancfdae.modes.configuration import Configuration
+from ancfdae.modes.configuration import LinearisationPoint
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.statics.balance import Balance
@@ -42,7 +42,7 @@ class Linearised:
     """
 
     system: MechanicalSystem
-    at: Configuration
+    at: LinearisationPoint
     q_b: Array
     lam_b: Array
     M: Array
@@ -54,16 +54,16 @@ class Linearised:
     @staticmethod
     def of(
         system: MechanicalSystem,
-        at: Configuration,
+        at: LinearisationPoint,
         damped: bool | None,
         saddle: SaddlePoint | None = None,
     ) -> Linearised:
         """Linearise about a configuration; velocity forces count by default if there are any.
 
-        Saddle-point matrices that are not given are made; RedundantConstraints if Phi_q has
+        Saddle-point matrices that are not given are made; RedundantConstraintsError if Phi_q has
         dependent rows.
 
-        InvalidInput if the configuration does not fit the system or a matrix is not finite.
+        InvalidInputError if the configuration does not fit the system or a matrix is not finite.
         """
         at.check(system)
         _refuse_motion(system, at)
@@ -78,7 +78,7 @@ class Linearised:
             D = None
         matrices = (linearisation.M[0], linearisation.f_q[0], linearisation.Phi_q[0])
         if not all(np.all(np.isfinite(x)) for x in matrices):
-            raise InvalidInput(
+            raise InvalidInputError(
                 "configuration",
                 "must have finite mass, stiffness and constraints",
                 "NaN or infinity",
@@ -217,7 +217,7 @@ class Linearised:
 _AT_REST = 1e-6
 
 
-def _refuse_motion(system: MechanicalSystem, at: Configuration) -> None:
+def _refuse_motion(system: MechanicalSystem, at: LinearisationPoint) -> None:
     """Refuse a state that turns: M v^2/|q| is a force there, and its change a stiffness."""
     if at.v is None or not np.any(at.v):
         return
@@ -227,13 +227,13 @@ def _refuse_motion(system: MechanicalSystem, at: Configuration) -> None:
     forces += norm(reaction(system, at.t, at.q, at.lam), inverse)
     turning = norm(at.v, system.weights) ** 2 / (norm(at.q, system.weights) or 1.0)
     if turning > _AT_REST * forces:
-        raise InvalidInput(
+        raise InvalidInputError(
             "modes, at",
             "must be a state at rest: centrifugal and Coriolis forces are not in these modes",
             f"an instant at t = {at.t:.6g} whose motion takes {turning / (forces or 1.0):.2g} of "
             "all forces",
             "Pass at=equilibrium(...), or an instant at which it has come to rest; for vibrations "
-            "about a steady rotation declare the scene in a TurningFrame.",
+            "about a steady rotation declare the scene in a RotatingFrame.",
         )
 
 

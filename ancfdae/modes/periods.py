@@ -7,8 +7,9 @@ import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem, Solution, reaction
-from ancfdae.errors import AncfdaeError, InvalidInput, Verdict
-from ancfdae.modes.configuration import Configuration
+from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
+from ancfdae.errors.outcomes import Verdict
+from ancfdae.modes.configuration import LinearisationPoint
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.solver import solve
 from ancfdae.numerics.arrays import STEP, Array
@@ -46,7 +47,7 @@ class StepSuggestion:
 
 
 def suggestion(
-    system: MechanicalSystem, at: Configuration, per_period: float, follow: int | None
+    system: MechanicalSystem, at: LinearisationPoint, per_period: float, follow: int | None
 ) -> StepSuggestion:
     """Return a step that follows the slowest `follow` motions, or all; see `suggest_step`."""
     small = Linearised.of(system, at, False)
@@ -59,7 +60,7 @@ def suggestion(
     )
 
 
-def fastest(system: MechanicalSystem, at: Configuration) -> float:
+def fastest(system: MechanicalSystem, at: LinearisationPoint) -> float:
     """Return the largest |s| of small motions x e^{st}, or one near it with damping; 1/s.
 
     Of the fastest undamped motion x, s^2 + (x^T D x) s + omega^2 = 0.
@@ -89,7 +90,7 @@ def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
         return ""
     try:
         with np.errstate(all="ignore"):
-            near = suggestion(system, Configuration(q, lam, t=t), 1.0, None)
+            near = suggestion(system, LinearisationPoint(q, lam, t=t), 1.0, None)
     except (AncfdaeError, scipy.linalg.LinAlgError):
         return ""
     return (
@@ -148,7 +149,7 @@ def _speeds(small: Linearised, count: int, highest: bool, turning: float) -> Arr
     if not len(speeds) and turning:
         return np.array([turning])
     if not len(speeds):
-        raise InvalidInput(
+        raise InvalidInputError(
             "suggest_step",
             "needs a motion that vibrates",
             "rigid motions only",

@@ -23,7 +23,7 @@ import scipy
 from ancfdae.equations import reaction
 from ancfdae.equations.held import held_q
 from ancfdae.equations.saddle_points import solve
-from ancfdae.errors import AncfdaeError, SingularMatrix
+from ancfdae.errors.kinds import AncfdaeError, SingularMatrix
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.modes.rigid import distinct
 from ancfdae.numerics.arrays import STEP, Array

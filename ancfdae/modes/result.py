@@ -6,13 +6,14 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_index
+from ancfdae.errors.checks import require_index
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import columns, listed
-from ancfdae.modes.configuration import Configuration
+from ancfdae.modes.configuration import LinearisationPoint
 from ancfdae.numerics.arrays import Array
 
 
-class MotionKind(Enum):
+class ModeKind(Enum):
     """Kind of a mode; the value is the word shown to a reader."""
 
     RIGID = "free to move"
@@ -61,13 +62,13 @@ class Modes:
         Complex with damping.
     multipliers : array, shape (n_lam, count)
         Multipliers mu of the shapes, in their unit; columns as those of `shapes`.
-    kinds : tuple of MotionKind
+    kinds : tuple of ModeKind
     coincide : tuple of tuple of int
         Modes that round-off does not separate, in groups of two or more.
     cut : tuple of int
         Modes that coincide with others that were not asked for, of a group that would add more
         than eight modes; else empty.
-    configuration : Configuration
+    configuration : LinearisationPoint
     unbalanced : float
         Unbalanced force relative to all forces; zero in an equilibrium.
     free : str
@@ -79,10 +80,10 @@ class Modes:
     exponents: Array
     shapes: Array
     multipliers: Array
-    kinds: tuple[MotionKind, ...]
+    kinds: tuple[ModeKind, ...]
     coincide: tuple[tuple[int, ...], ...]
     cut: tuple[int, ...]
-    configuration: Configuration
+    configuration: LinearisationPoint
     unbalanced: float
     free: str
     derivatives: ModeDerivatives | None = None
@@ -109,7 +110,7 @@ class Modes:
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If there are no design variables.
         """
         return self._known().exponents_b.imag
@@ -118,7 +119,8 @@ class Modes:
     def natural_frequencies_b(self) -> Array:
         """Design derivatives of `natural_frequencies`, shape (count, n_b).
 
-        In rad/s per unit of the variable. Raises InvalidInput if there are no design variables.
+        In rad/s per unit of the variable. Raises InvalidInputError if there are no design
+        variables.
         """
         s, size = self.exponents[:, None], np.abs(self.exponents)[:, None]
         change = np.real(np.conj(s) * self._known().exponents_b)
@@ -137,7 +139,7 @@ class Modes:
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If there are no design variables, the mode coincides with others, or the derivatives
             are adjoint.
         """
@@ -149,11 +151,14 @@ class Modes:
         where = f"derivative of the shape of mode {mode}"
         others = next((group for group in self.coincide if mode in group), None)
         if others is None and mode not in self.cut:
-            raise InvalidInput(
-                where, "must come from direct differentiation", "an adjoint", "Use method=Direct()."
+            raise InvalidInputError(
+                where,
+                "must come from direct differentiation",
+                "an adjoint",
+                "Use method=DirectDifferentiation().",
             )
         more = " with others that were not asked for" if mode in self.cut else ""
-        raise InvalidInput(
+        raise InvalidInputError(
             where,
             "needs a mode that is alone at its frequency",
             f"modes {', '.join(map(str, others or self.cut))} that coincide{more}",
@@ -162,7 +167,7 @@ class Modes:
 
     def _known(self) -> ModeDerivatives:
         if self.derivatives is None:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "derivatives of modes",
                 "need design variables",
                 "none",
@@ -175,7 +180,7 @@ class Modes:
         ratios = self.damping_ratios
         for j, kind in enumerate(self.kinds):
             value = self.exponents[j]
-            size = abs(value.real) if kind is MotionKind.GROWING and not value.imag else abs(value)
+            size = abs(value.real) if kind is ModeKind.GROWING and not value.imag else abs(value)
             rows.append([str(j), f"{size:.6g}", f"{ratios[j]:.3g}", kind.value])
         where = "an equilibrium"
         if self.unbalanced > _BALANCED:

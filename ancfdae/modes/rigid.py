@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.modes.linearised import EPS, Linearised
 from ancfdae.modes.precise import ALLOWED
 from ancfdae.numerics.arrays import Array

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.modes.damped import damped
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.pairs import Eigenpairs, coincident
@@ -22,12 +22,12 @@ def solve(small: Linearised, count: int, highest: bool, whole: bool = False) -> 
     """Return the lowest modes, growing ones first, or the highest, by falling frequency.
 
     A group of modes that coincide has all of them if it is asked for `whole`, or ends within GROUP
-    modes more. InvalidInput if nothing can move, or a motion has no inertia; NoModes if ARPACK
+    modes more. InvalidInputError if nothing can move, or a motion has no inertia; NoModes if ARPACK
     finds none, or the end of a whole group is more than _CROWD modes away.
     """
     asked, n = min(count, small.n_modes), small.n_modes
     if n <= 0:
-        raise InvalidInput(
+        raise InvalidInputError(
             "modes", "need a motion that the joints leave free", "none", "Remove a joint or clamp."
         )
     wanted = min(asked + 2, n)

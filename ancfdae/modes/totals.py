@@ -9,7 +9,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.equations import Direction
+from ancfdae.equations import StateDirection
 from ancfdae.equations.held import held_total
 from ancfdae.modes.linearised import Linearised, split
 from ancfdae.numerics.arrays import Array
@@ -25,14 +25,14 @@ class Totals:
     def stiffness(self, x: Array) -> Array:
         """Return the derivative of K x, shape (n_q, n_b)."""
         still = np.zeros(self.small.system.n_q)
-        return split(lambda x: self._along(Direction(0.0, x, still)), x)
+        return split(lambda x: self._along(StateDirection(0.0, x, still)), x)
 
     def damping(self, x: Array) -> Array:
         """Return the derivative of D x, shape (n_q, n_b)."""
         still = np.zeros(self.small.system.n_q)
-        return split(lambda x: self._along(Direction(0.0, still, x)), x)
+        return split(lambda x: self._along(StateDirection(0.0, still, x)), x)
 
-    def _along(self, direction: Direction) -> Array:
+    def _along(self, direction: StateDirection) -> Array:
         small, at = self.small, self.small.at
         still, held = np.zeros(small.system.n_q), np.zeros_like(small.q_b)
         states, states_b = (at.q, still, still, at.lam), (small.q_b, held, held, small.lam_b)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 
 #: Exceptions of functions that cannot work on a complex array, or on a jet.
@@ -44,8 +44,8 @@ def require_derivative(
         raise _unsafe(where, "a complex step that differs from the finite difference")
 
 
-def _unsafe(where: str, got: str) -> InvalidInput:
-    return InvalidInput(
+def _unsafe(where: str, got: str) -> InvalidInputError:
+    return InvalidInputError(
         where,
         "must be differentiable by a complex step",
         got,

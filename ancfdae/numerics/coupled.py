@@ -12,7 +12,7 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
 @final
@@ -49,8 +49,8 @@ class CoupledSaddlePoints:
     def __init__(
         self,
         copies: int,
-        K: Pattern,
-        B: Pattern,
+        K: SparsityPattern,
+        B: SparsityPattern,
         weights: Array,
         constraint_values: Array,
         order: Array | None = None,
@@ -59,11 +59,11 @@ class CoupledSaddlePoints:
         self._n = n
         i, j = np.indices((copies, copies)).reshape(2, -1, 1)
         rows, columns = K.rows.astype(int) + n * i, K.columns.astype(int) + n * j
-        pattern = Pattern((copies * n, copies * n), rows.ravel(), columns.ravel())
+        pattern = SparsityPattern((copies * n, copies * n), rows.ravel(), columns.ravel())
         self._places = pattern.index(rows, columns)
         copy = np.arange(copies)[:, None]
         B_rows, B_columns = B.rows.astype(int) + m * copy, B.columns.astype(int) + n * copy
-        constraints = Pattern((copies * m, copies * n), B_rows.ravel(), B_columns.ravel())
+        constraints = SparsityPattern((copies * m, copies * n), B_rows.ravel(), B_columns.ravel())
         scales = np.tile(weights, copies), np.tile(constraint_values, copies)
         if order is not None:
             place, copy = order[:, None], np.arange(copies)

@@ -20,7 +20,7 @@ import scipy
 
 from ancfdae.kernels import FrontArrays, eliminate, fronts_factor, fronts_solve
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 # Terms of a sum of matrices: numbers and values on the pattern.
 Terms: TypeAlias = tuple[tuple[float, Array], ...]
@@ -42,7 +42,7 @@ class Fronts:
     less work than minimum degree.
     """
 
-    def __init__(self, K: Pattern, B: Pattern) -> None:
+    def __init__(self, K: SparsityPattern, B: SparsityPattern) -> None:
         n, m = K.shape[0], B.shape[0]
         # All entries below the diagonal of either triangle, and the diagonals of multipliers.
         multipliers = n + np.arange(m)

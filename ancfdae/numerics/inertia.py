@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 _EPS = float(np.finfo(float).eps)
 # Bounds that are tried, each 16 times the last one, from the round-off of K on.
@@ -54,7 +54,7 @@ class ConstrainedPattern:
     The order, (n + m,), has every multiplier behind a coordinate of its own constraint.
     """
 
-    def __init__(self, K: Pattern, B: Pattern, order: Array) -> None:
+    def __init__(self, K: SparsityPattern, B: SparsityPattern, order: Array) -> None:
         n, size = K.shape[0], len(order)
         self.K, self.B, self.size = K, B, size
         self.place = np.empty(size, dtype=np.int64)
@@ -87,7 +87,7 @@ class ConstrainedPattern:
         return ConstrainedMatrix(self, K, B / np.where(length > 0, length, 1.0)[self.B.rows])
 
 
-def _pairs(B: Pattern) -> tuple[Array, Array]:
+def _pairs(B: SparsityPattern) -> tuple[Array, Array]:
     """Return all pairs of entries that stand in one row."""
     first, _ = B.places
     count = np.diff(first)[B.rows]

@@ -17,7 +17,7 @@ from typing import Any, final
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 
 #: First three derivatives of functions of one number, each from the argument x and the value y.
@@ -62,14 +62,14 @@ class Carried(NDArrayOperatorsMixin, abc.ABC):
         """Return parts of this kind, this one among them, as one list of vectors."""
 
 
-def without_derivatives(ufunc: np.ufunc) -> InvalidInput:
+def without_derivatives(ufunc: np.ufunc) -> InvalidInputError:
     """Return the error for a function that nothing here is carried through."""
     known = ", ".join(f.__name__ for f in DERIVATIVES)
-    return InvalidInput(
+    return InvalidInputError(
         f"numpy.{ufunc.__name__}",
         "must have derivatives in time",
         "a function that has none here",
-        f"Use arithmetic and {known} of NumPy; laws in pieces are joined by Change.",
+        f"Use arithmetic and {known} of NumPy; laws in pieces are joined by Transition.",
     )
 
 
@@ -113,7 +113,7 @@ class Jet(Carried):
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Jet:
         """Apply a function of NumPy.
 
-        InvalidInput for a function without derivatives here.
+        InvalidInputError for a function without derivatives here.
         """
         plain = method == "__call__" and not kwargs
         if plain and ufunc in _LINEAR:

@@ -18,7 +18,7 @@ from typing import final
 import numpy as np
 import scipy
 
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.numerics.arrays import Array
 
 #: Up to this many columns singular values cost less: measured on chains of bodies.

@@ -32,7 +32,7 @@ from typing import Any, final
 import numpy as np
 import scipy
 
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.kernels import (
     MatrixLayout,
     add_scaled,
@@ -45,15 +45,15 @@ from ancfdae.kernels import (
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.fronts import Fronts, Terms
 from ancfdae.numerics.inertia import ConstrainedPattern
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 
-def narrow_band(pattern: Pattern, constraint_pattern: Pattern) -> Array:
+def narrow_band(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> Array:
     """Return the order of reverse Cuthill and McKee, or the scene's own where that is better."""
     return narrow_order(*pattern.places, *constraint_pattern.places)
 
 
-def little_fill(pattern: Pattern, constraint_pattern: Pattern) -> Array:
+def little_fill(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> Array:
     """Return the order of minimum degree: SuperLU's, found where it factorises a made-up matrix."""
     graph = _graph(pattern, constraint_pattern).astype(float)
     # Diagonal pivots need no exchange.
@@ -66,13 +66,13 @@ def little_fill(pattern: Pattern, constraint_pattern: Pattern) -> Array:
     return _with_multipliers(np.argsort(lu.perm_c), constraint_pattern)
 
 
-def _graph(pattern: Pattern, constraint_pattern: Pattern) -> scipy.sparse.csr_array:
+def _graph(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> scipy.sparse.csr_array:
     """Return K + B^T B with logical values."""
     K, B = (each.csr(np.ones(each.size, dtype=bool)) for each in (pattern, constraint_pattern))
     return (K + B.T @ B).tocsr() if B.nnz else K
 
 
-def _with_multipliers(order: Array, constraint_pattern: Pattern) -> Array:
+def _with_multipliers(order: Array, constraint_pattern: SparsityPattern) -> Array:
     """Insert each multiplier behind its last coordinate."""
     n = len(order)
     place = np.zeros(n + constraint_pattern.shape[0], dtype=np.int32)
@@ -137,8 +137,8 @@ class SaddlePoint:
 
     def __init__(
         self,
-        pattern: Pattern,
-        constraint_pattern: Pattern,
+        pattern: SparsityPattern,
+        constraint_pattern: SparsityPattern,
         weights: Array,
         constraint_values: Array,
         symmetric: bool = False,
@@ -268,7 +268,7 @@ class SaddlePoint:
 class _Places:
     """An order of the unknowns; rows and columns of all entries in it: of K, of B, and of B^T."""
 
-    def __init__(self, K: Pattern, B: Pattern, order: Array) -> None:
+    def __init__(self, K: SparsityPattern, B: SparsityPattern, order: Array) -> None:
         place = np.empty(len(order), dtype=np.int32)
         place[order] = np.arange(len(order))
         r, c = place[B.rows + K.shape[0]], place[B.columns]
@@ -298,7 +298,7 @@ class _Places:
         return flat
 
 
-def _narrow(K: Pattern, B: Pattern) -> _Places:
+def _narrow(K: SparsityPattern, B: SparsityPattern) -> _Places:
     """Return the places in a narrow band."""
     # The matrices of one system have the same patterns: that of K keeps the places beside the last
     # two B. (A dictionary of weak references has callbacks, and Ctrl-C in a callback is lost.)

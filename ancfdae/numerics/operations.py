@@ -216,7 +216,7 @@ class Listed(Carried):
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
         """List a function of NumPy.
 
-        InvalidInput for a function without derivatives.
+        InvalidInputError for a function without derivatives.
         """
         plain = method == "__call__" and not kwargs
         if plain and ufunc is np.matmul:

@@ -18,7 +18,7 @@ from ancfdae.numerics.arrays import Array
 
 
 @final
-class Pattern:
+class SparsityPattern:
     """Positions of the entries of a matrix, sorted; duplicates in `rows`, `columns` are merged.
 
     Stored is the column of every entry, with the place of the first entry of every row; rows are
@@ -28,7 +28,7 @@ class Pattern:
     entries in a band; copies are made without.
     """
 
-    beside: tuple[tuple[Pattern, Any], ...] = ()
+    beside: tuple[tuple[SparsityPattern, Any], ...] = ()
 
     def __init__(self, shape: tuple[int, int], rows: Array, columns: Array) -> None:
         self.shape = shape
@@ -45,10 +45,10 @@ class Pattern:
         return {name: x for name, x in self.__dict__.items() if name != "beside"}
 
     @staticmethod
-    def full(shape: tuple[int, int]) -> Pattern:
+    def full(shape: tuple[int, int]) -> SparsityPattern:
         """Return the pattern of a dense matrix; its values are ``matrix.ravel()``."""
         rows, columns = np.indices(shape)
-        return Pattern(shape, rows.ravel(), columns.ravel())
+        return SparsityPattern(shape, rows.ravel(), columns.ravel())
 
     @property
     def size(self) -> int:

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_text
+from ancfdae.errors.checks import require_kind, require_text
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.charts import settings
@@ -34,7 +35,8 @@ def gradient_bars(
     ----------
     scene : Scene
     gradient : Gradient
-        In the variables ``target[0]``, ``target[1]`` ... of `distribution`, and maybe others.
+        In the variables ``target[0]``, ``target[1]`` ... of `distributed_variables`, and maybe
+        others.
     target : str
         ``"rod.height"``, say.
     time : float, optional
@@ -43,7 +45,7 @@ def gradient_bars(
 
     Raises
     ------
-    InvalidInput, UnknownName
+    InvalidInputError, UnknownNameError
         If the gradient has no distribution of that target, or the scene has no beam of that name.
     """
     require_kind("gradient_bars, gradient", gradient, (Gradient,), "Call gradient.")
@@ -91,18 +93,18 @@ def _distribution(shown: Mechanism, gradient: Gradient, target: str) -> tuple[in
     beam = target.partition(".")[0]
     names = [mesh.name for mesh in shown.meshes if isinstance(mesh, BeamMesh)]
     if beam not in names:
-        raise UnknownName("gradient_bars, beam", beam, names)
+        raise UnknownNameError("gradient_bars, beam", beam, names)
     number = [mesh.name for mesh in shown.meshes].index(beam)
     mesh, known = shown.meshes[number], dict(zip(gradient.names, gradient.gradient, strict=True))
     assert isinstance(mesh, BeamMesh)
     wanted = [f"{target}[{k}]" for k in range(mesh.body.element_count)]
     missing = [name for name in wanted if name not in known]
     if missing:
-        raise InvalidInput(
+        raise InvalidInputError(
             "gradient_bars, gradient",
             f"must have a derivative for each of the {len(wanted)} elements",
             f"none for {missing[0]}",
-            f"Differentiate with design=distribution({target!r}, {len(wanted)}).",
+            f"Differentiate with design=distributed_variables({target!r}, {len(wanted)}).",
         )
     return number, np.array([known[name] for name in wanted], dtype=float)
 

@@ -31,7 +31,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from ancfdae.equations.files import replacing, saving
-from ancfdae.errors import InvalidInput, require_kind
+from ancfdae.errors.checks import require_kind
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.plotting.looks import Look, looks, set_as_mathematics
 
 __all__ = ["Figure", "Panel", "Scale", "Series", "draw", "save"]
@@ -91,13 +92,13 @@ class Series:
     def __post_init__(self) -> None:
         if not self.label.strip() or self.label.startswith("_"):
             rule, repair = "must be visible in the legend", "Let it not start with an underscore."
-            raise InvalidInput("Series.label", rule, repr(self.label), repair)
+            raise InvalidInputError("Series.label", rule, repr(self.label), repair)
         where = f"Series {self.label!r}"
         if not (self.line or self.marker):
             repair = "Set line=True or marker=True."
-            raise InvalidInput(where, "must have a line or markers", "neither", repair)
+            raise InvalidInputError(where, "must have a line or markers", "neither", repair)
         if not np.isfinite(self.points()).all(axis=0).any():
-            raise InvalidInput(
+            raise InvalidInputError(
                 where, "at least one point must be finite", "none", "Leave the series out."
             )
 
@@ -105,7 +106,7 @@ class Series:
         """Return the coordinates as an array of shape (2, n), rows x and y."""
         x, y = np.asarray(self.x), np.asarray(self.y)
         if x.ndim != 1 or x.shape != y.shape or np.iscomplexobj(x) or np.iscomplexobj(y):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"Series {self.label!r}",
                 "x and y must be real vectors of equal length",
                 f"shapes {x.shape} and {y.shape}, types {x.dtype} and {y.dtype}",
@@ -138,7 +139,7 @@ class Panel:
 
     def __post_init__(self) -> None:
         if not self.title.strip():
-            raise InvalidInput(
+            raise InvalidInputError(
                 "Panel.title", "must not be empty", repr(self.title), "Say what it shows."
             )
         where = f"Panel {self.title!r}"
@@ -146,10 +147,10 @@ class Panel:
             require_unit(where, label)
         for scale in (self.x_scale, self.y_scale):
             if scale not in ("linear", "log"):
-                raise InvalidInput(where, "a scale must be 'linear' or 'log'", repr(scale))
+                raise InvalidInputError(where, "a scale must be 'linear' or 'log'", repr(scale))
         labels = [series.label for series in self.series]
         if not labels or len(set(labels)) < len(labels):
-            raise InvalidInput(
+            raise InvalidInputError(
                 where,
                 "must have at least one series, each label once",
                 labels,
@@ -164,7 +165,7 @@ class Panel:
         visible &= (x > 0) | (self.x_scale == "linear")
         visible &= (y > 0) | (self.y_scale == "linear")
         if not visible.any():
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"Panel {self.title!r}, series {series.label!r}",
                 "at least one point must be positive on every logarithmic axis",
                 "none",
@@ -178,7 +179,7 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
     Refused are no panels, and a label that is asked to look differently in two of them.
     """
     if not panels or columns < 1:
-        raise InvalidInput(
+        raise InvalidInputError(
             "draw",
             "there must be at least one panel and one column",
             f"{len(panels)} panels, {columns} columns",
@@ -211,13 +212,13 @@ def save(figure: Figure, path_without_suffix: str | os.PathLike[str]) -> tuple[P
     """Write a figure as SVG and PNG and return the two paths in that order.
 
     The same figure gives the same bytes: the SVG carries no date and no random identifiers. Missing
-    folders are created; a path that ends with .svg or .png is refused. NotSaved is raised as on a
+    folders are created; a path that ends with .svg or .png is refused. SaveError is raised as on a
     full disk, and files that were there before are kept.
     """
     require_kind("save, path", path_without_suffix, (str, os.PathLike), "Give the name of a file.")
     path = Path(path_without_suffix)
     if not path.name or path.suffix in (".svg", ".png"):
-        raise InvalidInput(
+        raise InvalidInputError(
             "save",
             "the path must be a name without suffix, as both .svg and .png are written",
             repr(str(path)),
@@ -242,7 +243,7 @@ def save(figure: Figure, path_without_suffix: str | os.PathLike[str]) -> tuple[P
 def require_unit(where: str, label: object) -> None:
     """Refuse a label of an axis without a unit."""
     if not isinstance(label, str) or not _UNIT.match(label):
-        raise InvalidInput(
+        raise InvalidInputError(
             where,
             "an axis label must end with its unit in brackets",
             repr(label),
@@ -263,7 +264,7 @@ def _check_looks(panels: Sequence[Panel]) -> None:
         for series in panel.series:
             look = (series.line, series.marker, series.dashed)
             if asked.setdefault(series.label, look) != look:
-                raise InvalidInput(
+                raise InvalidInputError(
                     f"draw, series {series.label!r}",
                     "(line, marker, dashed) must be the same in every panel",
                     f"{asked[series.label]} and {look}",

@@ -8,7 +8,8 @@ import numpy as np
 
 from ancfdae.assembly.section_results import StressPoints
 from ancfdae.equations import Solution
-from ancfdae.errors import InvalidInput, require_text
+from ancfdae.errors.checks import require_text
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.elements import ElementParameter, elastic
 from ancfdae.model.elements.invariants import prepare
 from ancfdae.numerics.arrays import Array
@@ -42,7 +43,7 @@ class Field(abc.ABC):
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If the solution or the element lacks what the field is made of.
         """
 
@@ -141,7 +142,7 @@ class BendingMoment(_SectionForce):
 
     def __post_init__(self) -> None:
         if self.about not in (1, 2):
-            raise InvalidInput(
+            raise InvalidInputError(
                 "BendingMoment, about", "must be 1 or 2", repr(self.about), "2 is the width."
             )
 

@@ -7,7 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ancfdae.equations import MechanicalSystem, Sensitivities, Solution
-from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_positive
+from ancfdae.errors.checks import require_kind, require_positive
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.charts import require_unit, settings
 from ancfdae.plotting.looks import COLOURS
@@ -41,7 +42,7 @@ def history(
 
     Raises
     ------
-    InvalidInput, UnknownName
+    InvalidInputError, UnknownNameError
         If there are no derivatives, the system has other design variables, one of them is zero,
         or an observable does not exist.
     """
@@ -69,7 +70,7 @@ def history(
 def _check_observables(system: MechanicalSystem, observables: Mapping[str, Observable]) -> None:
     if not observables:
         rule, repair = "needs at least one observable", "For example {'tip [m]': ...}."
-        raise InvalidInput("history", rule, "none", repair)
+        raise InvalidInputError("history", rule, "none", repair)
     for label, observable in observables.items():
         require_unit("history, observables", label)
         require_kind("history, observable", observable, (Observable,), "For example position(...).")
@@ -98,14 +99,16 @@ def _checked_sensitivities(system: MechanicalSystem, solution: Solution) -> Sens
     sensitivities = solution.sensitivities
     if sensitivities is None or not sensitivities.names:
         rule, repair = "must have derivatives", "Call differentiate with a design."
-        raise InvalidInput("history, solution", rule, "none", repair)
+        raise InvalidInputError("history, solution", rule, "none", repair)
     for name in sensitivities.names:
         if name not in system.design_names:
-            raise UnknownName("history, design variable of the solution", name, system.design_names)
+            raise UnknownNameError(
+                "history, design variable of the solution", name, system.design_names
+            )
     if sensitivities.names != system.design_names or not np.array_equal(
         sensitivities.values, system.b
     ):
-        raise InvalidInput(
+        raise InvalidInputError(
             "history, system",
             "must be the system of the solution, with its design variables and their values",
             f"{', '.join(system.design_names)} at {system.b}",
@@ -114,5 +117,5 @@ def _checked_sensitivities(system: MechanicalSystem, solution: Solution) -> Sens
     if np.any(system.b == 0):
         at = system.design_names[int(np.argmin(np.abs(system.b)))]
         rule, repair = "a variable at zero has no per cent", "Leave it out of the design."
-        raise InvalidInput(f"history, design variable {at!r}", rule, "0", repair)
+        raise InvalidInputError(f"history, design variable {at!r}", rule, "0", repair)
     return sensitivities

@@ -35,7 +35,7 @@ _METHODS: Final[dict[str, Look]] = {
     "HHT both controlled": _look(2),
     "IDA": _look(1),
     "IDAS": _look(4),
-    "Explicit": _look(3),
+    "DOP853": _look(3),
     "Radau": _look(5),
     "direct differentiation": _look(0),
     "forward difference": _look(1, 1),

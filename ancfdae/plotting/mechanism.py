@@ -14,7 +14,9 @@ from ancfdae.assembly.numbering import number
 from ancfdae.assembly.parameters import ParameterMap, parameter_map
 from ancfdae.assembly.reference import Reference
 from ancfdae.equations import Solution, Statistics
-from ancfdae.errors import InvalidInput, Outcome, Verdict, require_kind, require_vector
+from ancfdae.errors.checks import require_kind, require_vector
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.errors.text import listed
 from ancfdae.model.bodies import RigidBody
 from ancfdae.model.elements import ElementParameter
@@ -93,8 +95,8 @@ def mechanism(
 ) -> Mechanism:
     """Put a scene at instants of a motion, or as declared without one.
 
-    Raises InvalidInput if the solution belongs to another scene, if the field cannot be computed
-    from it, or if `limits` are not two increasing numbers given with a field.
+    Raises InvalidInputError if the solution belongs to another scene, if the field cannot be
+    computed from it, or if `limits` are not two increasing numbers given with a field.
     """
     require_kind("picture, scene", scene, (Scene,), "Give the Scene that was integrated.")
     if field is not None:
@@ -105,7 +107,7 @@ def mechanism(
     if motion is None:
         if times is not None or field is not None:
             rule, repair = "times and colour need a motion", "Give the solution as well."
-            raise InvalidInput("picture", rule, "a scene alone", repair)
+            raise InvalidInputError("picture", rule, "a scene alone", repair)
         motion = _at_rest(reference.Z.ravel(), declared)
     require_kind("picture, solution", motion, (Solution,), "Call simulate, or leave it out.")
     naming = _checked(motion, declared)
@@ -135,7 +137,7 @@ def _span(limits: Sequence[float] | None, field: Field | None) -> tuple[float, f
         rule = "must be two increasing numbers, those of a colour"
         got = f"{low} and {high}" + (" without a colour" if field is None else "")
         repair = "For example colour=VonMisesStress(), limits=(0, 1e8)."
-        raise InvalidInput("picture, limits", rule, got, repair)
+        raise InvalidInputError("picture, limits", rule, got, repair)
     return low, high
 
 
@@ -166,12 +168,12 @@ def frames_of(motion: Solution, count: int) -> Array:
     require_kind("film, solution", motion, (Solution,), "Call simulate.")
     if len(motion.t) < 2:
         rule, repair = "needs a motion of several instants", "Use snapshots for a state of rest."
-        raise InvalidInput("film", rule, f"{len(motion.t)}", repair)
+        raise InvalidInputError("film", rule, f"{len(motion.t)}", repair)
     return np.linspace(motion.t[0], motion.t[-1], count)
 
 
 def _at_rest(q: Array, naming: SceneNaming) -> Solution:
-    none, outcome = np.zeros((1, 0)), Outcome(Verdict.FINISHED, 0.0, 0, 0.0)
+    none, outcome = np.zeros((1, 0)), RunOutcome(Verdict.FINISHED, 0.0, 0, 0.0)
     still, statistics = np.zeros((1, len(q))), Statistics(0, 0, 0, 0, 0, 0.0)
     return Solution(np.zeros(1), q[None], still, still, none, statistics, outcome, naming)
 
@@ -181,20 +183,20 @@ def _checked(motion: Solution, declared: SceneNaming) -> SceneNaming:
     given = motion.naming
     if not isinstance(given, SceneNaming):
         rule, repair = "must be that of an ANCF scene", "Other systems have no bodies to draw."
-        raise InvalidInput("picture, solution", rule, "a system of another kind", repair)
+        raise InvalidInputError("picture, solution", rule, "a system of another kind", repair)
     vectors = [
         {body.name: (body.first_vector, body.count, body.kinks) for body in x.layout.bodies}
         for x in (given, declared)
     ]
     if vectors[0] != vectors[1] or len(given.lengths) != len(declared.lengths):
-        raise InvalidInput(
+        raise InvalidInputError(
             "picture, solution",
             f"must be that of the scene, with the bodies {listed(vectors[1])}",
             f"one of {listed(vectors[0])}, or of other elements",
             "Give the scene that was integrated.",
         )
     if not np.allclose(given.lengths, declared.lengths, rtol=_SAME, atol=0.0):
-        raise InvalidInput(
+        raise InvalidInputError(
             "picture, solution",
             "must be that of the scene at its design values",
             "elements of other lengths",

@@ -12,9 +12,7 @@ from matplotlib.figure import Figure
 
 from ancfdae.equations import Solution
 from ancfdae.equations.files import replacing_path, saving
-from ancfdae.errors import (
-    InvalidInput,
-    MissingPackage,
+from ancfdae.errors.checks import (
     require_count,
     require_kind,
     require_path,
@@ -22,6 +20,7 @@ from ancfdae.errors import (
     require_text,
     require_vector,
 )
+from ancfdae.errors.kinds import InvalidInputError, MissingPackageError
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.charts import settings
@@ -67,7 +66,7 @@ def snapshots(
 
     Raises
     ------
-    InvalidInput, UnknownName
+    InvalidInputError, UnknownNameError
         If the solution is not that of the scene, or lacks what is asked for.
     """
     require_text("snapshots, title", title)
@@ -116,9 +115,9 @@ def animate(
 
     Raises
     ------
-    InvalidInput, MissingPackage
+    InvalidInputError, MissingPackageError
         As in `snapshots`, and for another suffix; for MP4 without ffmpeg.
-    NotSaved
+    SaveError
         As on a full disk; a file that was there before is kept.
     """
     file = checked_path("animate", path, (".gif", ".mp4", ".html"))
@@ -142,32 +141,32 @@ def animate(
 
 def _require_ffmpeg() -> None:
     if not animation.FFMpegWriter.isAvailable():
-        raise MissingPackage(
+        raise MissingPackageError(
             "animate: MP4 needs the program ffmpeg, which is not on the path. Install it (apt "
             "install ffmpeg, brew install ffmpeg), or write a .gif or .html."
         )
 
 
 def checked_path(where: str, path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
-    """Return a path with one of some suffixes; InvalidInput for another."""
+    """Return a path with one of some suffixes; InvalidInputError for another."""
     file = require_path(f"{where}, path", path)
     if file.suffix not in suffixes:
         rule = f"must be a path that ends with {' or '.join(suffixes)}"
-        raise InvalidInput(
+        raise InvalidInputError(
             f"{where}, path", rule, repr(path), f"For example 'motion{suffixes[0]}'."
         )
     return file
 
 
 def _camera(where: str, scene: Scene, camera: Sequence[float] | None) -> tuple[float, float]:
-    """Return elevation and azimuth; InvalidInput in the plane, which is seen from above."""
+    """Return elevation and azimuth; InvalidInputError in the plane, which is seen from above."""
     if camera is None:
         return CAMERA
     require_vector(f"{where}, camera", camera, (2,))
     require_kind(f"{where}, scene", scene, (Scene,), "Give the Scene that was integrated.")
     if scene.dimension == 2:
         rule = "must be left out for a planar scene"
-        raise InvalidInput(f"{where}, camera", rule, camera)
+        raise InvalidInputError(f"{where}, camera", rule, camera)
     elevation, azimuth = map(float, camera)
     return elevation, azimuth
 

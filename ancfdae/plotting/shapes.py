@@ -16,7 +16,7 @@ from ancfdae.assembly.vectors import Vectors
 from ancfdae.model.bodies import (
     BeamBody,
     BodyShape,
-    Point,
+    MaterialPoint,
     Quantity,
     RigidBody,
     RigidBox,
@@ -154,11 +154,11 @@ class BeamMesh(Mesh):
         """Elements, stations and fibres."""
         return len(self.y), len(self.xi), self.y.shape[1]
 
-    def _stations(self, naming: SceneNaming) -> list[Point]:
+    def _stations(self, naming: SceneNaming) -> list[MaterialPoint]:
         nodes = np.asarray(naming.layout.beam(self.name).fractions)
         along = nodes[:-1, None] + np.diff(nodes)[:, None] * self.xi
         along[:, -1] = nodes[1:]
-        return [Point(self.name, fraction) for fraction in along.ravel().tolist()]
+        return [MaterialPoint(self.name, fraction) for fraction in along.ravel().tolist()]
 
     def _connected(self) -> tuple[Array, Array]:
         """Join stations by faces, and close the ends in space."""

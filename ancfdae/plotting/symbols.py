@@ -8,7 +8,7 @@ import numpy as np
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.equations import Solution
-from ancfdae.model.bodies import Point, Quantity, RigidBody
+from ancfdae.model.bodies import MaterialPoint, Quantity, RigidBody
 from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.joint import Joint
 from ancfdae.model.loads.load import Load
@@ -108,7 +108,7 @@ class Symbols:
     def _of_load(self, load: Load, motion: Solution) -> list[Arrows]:
         names = load.vectors(self._scene.elements)
         F, arrows = self._forces(load, motion), []
-        moments: dict[Point, list[Array]] = {}
+        moments: dict[MaterialPoint, list[Array]] = {}
         for number, name in enumerate(names):
             force = F[:, [number]]
             if isinstance(name, CentreLine):
@@ -142,16 +142,16 @@ class Symbols:
         vectors, n_b = point_vectors(self._naming, names), self._naming.lengths_b.shape[1]
         return Vectors.of_points(vectors, self._d, len(self._q_o), n_b)
 
-    def _of(self, names: list[tuple[Point, Quantity]], q: Array) -> Array:
+    def _of(self, names: list[tuple[MaterialPoint, Quantity]], q: Array) -> Array:
         """Return vectors of points, shape (k, n, d)."""
         return self._vectors(tuple(names)).of(q)
 
-    def _places(self, point: Point, q: Array) -> Array:
+    def _places(self, point: MaterialPoint, q: Array) -> Array:
         return self._of([(point, Quantity.POSITION)], q)[:, 0]
 
     def _stations(self, beam: str, q: Array) -> Array:
         fractions = np.linspace(0.0, 1.0, _ALONG).tolist()
-        return self._of([(Point(beam, x), Quantity.POSITION) for x in fractions], q)
+        return self._of([(MaterialPoint(beam, x), Quantity.POSITION) for x in fractions], q)
 
     def _ground(self, joint: Joint, places: Array) -> Array | None:
         """Return where the ground holds a joint: where it is given, or the joint itself."""

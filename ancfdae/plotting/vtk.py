@@ -17,7 +17,8 @@ import numpy as np
 
 from ancfdae.equations import Solution
 from ancfdae.equations.files import replacing_path, saving
-from ancfdae.errors import InvalidInput, require_package
+from ancfdae.errors.checks import require_package
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.elements import Quantity
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
@@ -55,10 +56,10 @@ def write_vtk(
 
     Raises
     ------
-    InvalidInput, MissingPackage
+    InvalidInputError, MissingPackageError
         As in `snapshots`; if nothing has a surface; without pyevtk, which
         ``pip install "ancfdae[vtk]"`` brings.
-    NotSaved
+    SaveError
         As on a full disk; files that were there before are kept.
     """
     file = checked_path("write_vtk", path, (".pvd",))
@@ -66,7 +67,7 @@ def write_vtk(
     group = require_package("write_vtk", "pyevtk.vtk", "vtk")
     shown, declared = mechanism(scene, solution, times, None), mechanism(scene, None, None, None)
     if not len(shown.faces):
-        raise InvalidInput(
+        raise InvalidInputError(
             "write_vtk, scene",
             "needs a beam or a body with a surface",
             "rigid bodies without a shape",
@@ -125,7 +126,7 @@ def _folder_beside(file: Path) -> Path:
     if folder.is_file():
         rule = "must leave the name without suffix free for a folder"
         repair = "Choose another name, or remove that file."
-        raise InvalidInput("write_vtk, path", rule, f"the file {folder}", repair)
+        raise InvalidInputError("write_vtk, path", rule, f"the file {folder}", repair)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity import checkpointed
@@ -20,7 +20,7 @@ from ancfdae.sensitivity.observables.states import states_of
 
 @final
 @dataclass(frozen=True)
-class Direct(Method):
+class DirectDifferentiation(Method):
     """Differentiate the discrete equations step by step.
 
     The result is the exact derivative of the discrete solution; all design variables are
@@ -84,8 +84,11 @@ class Adjoint(GradientMethod):
         """One run for all objectives, one transposed pass for each."""
         system, integrator = run.system, run.integrator
         if not isinstance(integrator, AdjointIntegrator):
-            rule, repair = "needs an integrator with an adjoint", "Use HHT or IDAS, or Direct()."
-            raise InvalidInput("Adjoint", rule, repr(integrator), repair)
+            rule, repair = (
+                "needs an integrator with an adjoint",
+                "Use HHT or IDAS, or DirectDifferentiation().",
+            )
+            raise InvalidInputError("Adjoint", rule, repr(integrator), repair)
         if self.memory is not None:
             return checkpointed.gradients(run, objectives, self, size_of(self.memory))
         solution, totals = run.integrals(objectives, differentiated=True)

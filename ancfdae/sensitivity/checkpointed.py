@@ -16,7 +16,8 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import InvalidInput, require_package, require_positive
+from ancfdae.errors.checks import require_package, require_positive
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import AdjointIntegrator, PartwiseIntegrator, RunInParts, Seeds
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
@@ -46,7 +47,7 @@ def size_of(memory: str | float) -> float:
     except ValueError:
         number = 0.0
     if not match or not 0 < number < np.inf:
-        raise InvalidInput("memory", rule, repr(memory), repair)
+        raise InvalidInputError("memory", rule, repr(memory), repair)
     return number * _UNITS[match[2]]
 
 
@@ -64,7 +65,7 @@ def gradients(
     ):
         rule = "needs an integrator that can take parts of its runs again, such as HHT"
         repair = "Use HHT(step=...) or Radau(step=...), or leave it out."
-        raise InvalidInput("memory", rule, repr(integrator), repair)
+        raise InvalidInputError("memory", rule, repr(integrator), repair)
     started, replay = time.perf_counter(), integrator.replay(system, run.t_end)
     length, kept = division(system, len(replay.t) - 1, memory, replay.degree)
     watched = [
@@ -97,7 +98,7 @@ def division(
     if length < 1:
         rule = f"must be {2 * (degree + 1) * row / 1e6:.3g} MB or more for {system.n_q} coordinates"
         repair = "Omit it to store the whole run."
-        raise InvalidInput("memory", rule, f"{memory / 1e6:.3g} MB", repair)
+        raise InvalidInputError("memory", rule, f"{memory / 1e6:.3g} MB", repair)
     return length, min(kept, -(-steps // length))
 
 

@@ -34,7 +34,7 @@ import scipy
 from ancfdae.equations import Linearisation, MechanicalSystem
 from ancfdae.equations.saddle_points import saddle_point, solve, solve_transposed
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.hht.equations import Steps, acceleration, correct, predict, require_alpha
 from ancfdae.integrators.index_1 import Accelerations
 from ancfdae.integrators.start import Covectors, consistent_start, pull_back_start
@@ -78,7 +78,7 @@ class ContinuousAdjoint(GradientMethod):
         system = run.system
         for objective in objectives:
             if not all(isinstance(leaf, OverTime) for leaf in leaves(objective)):
-                raise InvalidInput(
+                raise InvalidInputError(
                     "ContinuousAdjoint",
                     "needs an objective made of time integrals (eq. 20)",
                     repr(objective),
@@ -86,7 +86,7 @@ class ContinuousAdjoint(GradientMethod):
                 )
         solution = finished(run.solution())
         if len(solution.t) <= _LEAST_STEPS:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "ContinuousAdjoint",
                 "needs four steps",
                 len(solution.t) - 1,

@@ -14,16 +14,9 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.complex_steps import at_values
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import pandas
-from ancfdae.errors import (
-    AncfdaeError,
-    InvalidInput,
-    PassFailed,
-    SingularMatrix,
-    Verdict,
-    require_flag,
-    require_kind,
-    uninterrupted,
-)
+from ancfdae.errors.checks import require_flag, require_kind
+from ancfdae.errors.kinds import AncfdaeError, InvalidInputError, SingularMatrix
+from ancfdae.errors.outcomes import PassFailed, Verdict, uninterrupted
 from ancfdae.errors.text import columns, page
 from ancfdae.integrators.integrator import Integrator, QuadratureIntegrator
 from ancfdae.numerics.arrays import Array
@@ -107,7 +100,7 @@ class Accuracy(Searched):
 
 
 @final
-class UnfinishedRun(AncfdaeError):
+class UnfinishedRunError(AncfdaeError):
     """A gradient was asked of a run that did not reach its end time.
 
     `solution` is what was computed, with its outcome.
@@ -237,7 +230,7 @@ class Run:
         if not run.outcome.success:
             return self._advised(run)
         if sensitivities and run.sensitivities is None:
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"integrator {type(self.integrator).__name__}",
                 "must integrate design derivatives when `sensitivities` asks for them",
                 "a run without",
@@ -289,18 +282,18 @@ class Method(GradientMethod):
 
 @contextmanager
 def keeping(solution: Solution) -> Iterator[None]:
-    """Raise UnfinishedRun, or Interrupted, with the run where a pass back breaks off."""
+    """Raise UnfinishedRunError, or Interrupted, with the run where a pass back breaks off."""
     try:
         yield
     except (KeyboardInterrupt, SingularMatrix, PassFailed) as error:
         verdict = Verdict.SINGULAR if isinstance(error, SingularMatrix) else Verdict.INTERRUPTED
         verdict = error.verdict if isinstance(error, PassFailed) else verdict
         outcome = replace(solution.outcome, verdict=verdict)
-        raise UnfinishedRun(uninterrupted(replace(solution, outcome=outcome))) from error
+        raise UnfinishedRunError(uninterrupted(replace(solution, outcome=outcome))) from error
 
 
 def finished(solution: Solution) -> Solution:
-    """Return a solution that reached its end time; raise UnfinishedRun, or Interrupted, else."""
+    """Return a solution that reached its end time; raise UnfinishedRunError, or Interrupted, else."""
     if not uninterrupted(solution).outcome.success:
-        raise UnfinishedRun(solution)
+        raise UnfinishedRunError(solution)
     return solution

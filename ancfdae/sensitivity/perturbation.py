@@ -13,7 +13,8 @@ import numpy as np
 
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities
-from ancfdae.errors import InvalidInput, require_flag, require_positive
+from ancfdae.errors.checks import require_flag, require_positive
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.method import Gradient, Method, Run
@@ -104,13 +105,15 @@ class FiniteDifference(Perturbation):
         require_flag("FiniteDifference.central", self.central)
         if self.relative_step >= 1:
             rule, repair = "must be below 1", "0.01 perturbs by one per cent."
-            raise InvalidInput("FiniteDifference.relative_step", rule, self.relative_step, repair)
+            raise InvalidInputError(
+                "FiniteDifference.relative_step", rule, self.relative_step, repair
+            )
 
     def check(self, run: Run) -> None:
         """Refuse a design variable of zero, which a relative perturbation does not change."""
         for name, value in zip(run.system.design_names, run.system.b, strict=True):
             if value == 0:
-                raise InvalidInput(
+                raise InvalidInputError(
                     f"design variable {name!r}",
                     "must not be zero for a relative perturbation",
                     value,
@@ -140,9 +143,9 @@ class ComplexStep(Perturbation):
     """
 
     def check(self, run: Run) -> None:
-        """Refuse an integrator that computes in real numbers only (IDA, IDAS, Explicit)."""
+        """Refuse an integrator that computes in real numbers only (IDA, IDAS, DOP853)."""
         if run.integrator.real_only:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "ComplexStep",
                 "needs an integrator that computes in complex numbers",
                 repr(run.integrator),

@@ -20,7 +20,8 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import velocity_side
 from ancfdae.equations.saddle_points import saddle_point, solve
-from ancfdae.errors import InvalidInput, SingularMatrix, Verdict
+from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.kernels import Rest, finite, norm
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
@@ -102,14 +103,14 @@ class Balance:
     ) -> Balance:
         """Check the start and return the equations.
 
-        InvalidInput if start or forces are not finite; `RedundantConstraints` if constraints depend
-        on each other.
+        InvalidInputError if start or forces are not finite; `RedundantConstraintsError` if
+        constraints depend on each other.
         """
         balance = Balance(system, t, q_0, lam_0, follows=follows)
         with np.errstate(all="ignore"):
             good = all(finite(x) for x in (q_0, balance.r_0, balance.Phi_0))
         if not good:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "start of the equilibrium",
                 "coordinates and forces must be finite",
                 "NaN or infinity",
@@ -355,7 +356,7 @@ class Balance:
         return solve(factors, self.held_back(q), -float(self.closes) * self.Phi_0)
 
     def refuse_motion(self) -> None:
-        """Raise InvalidInput if joints drive a motion at time t, whose inertia forces would lack.
+        """Raise InvalidInputError if joints drive a motion at time t, whose inertia forces would lack.
 
         They do if M v^2/|q|, v the velocities that the joints prescribe, is more than the round-off
         of forces.
@@ -369,12 +370,12 @@ class Balance:
         forces = self.strength(self.unbalanced(q, nu * 0))
         if turning > max(system.traits.force_round_off, _EPS * forces):
             driven = sorted({system.constraint_names[int(i)] for i in np.flatnonzero(nu)})
-            raise InvalidInput(
+            raise InvalidInputError(
                 "equilibrium",
                 f"driven joints must have zero velocity at t = {self.t:.6g}",
                 f"a nonzero rate of {', '.join(map(repr, driven))}",
                 "Start their laws at zero rate, or call simulate; declare a steady rotation in a "
-                "TurningFrame.",
+                "RotatingFrame.",
             )
 
     # -- natural sizes -------------------------------------------------------------------------

@@ -19,7 +19,9 @@ from typing import Literal, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import AncfdaeError, InvalidInput, require_finite, uninterrupted
+from ancfdae.errors.checks import require_finite
+from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
+from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
@@ -27,7 +29,7 @@ from ancfdae.statics.balance import Balance
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.equilibrium import Equilibrium, find_equilibrium, resting
 from ancfdae.statics.held_coordinate import HeldPoint, HeldSystem, stiffness_total
-from ancfdae.statics.outcome import FreeMechanism
+from ancfdae.statics.outcome import FreeMotionError
 from ancfdae.statics.softness import softest
 
 Kind: TypeAlias = Literal["limit point", "bifurcation"]
@@ -68,7 +70,7 @@ _REAL = 1e-6
 
 
 @final
-class NoCriticalPoint(AncfdaeError):
+class NoCriticalPointError(AncfdaeError):
     """The equilibrium keeps its stiffness over the whole range, or no point could be found."""
 
 
@@ -121,15 +123,15 @@ class CriticalLoad:
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If the size is zero or no finite number.
-        NoCriticalPoint
+        NoCriticalPointError
             If Newton's method does not converge; a smaller size may.
         """
         require_finite("size", size)
         if size == 0:
             repair = "A small part of how far the motion shall go."
-            raise InvalidInput("size", "must not be zero", size, repair)
+            raise InvalidInputError("size", "must not be zero", size, repair)
         step = size * float(self.motion[self._point.i])
         point, k = self._point, self._p
         p, q, lam = self.value, point.q, point.lam
@@ -143,24 +145,24 @@ class CriticalLoad:
             if abs(change) >= 0.5 * last and last <= _CONVERGED * abs(p):
                 return p, resting(found.system, found.q, found.lam, _stable(found))
             p, q, lam, last = p + change, found.q, found.lam, abs(change)
-        raise NoCriticalPoint(f"branch of {self.name!r}: no convergence at size={size:g}.")
+        raise NoCriticalPointError(f"branch of {self.name!r}: no convergence at size={size:g}.")
 
 
 @in_one_thread
 def find_critical(system: MechanicalSystem, k: int, to: float) -> CriticalLoad:
     """Search from the value of design variable k to another for the first critical point.
 
-    NoCriticalPoint if there is none. InvalidInput if there is no stable equilibrium at the first
-    value, if two motions lose their stiffness at once, or if a design variable parts the paths of a
-    bifurcation.
+    NoCriticalPointError if there is none. InvalidInputError if there is no stable equilibrium at
+    the first value, if two motions lose their stiffness at once, or if a design variable parts the
+    paths of a bifurcation.
     """
     if to == system.b[k]:
         rule, repair = "must differ from the value in the model", "Search to the other side."
-        raise InvalidInput("to", rule, f"{to:g}", repair)
+        raise InvalidInputError("to", rule, f"{to:g}", repair)
     start = uninterrupted(find_equilibrium(system))
     if not start.outcome.success or start.outcome.stable_to is not None:
         rule, repair = "needs a stable equilibrium to start from", "Start at another value."
-        raise InvalidInput("critical_load", rule, str(start.outcome), repair)
+        raise InvalidInputError("critical_load", rule, str(start.outcome), repair)
     begin = float(system.b[k])
     point, kind = _first_critical(system, k, to, start)
     # As large as the system, wherever it stands.
@@ -199,7 +201,7 @@ def _first_critical(
             path.tried = left
             near = max(_NEAR * abs(place.p - begin), place.blur)
             if place.crowded and place.ahead[0] <= min(near, abs(to - place.p)):
-                raise InvalidInput(
+                raise InvalidInputError(
                     "critical_load",
                     "one motion must lose its stiffness, not two at once",
                     f"two beyond {name} = {place.p:g}",
@@ -210,13 +212,13 @@ def _first_critical(
             if found is not None:
                 return found
         if left <= _CLOSE * max(abs(place.p - begin), _LEAST * abs(to - begin)):
-            raise NoCriticalPoint(f"{name!r}: {_lost_in_words(place)}.")
+            raise NoCriticalPointError(f"{name!r}: {_lost_in_words(place)}.")
         if place.p == to:
             end = f"keeps its stiffness. {_FLUTTER}" if place.follows else "is stable"
-            raise NoCriticalPoint(f"{name!r}: every equilibrium up to {to:g} {end}.")
+            raise NoCriticalPointError(f"{name!r}: every equilibrium up to {to:g} {end}.")
         place = path.step(system, place)
     rule = f"{name!r}: beyond {place.p:g} equilibria move too fast to follow."
-    raise NoCriticalPoint(rule)
+    raise NoCriticalPointError(rule)
 
 
 def _lost_in_words(place: _Place) -> str:
@@ -401,7 +403,7 @@ def _near(system: MechanicalSystem, q: Array, lam: Array) -> Equilibrium | None:
         found = uninterrupted(
             find_equilibrium(system, start=(q, lam), near=True, max_steps=_ATTEMPTS)
         )
-    except FreeMechanism:  # A critical point, to the digits that there are.
+    except FreeMotionError:  # A critical point, to the digits that there are.
         return None
     end = found.outcome
     return found if end.success and end.stable_to is None and not end.downhill else None
@@ -545,7 +547,7 @@ def _gradient(x: HeldPoint, k: int, kind: Kind, ends: tuple[float, float]) -> Ar
     parted[k] = False
     if np.any(parted):
         name = x.system.design_names[int(np.argmax(parted))]
-        raise InvalidInput(
+        raise InvalidInputError(
             "critical_load",
             "a bifurcation has derivatives in variables that keep its paths crossing",
             f"{name!r}, a change of which parts them",

@@ -13,13 +13,14 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities, Statistics
-from ancfdae.errors import AncfdaeError, CoarseMesh, StabilityWarning, Verdict, uninterrupted
+from ancfdae.errors.kinds import AncfdaeError, CoarseMeshWarning, StabilityWarning
+from ancfdae.errors.outcomes import Verdict, uninterrupted
 from ancfdae.errors.text import listed
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.derivatives import Tangent
-from ancfdae.statics.outcome import LoadOutcome
+from ancfdae.statics.outcome import EquilibriumOutcome
 from ancfdae.statics.search import SearchEnd, search
 from ancfdae.statics.softness import Softness, softest
 
@@ -38,7 +39,7 @@ class Equilibrium:
         Coordinates at equilibrium; m, slopes dimensionless.
     lam : array, shape (n_lam,)
         Lagrange multipliers of the joints; in N for constraints in m.
-    outcome : LoadOutcome
+    outcome : EquilibriumOutcome
         How the search ended; `success` only if this is an equilibrium under the full load.
     solution : Solution
         The same as a solution of one instant at rest, with which everything that takes a
@@ -49,7 +50,7 @@ class Equilibrium:
 
     q: Array
     lam: Array
-    outcome: LoadOutcome
+    outcome: EquilibriumOutcome
     solution: Solution
     q_b: Array | None = None
     lam_b: Array | None = None
@@ -74,7 +75,7 @@ class Equilibrium:
 
 
 @final
-class NoEquilibrium(AncfdaeError):
+class NoEquilibriumError(AncfdaeError):
     """No equilibrium was found from which a motion was to start.
 
     Attributes
@@ -103,7 +104,7 @@ def find_equilibrium(
     load; what was found is differentiated if asked for. If the start is `near` the equilibrium,
     loads that turn with the motion act in full all along.
 
-    FreeMechanism if a motion is held by nothing. InvalidInput if the start is not finite,
+    FreeMotionError if a motion is held by nothing. InvalidInputError if the start is not finite,
     constraints depend on each other, or a joint drives a motion.
     """
     began = time.perf_counter()
@@ -139,7 +140,7 @@ def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
         f"equilibrium: too few elements for the bending of {listed(map(repr, coarse))}: "
         f"{100 * worst / (1 + worst):.2g} % of the energy is a stretch that cubics need to "
         "bend. Double the number of elements until this warning is gone.",
-        CoarseMesh,
+        CoarseMeshWarning,
         stacklevel=5,
     )
 
@@ -161,7 +162,7 @@ def resting(system: MechanicalSystem, q: Array, lam: Array, stable: bool) -> Equ
     """Return a state that was found to be in balance by other means than a search."""
     folded = system.folded(q)
     verdict = Verdict.FOLDED if folded else Verdict.EQUILIBRIUM
-    outcome = LoadOutcome(verdict, 1.0, 0, 0.0, None if stable else 0.0, folded=folded)
+    outcome = EquilibriumOutcome(verdict, 1.0, 0, 0.0, None if stable else 0.0, folded=folded)
     statistics = Statistics(0, 0, 0, 0, 0, 0.0)
     solution = _solution(system, SearchEnd(q, lam, outcome), None, statistics)
     return Equilibrium(q, lam, outcome, solution)
@@ -199,16 +200,16 @@ class RestingStart:
     def equilibrium(self) -> Equilibrium:
         """The equilibrium.
 
-        NoEquilibrium if there is none under the full load; `FreeMechanism` if nothing holds a
-        motion. Warns of one that is unstable (`StabilityWarning`).
+        NoEquilibriumError if there is none under the full load; `FreeMotionError` if nothing holds
+        a motion. Warns of one that is unstable (`StabilityWarning`).
         """
         at_rest = uninterrupted(find_equilibrium(self._system))
         if not at_rest.outcome.success:
-            raise NoEquilibrium(at_rest)
+            raise NoEquilibriumError(at_rest)
         if at_rest.outcome.stable_to is not None or at_rest.outcome.flutter is not None:
             warnings.warn(
                 f"start at rest: {at_rest.outcome} Round-off grows in a motion that starts there, "
-                "and takes its derivatives with it. Start from another NodeState, near a stable "
+                "and takes its derivatives with it. Start from another NodalState, near a stable "
                 "equilibrium, or declare what pushes it.",
                 StabilityWarning,
                 stacklevel=2,

@@ -26,14 +26,14 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import force_total, held_q, held_total
-from ancfdae.equations.motion import Direction
+from ancfdae.equations.motion import StateDirection
 from ancfdae.equations.saddle_points import solve, solve_transposed
 from ancfdae.equations.system import constraint_q_along
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.softness import negative_directions, stiffness_of_coordinates
 
@@ -85,7 +85,7 @@ class HeldPoint:
     def _along_motion(self) -> float:
         system, (q_a, lam_a), (y_q, y_lam) = self.system, self.motion, self.left
         rest = np.zeros_like(q_a)
-        ahead, states = Direction(0.0, q_a, rest), (self.q, rest, rest, self.lam)
+        ahead, states = StateDirection(0.0, q_a, rest), (self.q, rest, rest, self.lam)
         on_q, _, _ = system.along_pull_back(0.0, states, ahead, y_q)
         bent = system.pattern.dot(held_q(system, 0.0, self.q, rest, lam_a), q_a)
         turned = constraint_q_along(system, 0.0, self.q, ahead)
@@ -170,7 +170,7 @@ def stiffness_total(
     """
     (q, lam), (x, mu), (q_b, lam_b) = state, motion, state_b
     rest, still = np.zeros_like(x), np.zeros_like(q_b)
-    states, ahead = (q, rest, rest, lam), Direction(0.0, x, rest)
+    states, ahead = (q, rest, rest, lam), StateDirection(0.0, x, rest)
     states_b = q_b, still, still, lam_b
     force = system.along_total(0.0, states, ahead, states_b, (still, still))
     force = force + held_total(system, 0.0, q, rest, mu, q_b)
@@ -193,7 +193,7 @@ class HeldSystem:
     def __init__(self, system: MechanicalSystem, i: int, q: Array) -> None:
         self._system, self._i, B = system, i, system.constraint_pattern
         rows, columns = np.append(B.rows, B.shape[0]), np.append(B.columns, i)
-        pattern = Pattern((B.shape[0] + 1, B.shape[1]), rows, columns)
+        pattern = SparsityPattern((B.shape[0] + 1, B.shape[1]), rows, columns)
         values = np.append(system.constraint_q(0.0, q), np.sqrt(system.weights[i]))
         self._matrices = SaddlePoint(system.pattern, pattern, system.weights, values)
 

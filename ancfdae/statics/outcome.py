@@ -8,7 +8,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import Naming
-from ancfdae.errors import InvalidInput, Outcome, Verdict
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.errors.text import listed
 from ancfdae.numerics.arrays import Array
 
@@ -16,13 +17,13 @@ _GYROSCOPIC = "it is unstable unless gyroscopic forces hold it, which modes(scen
 
 
 @final
-class FreeMechanism(InvalidInput):
+class FreeMotionError(InvalidInputError):
     """A system without an equilibrium because nothing holds a motion, which the message names."""
 
 
-def free_mechanism(naming: Naming | None, q: Array, motions: Array) -> FreeMechanism:
+def free_mechanism(naming: Naming | None, q: Array, motions: Array) -> FreeMotionError:
     """Return the error for motions, shape (n_q, k), that nothing holds at q."""
-    return FreeMechanism(
+    return FreeMotionError(
         "equilibrium",
         "every motion must be held by a joint, a stiffness or the weight",
         f"a mechanism that is free to move: {motions_in_words(naming, q, motions)}",
@@ -41,7 +42,7 @@ def motions_in_words(naming: Naming | None, q: Array, motions: Array) -> str:
 
 @final
 @dataclass(frozen=True)
-class LoadOutcome:
+class EquilibriumOutcome:
     """How a search ended and how much of the load it carries.
 
     Attributes
@@ -87,9 +88,9 @@ class LoadOutcome:
         """Whether the full load is carried."""
         return self.verdict is Verdict.EQUILIBRIUM
 
-    def of_run(self) -> Outcome:
+    def of_run(self) -> RunOutcome:
         """Return this outcome as that of a solution of one state."""
-        return Outcome(self.verdict, 0.0, self.step, self.residual, self.fraction)
+        return RunOutcome(self.verdict, 0.0, self.step, self.residual, self.fraction)
 
     def __str__(self) -> str:
         """Return the outcome as a sentence."""
@@ -110,7 +111,7 @@ class LoadOutcome:
             text = (
                 f"{self.verdict.value}{where} after {steps}: turned inside out, bent back on "
                 "itself or crushed, as no body can be; use more elements, or start from "
-                "nodes near the equilibrium (NodeState)"
+                "nodes near the equilibrium (NodalState)"
             )
         if self.stable_to is not None:
             above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""

@@ -8,10 +8,10 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import Verdict
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance, Balanced, Unsolved
-from ancfdae.statics.outcome import LoadOutcome, free_mechanism
+from ancfdae.statics.outcome import EquilibriumOutcome, free_mechanism
 from ancfdae.statics.softness import Softness, softest
 from ancfdae.statics.ways import LoadPath, PathPoint, Settling
 
@@ -31,14 +31,14 @@ class SearchEnd:
 
     q: Array
     lam: Array
-    outcome: LoadOutcome
+    outcome: EquilibriumOutcome
 
 
 def search(balance: Balance, max_steps: int) -> SearchEnd:
     """Follow the path of loads; where none begins or it cannot be followed, settle.
 
     Where constraints are violated at the start, a path on which they close under the full load is
-    tried in between. FreeMechanism if a motion is held by nothing.
+    tried in between. FreeMotionError if a motion is held by nothing.
     """
     first, start = balance.begun(), None
     if isinstance(first, Unsolved) or not first.definite:
@@ -79,7 +79,7 @@ def _closed(
     if start is None:
         downhill = Settling(open_gaps, max_steps)
         verdict = downhill.run()
-        outcome = LoadOutcome(verdict, 1.0, downhill.steps, downhill.residual)
+        outcome = EquilibriumOutcome(verdict, 1.0, downhill.steps, downhill.residual)
         loaded = SearchEnd(downhill.q, downhill.lam, outcome)
     else:
         loaded = _path_end(open_gaps, start, True, max_steps, fine=True)
@@ -127,12 +127,14 @@ def _path_end(
 ) -> SearchEnd:
     """Return the end of a path, which is no equilibrium of all digits yet."""
     if isinstance(start, Unsolved):
-        outcome = LoadOutcome(start.verdict, 0.0, 0, 0.0)
+        outcome = EquilibriumOutcome(start.verdict, 0.0, 0, 0.0)
         return SearchEnd(balance.q_0, balance.lam_0, outcome)
     first = PathPoint(0.0, start.q, start.lam, *start.path, stable)
     path = LoadPath(balance, first, max_steps, fine)
     verdict, last = path.follow(), path.places[-1]
-    outcome = LoadOutcome(verdict, last.s, len(path.places) - 1, path.residual, path.stable_to())
+    outcome = EquilibriumOutcome(
+        verdict, last.s, len(path.places) - 1, path.residual, path.stable_to()
+    )
     return SearchEnd(last.q, last.lam, outcome)
 
 
@@ -156,22 +158,24 @@ def _settled(balance: Balance, start: Softness | None, max_steps: int) -> Search
     if downhill.gone and start and start.free.shape[1]:
         raise free_mechanism(balance.system.naming, balance.q_0, start.free)
     if verdict is Verdict.INTERRUPTED:
-        return SearchEnd(q, lam, LoadOutcome(verdict, 0.0, steps, residual, downhill=True))
+        return SearchEnd(q, lam, EquilibriumOutcome(verdict, 0.0, steps, residual, downhill=True))
     end = softest(balance, 1.0, q, lam)
-    free = _neutral(balance, SearchEnd(q, lam, LoadOutcome(verdict, 1.0, steps, residual)), end)
+    free = _neutral(
+        balance, SearchEnd(q, lam, EquilibriumOutcome(verdict, 1.0, steps, residual)), end
+    )
     if free.shape[1]:
         raise free_mechanism(balance.system.naming, q, free)
     if verdict is not Verdict.EQUILIBRIUM:
-        return SearchEnd(q, lam, LoadOutcome(verdict, 0.0, steps, residual, downhill=True))
+        return SearchEnd(q, lam, EquilibriumOutcome(verdict, 0.0, steps, residual, downhill=True))
     # Where the start is held, a motion without stiffness is that of a critical load.
     if end.free.shape[1] and start:
         raise free_mechanism(balance.system.naming, q, end.free)
     solved = balance.solve(1.0, q, lam)
     if isinstance(solved, Unsolved):
-        outcome = LoadOutcome(solved.verdict, 0.0, steps, solved.residual, downhill=True)
+        outcome = EquilibriumOutcome(solved.verdict, 0.0, steps, solved.residual, downhill=True)
         return SearchEnd(q, lam, outcome)
     stable_to = None if end.stable else 0.0
-    outcome = LoadOutcome(verdict, 1.0, steps, solved.correction, stable_to, downhill=True)
+    outcome = EquilibriumOutcome(verdict, 1.0, steps, solved.correction, stable_to, downhill=True)
     return _polished(balance, SearchEnd(solved.q, solved.lam, outcome))
 
 

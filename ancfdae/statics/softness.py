@@ -26,7 +26,7 @@ import numpy as np
 import scipy
 
 from ancfdae.equations.saddle_points import solve
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.inertia import ConstrainedMatrix
 from ancfdae.statics.balance import Balance

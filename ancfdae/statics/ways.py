@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 from typing import final
 
 from ancfdae.equations.saddle_points import solve
-from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance, Balanced, Unsolved
 from ancfdae.statics.softness import softest

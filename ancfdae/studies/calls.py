@@ -11,23 +11,17 @@ import numpy as np
 from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import (
-    InvalidInput,
-    LargeStrain,
-    StabilityWarning,
-    require_kind,
-    require_positive,
-    require_sequence,
-    uninterrupted,
-)
+from ancfdae.errors.checks import require_kind, require_positive, require_sequence
+from ancfdae.errors.kinds import InvalidInputError, LargeStrainWarning, StabilityWarning
+from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.errors.text import listed
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
-from ancfdae.sensitivity.adjoint import Adjoint, Direct
-from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRun
+from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRunError
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import states_of
@@ -35,7 +29,7 @@ from ancfdae.studies.parts import Keep, RunOfParts
 from ancfdae.studies.remedies import with_remedies
 
 if TYPE_CHECKING:
-    from ancfdae.studies.tolerance.observables import Observed
+    from ancfdae.studies.tolerance.observables import ObservableEstimates
 
 # States of a run, the end included, at which strains are looked at: all would cost half a run.
 _LOOKS = 9
@@ -62,7 +56,7 @@ def simulate(
     observables: Sequence[Observable],
     at: Sequence[float] | Array | None = None,
     progress: bool = False,
-) -> Observed: ...
+) -> ObservableEstimates: ...
 
 
 def simulate(
@@ -76,24 +70,24 @@ def simulate(
     after: Solution | None = None,
     keep: Keep | None = None,
     progress: bool = False,
-) -> Solution | Observed:
+) -> Solution | ObservableEstimates:
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
 
     Warns of errors estimated larger than the motion (`StabilityWarning`), of very many steps under
-    error control (`ManySteps`), of a tolerance out of reach (`ToleranceMissed`), and of beams that
-    are strained beyond what their elements are made for (`LargeStrain`) at one of nine instants,
-    the end included.
+    error control (`ManyStepsWarning`), of a tolerance out of reach (`ToleranceWarning`), and of
+    beams that are strained beyond what their elements are made for (`LargeStrainWarning`) at one of
+    nine instants, the end included.
 
     Parameters
     ----------
     t_end : float
         End time; s.
     integrator : Integrator
-        `HHT`, `Radau`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
+        `HHT`, `Radau`, `IDA`, `IDAS` or `DOP853`, for example ``HHT(step=2**-7)``.
     tolerance : float, optional
         In place of an integrator, with `observables`: integrator and setting are chosen so that the
-        errors of these are estimated below it; the result is `Observed`. The error of each, its
-        norm over the instants, is relative to the norm of its values there.
+        errors of these are estimated below it; the result is `ObservableEstimates`. The error of
+        each, its norm over the instants, is relative to the norm of its values there.
     observables, at : sequences, optional
         What the tolerance is for, ``[position(rod.at_end, 1)]``; and its instants, ascending in
         [0, t_end], by default 65, equally far apart; s.
@@ -115,7 +109,7 @@ def simulate(
         return observed_within(system, observables, at, t_end, tolerance, progress)
     if observables is not None or at is not None:
         rule, repair = "need `tolerance`", "Call observe(observable, solution), or observations."
-        raise InvalidInput("observables, at", rule, "an integrator", repair)
+        raise InvalidInputError("observables, at", rule, "an integrator", repair)
     run = Run(system, t_end, _required(integrator), progress, after)
     if keep is not None:
         return _thinned(run, keep)
@@ -142,7 +136,7 @@ def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 
             f"stretch differs from Hooke's law by {150 * worst:.2g} %, a shape bent so by about "
             f"{100 * worst**2:.2g} % (its gradient by twice that; cables bend exactly): take the "
             "results as estimates.",
-            LargeStrain,
+            LargeStrainWarning,
             stacklevel=level,
         )
 
@@ -152,7 +146,7 @@ def _thinned(run: Run, keep: Keep) -> Solution:
     if run.after is not None:
         rule = "a run that continues another must keep all its states"
         repair = "Leave out `keep`, or run again from t = 0 without `after`."
-        raise InvalidInput("keep", rule, "`after` too", repair)
+        raise InvalidInputError("keep", rule, "`after` too", repair)
     parts = RunOfParts(run.system, run.t_end, run.integrator, keep, run.progress)
     return uninterrupted(parts.solution())
 
@@ -191,15 +185,17 @@ def differentiate(
         For a scene: targets such as ``"pendulum.youngs_modulus"``. A mechanical system has its
         own design variables, so leave it out there.
     method : Method
-        `Direct` (default), `FiniteDifference` or `ComplexStep`.
+        `DirectDifferentiation` (default), `FiniteDifference` or `ComplexStep`.
 
     Returns
     -------
     Solution
         With `sensitivities`.
     """
-    method = Direct() if method is None else method
-    require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
+    method = DirectDifferentiation() if method is None else method
+    require_kind(
+        "method", method, (Method,), "For example DirectDifferentiation() or ComplexStep()."
+    )
     run = Run(differentiable(model, design), t_end, integrator, progress, after)
     return with_remedies(model, run, uninterrupted(method.differentiate(run)))
 
@@ -231,14 +227,15 @@ def gradient(
         Relative, each derivative times its variable, to the norm of all of these; of the value to
         the larger of that norm and the value.
     method : GradientMethod, optional
-        `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by default
-        `cheapest` of the first two, or `Direct` where there is no adjoint (IDA, Explicit).
+        `DirectDifferentiation`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or
+        `ComplexStep`; by default `cheapest` of the first two, or `DirectDifferentiation` where
+        there is no adjoint (IDA, DOP853).
     memory : str or float, optional
         ``Adjoint(memory)``: a limit such as ``"200 MB"`` for the states of a run.
 
     Warns
     -----
-    ToleranceMissed
+    ToleranceWarning
         If the tolerance is out of reach; what comes nearest is returned.
     """
     return gradients(
@@ -281,17 +278,19 @@ def gradients(
     if memory is not None:
         if method is not None:
             rule, repair = "limits the adjoint method only", "Write method=Adjoint(memory=...)."
-            raise InvalidInput("memory", rule, f"method={method!r} too", repair)
+            raise InvalidInputError("memory", rule, f"method={method!r} too", repair)
         method = Adjoint(memory)
     if method is None:
         adjoint = isinstance(integrator, AdjointIntegrator)
-        method = cheapest(system.n_b, len(objectives)) if adjoint else Direct()
-    require_kind("method", method, (GradientMethod,), "For example Adjoint() or Direct().")
+        method = cheapest(system.n_b, len(objectives)) if adjoint else DirectDifferentiation()
+    require_kind(
+        "method", method, (GradientMethod,), "For example Adjoint() or DirectDifferentiation()."
+    )
     run = Run(system, t_end, integrator, progress, after)
     try:
         return method.gradients(run, objectives)
-    except UnfinishedRun as error:
-        raise UnfinishedRun(with_remedies(model, run, error.solution)) from error
+    except UnfinishedRunError as error:
+        raise UnfinishedRunError(with_remedies(model, run, error.solution)) from error
 
 
 def _require_alone(**others: object) -> None:
@@ -299,14 +298,14 @@ def _require_alone(**others: object) -> None:
     for name, given in others.items():
         if given is not None:
             rule, repair = f"must be given without `{name}`", "A tolerance chooses its own runs."
-            raise InvalidInput("tolerance", rule, "both", repair)
+            raise InvalidInputError("tolerance", rule, "both", repair)
 
 
 def _required(integrator: Integrator | None) -> Integrator:
-    """Return the integrator; raise InvalidInput if it is None."""
+    """Return the integrator; raise InvalidInputError if it is None."""
     if integrator is None:
         rule, repair = "must be an Integrator", "For example HHT(step=0.01), or give a tolerance."
-        raise InvalidInput("integrator", rule, "None", repair)
+        raise InvalidInputError("integrator", rule, "None", repair)
     return integrator
 
 
@@ -320,7 +319,7 @@ def evaluate(
 ) -> float:
     """Return the value of an objective on a run that is there; `observe` is for observables.
 
-    Integrals are those over the instants of the solution; IDA, IDAS and Explicit take them
+    Integrals are those over the instants of the solution; IDA, IDAS and DOP853 take them
     beside the motion in `gradient`, which differs within their tolerance.
 
     Parameters
@@ -335,11 +334,11 @@ def evaluate(
     system = as_system(model, design)
     t_end = float(solution.t[-1])
     require_objectives(system, [objective], t_end)
-    from ancfdae.integrators.problem import Problem
+    from ancfdae.integrators.problem import InitialValueProblem
 
-    Problem.of(system, t_end).require_run(solution, t_end, "solution")
+    InitialValueProblem.of(system, t_end).require_run(solution, t_end, "solution")
     if not solution.outcome.success:
-        raise UnfinishedRun(solution)
+        raise UnfinishedRunError(solution)
     return float(objective.value(system, states_of(solution)))
 
 
@@ -348,9 +347,9 @@ def require_objectives(
 ) -> None:
     """Refuse objectives that a run of this system cannot have."""
     require_positive("t_end", t_end)
-    repair = "Wrap an observable in Integral, Terminal, AtTimes, SmoothMaximum or UpperMaximum."
+    repair = "Wrap an observable in Integral, Terminal, AtTimes, SmoothMaximum or SmoothUpperBound."
     if not objectives:
-        raise InvalidInput("objectives", "must be one or more", "none", repair)
+        raise InvalidInputError("objectives", "must be one or more", "none", repair)
     for objective in objectives:
         require_kind("objective", objective, (Objective,), repair)
     for objective in objectives:
@@ -365,7 +364,7 @@ def cheapest(variables: int, objectives: int) -> GradientMethod:
     variables cost less directly than a pass back; from there to six the two are within a few
     per cent of the dynamics (docs/measurements.md, section 8).
     """
-    return Direct() if variables <= 2 * objectives else Adjoint()
+    return DirectDifferentiation() if variables <= 2 * objectives else Adjoint()
 
 
 def differentiable(
@@ -374,7 +373,7 @@ def differentiable(
     """Return `as_system`; refuse a model without design variables."""
     system = as_system(model, design)
     if not system.n_b:
-        raise InvalidInput(
+        raise InvalidInputError(
             "design",
             "must name one or more variables to differentiate in",
             "none",
@@ -402,5 +401,5 @@ def as_system(
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
     if design is not None and require_sequence("design", design):
         rule = "must be left out for a system, which has its own design variables"
-        raise InvalidInput("design", rule, repr(design))
+        raise InvalidInputError("design", rule, repr(design))
     return model

@@ -10,15 +10,16 @@ import numpy as np
 import scipy
 
 from ancfdae.assembly.system import assemble
-from ancfdae.errors import InvalidInput, require_array, require_count, require_kind
+from ancfdae.errors.checks import require_array, require_count, require_kind
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import columns
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
-from ancfdae.model.turning_frame import TurningFrame
+from ancfdae.model.turning_frame import RotatingFrame
 from ancfdae.modes.linearised import EPS
-from ancfdae.modes.result import Modes, MotionKind
+from ancfdae.modes.result import ModeKind, Modes
 from ancfdae.numerics.arrays import Array, Numbers
-from ancfdae.statics.equilibrium import Equilibrium, NoEquilibrium
+from ancfdae.statics.equilibrium import Equilibrium, NoEquilibriumError
 from ancfdae.studies.modes import modes
 from ancfdae.studies.statics import equilibrium
 
@@ -106,7 +107,7 @@ def campbell(
     Parameters
     ----------
     scene : Scene
-        With a `TurningFrame`, whose rate is replaced.
+        With a `RotatingFrame`, whose rate is replaced.
     rates : sequence of float
         Ascending; rad/s. Close enough that a line and its neighbours are nearly straight between.
     count : int
@@ -120,13 +121,13 @@ def campbell(
     rates = require_array("rates", rates)
     if rates.ndim != 1 or not len(rates) or not np.all(np.diff(rates) > 0):
         rule = "must be a sequence that ascends"
-        raise InvalidInput("rates", rule, rates.tolist(), "For example [0, 50, 100].")
+        raise InvalidInputError("rates", rule, rates.tolist(), "For example [0, 50, 100].")
     variables, equilibria, lines = (_RATE, *design), list[Equilibrium](), list[_Lines]()
     for rate in rates.tolist():
         turned = replace(scene, frame=replace(frame, rate=rate))
         at = equilibrium(turned, start=equilibria[-1] if equilibria else None)
         if not at.outcome.success:
-            raise NoEquilibrium(at)
+            raise NoEquilibriumError(at)
         # Twice as many, so that lines which leave the lowest ones are not lost.
         modes_there = modes(turned, 2 * count, at=at, design=variables, damped=True)
         all_lines = _Lines.of(modes_there, turned)
@@ -205,15 +206,15 @@ def _quotients(A: Array, B: Array) -> Array:
 
 def _lowest(modes: Modes, count: int) -> Array:
     """Return the places of the lowest ones that do not just decay, without cutting a group."""
-    moving = [j for j, kind in enumerate(modes.kinds) if kind is not MotionKind.DECAYING]
+    moving = [j for j, kind in enumerate(modes.kinds) if kind is not ModeKind.DECAYING]
     last = moving[:count][-1:]
     groups = [group for group in modes.coincide if last and last[0] in group]
     return np.array(moving[:count] + [j for group in groups for j in group if j > last[0]])
 
 
-def _frame_of(scene: Scene) -> TurningFrame:
+def _frame_of(scene: Scene) -> RotatingFrame:
     require_kind("scene", scene, (Scene,), "Call Scene(...).")
     if scene.frame is None:
-        rule, repair = "needs a turning frame", "Write Scene(..., frame=TurningFrame(rate=1))."
-        raise InvalidInput("campbell, scene", rule, "one at rest", repair)
+        rule, repair = "needs a turning frame", "Write Scene(..., frame=RotatingFrame(rate=1))."
+        raise InvalidInputError("campbell, scene", rule, "one at rest", repair)
     return scene.frame

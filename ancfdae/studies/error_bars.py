@@ -16,10 +16,10 @@ bar is the whole difference, and no value is extrapolated.
 Meshes are treated like steps, at the longest step: with two or three, each of twice the elements,
 the error of the finest follows from their differences, and the order is observed or taken as 2.
 
-**From one run** of HHT-I3 and one pass back (`adjoint_error`). The smooth motion leaves defects in
-every step of the recurrence (`integrators.hht.equations.Defects`); the discrete adjoint gives the
-change of the objective that each of them causes. The error of the objective's own quadrature is
-added; from its value on every second instant it is I - Q_h = -(Q_2h - Q_h)/3.
+**From one run** of HHT-I3 and one pass back (`estimate_adjoint_error`). The smooth motion leaves
+defects in every step of the recurrence (`integrators.hht.equations.Defects`); the discrete adjoint
+gives the change of the objective that each of them causes. The error of the objective's own
+quadrature is added; from its value on every second instant it is I - Q_h = -(Q_2h - Q_h)/3.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import InvalidInput, require_kind
+from ancfdae.errors.checks import require_kind
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import columns
 from ancfdae.integrators.integrator import DefectIntegrator, Integrator, Seeds
 from ancfdae.model.design import DesignVariable, as_design
@@ -41,7 +42,7 @@ from ancfdae.model.scene import Scene
 from ancfdae.modes.periods import advice
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
-from ancfdae.sensitivity.adjoint import Direct
+from ancfdae.sensitivity.adjoint import DirectDifferentiation
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.states import states_of
@@ -93,7 +94,7 @@ class ErrorBars:
         Whether the steps resolve the waves of the derivatives: whether their estimated errors
         (`Solution.estimated_errors`) fall at the order of the integrator from the last run but
         one. Where they do not, bars are three to four times what runs differ by. None without such
-        an estimate, which only `Direct` with `HHT` provides.
+        an estimate, which only `DirectDifferentiation` with `HHT` provides.
     """
 
     names: tuple[str, ...]
@@ -162,7 +163,7 @@ def error_bars(
     model, objective, t_end, integrator, design, progress
         As in `gradient`; the integrator is that of the coarsest run.
     method : GradientMethod
-        As in `gradient`, but `Direct` by default.
+        As in `gradient`, but `DirectDifferentiation` by default.
     levels : int
         2, or 3 to see whether the order is reached: with `HHT` 3 or 7 times the first run.
     meshes : int
@@ -170,8 +171,10 @@ def error_bars(
         value, gradient and bars then are.
     """
     if not any(levels is count for count in (2, 3)):
-        raise InvalidInput("levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer.")
-    chosen = Direct() if method is None else method
+        raise InvalidInputError(
+            "levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer."
+        )
+    chosen = DirectDifferentiation() if method is None else method
 
     def run(at: _Mesh, settings: Integrator) -> Gradient:
         return gradient(
@@ -212,7 +215,9 @@ def _of_steps(
 def _meshes(model: Scene | MechanicalSystem, design: _Design, count: int) -> list[_Mesh]:
     """Return the model and its design on `count` meshes, the coarsest first."""
     if count not in (1, 2, 3):
-        raise InvalidInput("meshes", "must be 1, 2 or 3", repr(count), "2 is cheaper, 3 is safer.")
+        raise InvalidInputError(
+            "meshes", "must be 1, 2 or 3", repr(count), "2 is cheaper, 3 is safer."
+        )
     if count == 1:
         return [(model, design)]
     require_kind("model", model, (Scene,), "Only scenes have meshes.")
@@ -257,7 +262,7 @@ _LEAST_STEPS = 4
 
 @final
 @dataclass(frozen=True)
-class AdjointError:
+class AdjointErrorEstimate:
     """An objective and the estimate of its discretisation error.
 
     `error` estimates the exact value minus `value`, with its sign; it is not a bound.
@@ -278,7 +283,7 @@ class AdjointError:
 
 
 @in_one_thread
-def adjoint_error(
+def estimate_adjoint_error(
     model: Scene | MechanicalSystem,
     objective: Objective,
     t_end: float,
@@ -286,7 +291,7 @@ def adjoint_error(
     *,
     design: Sequence[str | DesignVariable] | None = None,
     progress: bool = False,
-) -> AdjointError:
+) -> AdjointErrorEstimate:
     """Estimate the discretisation error of an objective from a single run.
 
     Costs about 1.4 runs, where `error_bars` costs three; it gives no error of the gradient, and
@@ -303,7 +308,9 @@ def adjoint_error(
     """
     if not isinstance(integrator, DefectIntegrator):
         rule = "needs an integrator that knows the defects of its steps, such as HHT"
-        raise InvalidInput("adjoint_error", rule, repr(integrator), "Use HHT, or error_bars.")
+        raise InvalidInputError(
+            "estimate_adjoint_error", rule, repr(integrator), "Use HHT, or error_bars."
+        )
     system = as_system(model, design)
     require_objectives(system, [objective], t_end)
     solution = finished(Run(system, t_end, integrator, progress).solution())
@@ -311,7 +318,7 @@ def adjoint_error(
     if steps < _LEAST_STEPS:
         periods = advice(system, 0.0, solution.q[0], solution.lam[0])
         repair = f"Use a step of {t_end / 8:.3g} or less. {periods}".rstrip()
-        raise InvalidInput("adjoint_error", "needs four steps", steps, repair)
+        raise InvalidInputError("estimate_adjoint_error", "needs four steps", steps, repair)
     states = states_of(solution)
     partials = objective.partials(system, states)
     seeds = Seeds(partials.q, partials.v, partials.lam)
@@ -320,4 +327,4 @@ def adjoint_error(
     every_second = [*range(0, steps, 2), steps]
     thinned = objective.value(system, states.rows(every_second))
     quadrature = float(np.real(partials.value - thinned)) / 3
-    return AdjointError(partials.value, error + quadrature, solution)
+    return AdjointErrorEstimate(partials.value, error + quadrature, solution)

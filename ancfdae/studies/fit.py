@@ -11,14 +11,15 @@ import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import InvalidInput, require_array, require_kind, require_positive
+from ancfdae.errors.checks import require_array, require_kind, require_positive
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.responses import Evaluations
 
 R = TypeVar("R")
 
 
-class Fit(abc.ABC):
+class ResidualFunction(abc.ABC):
     """Residuals of a model and their Jacobian, for ``scipy.optimize.least_squares``.
 
     ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac",
@@ -26,7 +27,7 @@ class Fit(abc.ABC):
     success: SciPy compares J^T r with 1e-8 in any units, and in moduli in Pa that is small.
     Both functions come from one computation per design, which is kept for the other. A later design
     than the first that cannot be computed, or cannot be put together, is warned about
-    (`FailedDesign`); its residuals are infinite, so that SciPy steps back.
+    (`FailedDesignWarning`); its residuals are infinite, so that SciPy steps back.
 
     ``one + another`` are the residuals of two experiments with the same design variables.
 
@@ -58,11 +59,11 @@ class Fit(abc.ABC):
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If the first design cannot be put together.
-        UnfinishedRun
+        UnfinishedRunError
             If its run ends early; the error carries what was computed.
-        NonFiniteObjective
+        NonFiniteObjectiveError
             If an observable is not finite in it.
         """
 
@@ -77,12 +78,12 @@ class Fit(abc.ABC):
     def require(self, b: Array) -> None:
         """Raise the error of a design that has no residuals."""
 
-    def __add__(self, other: Fit) -> Fit:
+    def __add__(self, other: ResidualFunction) -> ResidualFunction:
         """Return the fit to both experiments."""
-        require_kind("fit", other, (Fit,), "For example misfit.fit(...).")
+        require_kind("fit", other, (ResidualFunction,), "For example misfit.fit(...).")
         same = self.design_names == other.design_names and np.array_equal(self.start, other.start)
         if not same:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "fit",
                 f"must have the design variables {self.design_names} at the same start",
                 f"{other.design_names}, {other.start} beside {self.start}",
@@ -118,17 +119,17 @@ class Fit(abc.ABC):
         """
         require_positive("level", level)
         if level >= 1:
-            raise InvalidInput("level", "must be below 1", level, "0.95 is the usual one.")
+            raise InvalidInputError("level", "must be below 1", level, "0.95 is the usual one.")
         half = scipy.special.ndtri(0.5 * (1 + level)) * np.sqrt(np.diag(self.covariance(b)))
         limits = zip((b - half).tolist(), (b + half).tolist(), strict=True)
         return dict(zip(self.design_names, limits, strict=True))
 
 
 @final
-class JointFit(Fit):
+class JointFit(ResidualFunction):
     """Residuals of two fits of the same design variables, one after the other."""
 
-    def __init__(self, one: Fit, other: Fit) -> None:
+    def __init__(self, one: ResidualFunction, other: ResidualFunction) -> None:
         self._fits = one, other
         lower, upper = zip(one.bounds, other.bounds, strict=True)
         self.bounds = np.maximum(*lower), np.minimum(*upper)
@@ -158,7 +159,7 @@ class JointFit(Fit):
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredFit(Fit, Generic[R]):
+class MeasuredFit(ResidualFunction, Generic[R]):
     """Residuals of one experiment; `R` is what it computes at a design.
 
     Attributes

@@ -15,7 +15,7 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 
 _PLAIN = (str, int, float, complex, bytes, np.generic, type(None), type(...))
 
@@ -24,7 +24,7 @@ _LIBRARIES = frozenset({"ancfdae", "numpy", "scipy"}) | sys.stdlib_module_names 
 
 
 def digest(where: str, value: object) -> str:
-    """Return the SHA-256 digest of a value; InvalidInput for unreadable contents, as of a lock."""
+    """Return the SHA-256 digest of a value; InvalidInputError for unreadable contents, as of a lock."""
     told = hashlib.sha256()
     for part in _Description(where).of(value):
         # Lengths, so that ("ab", "c") is not ("a", "bc").
@@ -130,7 +130,7 @@ class _Description:
             try:
                 yield pickle.dumps(value)
             except Exception as error:
-                raise InvalidInput(
+                raise InvalidInputError(
                     f"{self._where}, file",
                     "must be told from others by its contents",
                     f"{kind.__name__}: {error}",

@@ -10,7 +10,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future,
 from contextlib import closing, suppress
 from typing import TypeVar, final
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.progress import progress_bar
 
 _Task = TypeVar("_Task")
@@ -38,7 +38,7 @@ def answers(
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If one of the `parts`, which tasks and function are made of, does not pickle.
     KeyboardInterrupt
         Also if a worker was interrupted.
@@ -118,7 +118,7 @@ def _require_pickles(lost: Exception, parts: Mapping[str, object]) -> None:
         try:
             pickle.dumps(part)
         except _UNSENT as error:
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"{name}, executor",
                 "must pickle to be sent to a worker",
                 str(error),

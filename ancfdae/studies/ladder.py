@@ -11,25 +11,19 @@ import numpy as np
 
 from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import (
-    AncfdaeError,
-    InvalidInput,
-    require_count,
-    require_flag,
-    require_kind,
-    require_positive,
-)
+from ancfdae.errors.checks import require_count, require_flag, require_kind, require_positive
+from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.timing import timed
-from ancfdae.sensitivity.method import UnfinishedRun
+from ancfdae.sensitivity.method import UnfinishedRunError
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import differentiable, evaluate, gradient, require_objectives, simulate
 from ancfdae.studies.error_bars import MESH_ORDER, bars
-from ancfdae.studies.ladder_result import KINDS, ModelLadder, Rung, RungRun, error
+from ancfdae.studies.ladder_result import KINDS, ModelComparison, ModelVariant, VariantRun, error
 from ancfdae.studies.meshes import Kind, coarsest, known_design, model_kinds, with_mesh
 
 # Share of the tolerance that the step of the finest run may take, or the last doubled mesh.
@@ -67,7 +61,7 @@ class Question:
         numbers[[1 + names.index(name) for name in answer.names]] = answer.gradient
         return numbers * self.scale
 
-    def is_small(self, difference: Array, at: Array, richest: Rung | None) -> bool:
+    def is_small(self, difference: Array, at: Array, richest: ModelVariant | None) -> bool:
         """Whether an error is small against the tolerance, or against the error of the model."""
         exact = at if richest is None else richest.numbers
         return all(
@@ -76,7 +70,7 @@ class Question:
             for of in KINDS
         )
 
-    def settled_mesh(self, rungs: Sequence[Rung], richest: Rung) -> bool:
+    def settled_mesh(self, rungs: Sequence[ModelVariant], richest: ModelVariant) -> bool:
         """Whether the last of some meshes of a model needs no finer one."""
         if len(rungs) < 2 or not (rungs[-1].runs and rungs[-2].runs):
             return False
@@ -85,18 +79,18 @@ class Question:
 
 
 def refined_runs(
-    model: Scene, design: Sequence[DesignVariable], question: Question, richest: Rung | None
-) -> tuple[tuple[RungRun, ...], Array]:
+    model: Scene, design: Sequence[DesignVariable], question: Question, richest: ModelVariant | None
+) -> tuple[tuple[VariantRun, ...], Array]:
     """Return runs from the longest step to one that errs little, and the bar of that.
 
     A run of more work than the best one of the richest model is the last.
 
     Raises
     ------
-    InvalidInput, UnfinishedRun
+    InvalidInputError, UnfinishedRunError
         If the model does not have what is asked for, or runs do not get to the end.
     """
-    system, runs = assemble(model, design), list[RungRun]()
+    system, runs = assemble(model, design), list[VariantRun]()
     steps, size, left = _FIRST, system.n_q + system.n_lam, None
     while steps <= question.max_steps:
         try:
@@ -104,8 +98,8 @@ def refined_runs(
                 question.numbers(system, HHT(question.t_end / steps))
             step = question.t_end / steps
             run = partial(question.numbers, system, HHT(step))
-            runs.append(RungRun(step, steps * size, *timed(run, 3, long=_SHORT)))
-        except UnfinishedRun as failed:
+            runs.append(VariantRun(step, steps * size, *timed(run, 3, long=_SHORT)))
+        except UnfinishedRunError as failed:
             left = failed
         dear = runs and richest is not None and runs[-1].work > richest.runs[-1].work
         if len(runs) >= _SEEN and (
@@ -114,13 +108,13 @@ def refined_runs(
             break
         steps *= 2
     if len(runs) < _SEEN:
-        raise left or InvalidInput(
+        raise left or InvalidInputError(
             "max_steps", "must be at least 128, for runs of 32, 64 and 128", question.max_steps
         )
     return tuple(runs), _bar(runs)
 
 
-def _bar(runs: Sequence[RungRun]) -> Array:
+def _bar(runs: Sequence[VariantRun]) -> Array:
     return bars(np.diff([run.numbers for run in runs[-_SEEN:]], axis=0), HHT.order)[0]
 
 
@@ -139,7 +133,7 @@ def choose_model(
     doublings: int = 1,
     max_steps: int = 8192,
     progress: bool = False,
-) -> ModelLadder:
+) -> ModelComparison:
     """Measure which model, mesh and step a value and its gradient need.
 
     Models are made from the scene: rigid beams, all or all but one; elements with fewer
@@ -169,7 +163,7 @@ def choose_model(
             "must be at most 1, since it is relative to the result",
             "For example 0.02, for 2 %.",
         )
-        raise InvalidInput("tolerance", rule, tolerance, repair)
+        raise InvalidInputError("tolerance", rule, tolerance, repair)
     require_count("doublings", doublings, "An error is seen in two meshes.")
     require_count("max_steps", max_steps, "Runs begin with 32 steps.")
     require_flag("progress", progress)
@@ -184,31 +178,34 @@ def choose_model(
         rungs = _simpler(simpler, richest, question, bar.update)
     told = tuple(x for x in (*rungs, *richest) if x.runs or x.level == 0)
     names = tuple(variable.name for variable in variables)
-    return ModelLadder(told, names, tolerance, *_mesh_bar(richest))
+    return ModelComparison(told, names, tolerance, *_mesh_bar(richest))
 
 
 def _richest(
     declared: Kind, levels: Sequence[int], question: Question, done: Callable[[], object]
-) -> list[Rung]:
+) -> list[ModelVariant]:
     """Measure the scene as declared on ever finer meshes, until the mesh errs little."""
-    richest = list[Rung]()
+    richest = list[ModelVariant]()
     for level in levels:
         richest.append(_rung(declared, level, question, None))
         done()
         if level >= 0 and not richest[-1].runs:
             rule = "must run to t_end on the declared mesh and on finer ones"
             repair = "Find a step that works with simulate(scene, t_end, HHT(step=...))."
-            raise InvalidInput("scene", rule, richest[-1].outcome, repair)
+            raise InvalidInputError("scene", rule, richest[-1].outcome, repair)
         if level > 0 and _is_fine(richest, question.tolerance):
             break
     return richest
 
 
 def _simpler(
-    kinds: Sequence[Kind], richest: Sequence[Rung], question: Question, done: Callable[[], object]
-) -> list[Rung]:
+    kinds: Sequence[Kind],
+    richest: Sequence[ModelVariant],
+    question: Question,
+    done: Callable[[], object],
+) -> list[ModelVariant]:
     """Measure simpler models, each on the meshes of the richest until it settles."""
-    rungs = list[Rung]()
+    rungs = list[ModelVariant]()
     for kind in kinds:
         known = len(rungs)
         for like in richest:
@@ -219,9 +216,9 @@ def _simpler(
     return rungs
 
 
-def _rung(kind: Kind, level: int, question: Question, richest: Rung | None) -> Rung:
+def _rung(kind: Kind, level: int, question: Question, richest: ModelVariant | None) -> ModelVariant:
     """Measure a model on a mesh; one that cannot be is a rung without runs."""
-    rung = Rung(kind.name, level, "")
+    rung = ModelVariant(kind.name, level, "")
     try:
         declared = kind.build()
         known = known_design(declared, question.design, kind.lacks)
@@ -235,12 +232,12 @@ def _rung(kind: Kind, level: int, question: Question, richest: Rung | None) -> R
         return replace(rung, outcome=str(error))
 
 
-def _mesh_bar(richest: Sequence[Rung]) -> tuple[Array, Array]:
+def _mesh_bar(richest: Sequence[ModelVariant]) -> tuple[Array, Array]:
     """Return the bar of the finest mesh, and the orders seen in the last three."""
     numbers = [rung.numbers for rung in richest if rung.runs][-3:]
     return bars(np.diff(numbers, axis=0), MESH_ORDER)
 
 
-def _is_fine(richest: Sequence[Rung], tolerance: float) -> bool:
+def _is_fine(richest: Sequence[ModelVariant], tolerance: float) -> bool:
     bar, exact = _mesh_bar(richest)[0], richest[-1].numbers
     return all(error(bar, exact, of) <= _MESH * tolerance for of in KINDS)

@@ -13,7 +13,8 @@ from typing import Final, Literal, final
 
 import numpy as np
 
-from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
+from ancfdae.errors.checks import require_positive
+from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
 from ancfdae.errors.text import columns
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.model.design import DesignVariable
@@ -26,7 +27,7 @@ KINDS: Final[tuple[ErrorOf, ...]] = ("objective", "gradient")
 
 @final
 @dataclass(frozen=True)
-class RungRun:
+class VariantRun:
     """One run of value and gradient.
 
     Attributes
@@ -55,7 +56,7 @@ class RungRun:
 
 @final
 @dataclass(frozen=True)
-class Rung:
+class ModelVariant:
     """A model on a mesh.
 
     Attributes
@@ -69,7 +70,7 @@ class Rung:
     scene : Scene
     design : tuple of DesignVariable
         Those that the model has, with the targets that it has.
-    runs : tuple of RungRun
+    runs : tuple of VariantRun
         From the longest step to the shortest.
     bar : array, shape (1 + n_b,)
         Estimated error of the last run by its step, of each of `numbers`; unit of the objective.
@@ -80,7 +81,7 @@ class Rung:
     outcome: str
     scene: Scene | None = None
     design: tuple[DesignVariable, ...] = ()
-    runs: tuple[RungRun, ...] = ()
+    runs: tuple[VariantRun, ...] = ()
     bar: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -97,14 +98,14 @@ class Rung:
 
 @final
 @dataclass(frozen=True)
-class Choice:
+class ModelChoice:
     """A rung with a step, and the parts of its relative error in the value or the gradient.
 
     `of` tells in which: that asked for, or the one with the larger error if both were.
     """
 
-    rung: Rung
-    run: RungRun
+    rung: ModelVariant
+    run: VariantRun
     of: ErrorOf
     parts: dict[str, float]
 
@@ -123,10 +124,10 @@ class Choice:
 
 
 @final
-class NoModel(AncfdaeError):
+class NoAccurateModelError(AncfdaeError):
     """No model that was measured is accurate enough; `best` is the most accurate one."""
 
-    def __init__(self, tolerance: float, of: ErrorOf | None, best: Choice) -> None:
+    def __init__(self, tolerance: float, of: ErrorOf | None, best: ModelChoice) -> None:
         where = " and the ".join(_asked(of))
         super().__init__(
             f"no model reaches an error of {tolerance:.3g} in the {where}; the best is {best}. "
@@ -138,12 +139,12 @@ class NoModel(AncfdaeError):
 
 @final
 @dataclass(frozen=True)
-class ModelLadder:
+class ModelComparison:
     """Rungs of a ladder of models, the richest one last.
 
     Attributes
     ----------
-    rungs : tuple of Rung
+    rungs : tuple of ModelVariant
     names : tuple of str
         Of the design variables.
     tolerance : float
@@ -153,7 +154,7 @@ class ModelLadder:
         observed in its meshes, nan if there are only two.
     """
 
-    rungs: tuple[Rung, ...]
+    rungs: tuple[ModelVariant, ...]
     names: tuple[str, ...]
     tolerance: float
     mesh_bar: Array
@@ -164,16 +165,16 @@ class ModelLadder:
         return self.table()
 
     @property
-    def richest(self) -> Rung:
+    def richest(self) -> ModelVariant:
         """Runs of the richest model, against which all others are measured."""
         return self.rungs[-1]
 
     @property
-    def chosen(self) -> Choice:
+    def chosen(self) -> ModelChoice:
         """The cheapest within the tolerance in both value and gradient; see `recommend`."""
         return self.recommend(self.tolerance)
 
-    def recommend(self, tolerance: float, of: ErrorOf | None = None) -> Choice:
+    def recommend(self, tolerance: float, of: ErrorOf | None = None) -> ModelChoice:
         """Return the run with the least `work` among those whose errors are within the tolerance.
 
         Parameters
@@ -187,24 +188,24 @@ class ModelLadder:
 
         Raises
         ------
-        NoModel
+        NoAccurateModelError
             If no run is within the tolerance.
         """
         require_positive("tolerance", tolerance)
         choices = self.choices(of)
         enough = [each for each in choices if each.error <= tolerance]
         if not enough:
-            raise NoModel(tolerance, of, min(choices, key=lambda each: each.error))
+            raise NoAccurateModelError(tolerance, of, min(choices, key=lambda each: each.error))
         return min(enough, key=lambda each: (each.run.work, each.error))
 
-    def choices(self, of: ErrorOf | None = None) -> list[Choice]:
+    def choices(self, of: ErrorOf | None = None) -> list[ModelChoice]:
         """Return all runs of all rungs with their errors; `of` as in `recommend`."""
         if of is not None and str(of) not in KINDS:
             repair = "Choose one, or leave it out for both."
-            raise InvalidInput("of", f"must be one of {', '.join(KINDS)}", repr(of), repair)
+            raise InvalidInputError("of", f"must be one of {', '.join(KINDS)}", repr(of), repair)
         return [self.choice(rung, run, of) for rung in self.rungs for run in rung.runs]
 
-    def without_influence(self, rung: Rung) -> tuple[str, ...]:
+    def without_influence(self, rung: ModelVariant) -> tuple[str, ...]:
         """Return the variables that the rung's value does not depend on, but the richest's does."""
         lost = (rung.numbers[1:] == 0) & (self.richest.numbers[1:] != 0) if rung.runs else []
         return tuple(name for name, x in zip(self.names, lost, strict=bool(rung.runs)) if x)
@@ -223,7 +224,7 @@ class ModelLadder:
         bars = ", ".join(f"{of} {error(self.mesh_bar, exact, of):.2g}" for of in KINDS)
         return f"{columns(rows, shorten=False)}\nmesh of the last: {bars}; orders {orders}"
 
-    def choice(self, rung: Rung, run: RungRun, of: ErrorOf | None = None) -> Choice:
+    def choice(self, rung: ModelVariant, run: VariantRun, of: ErrorOf | None = None) -> ModelChoice:
         """Return a run of a rung with the parts of its error; `of` as in `recommend`."""
         exact, numbers = self.richest.numbers, rung.numbers
         finest = max((x for x in self.rungs if x.name == rung.name and x.runs), key=_level)
@@ -234,7 +235,7 @@ class ModelLadder:
             self.mesh_bar + self.richest.bar,
         )
         asked = (
-            Choice(
+            ModelChoice(
                 rung,
                 run,
                 kind,
@@ -244,7 +245,7 @@ class ModelLadder:
         )
         return max(asked, key=lambda each: each.error)
 
-    def _cells(self, rung: Rung) -> list[str]:
+    def _cells(self, rung: ModelVariant) -> list[str]:
         if not rung.runs:
             return [rung.name, str(rung.elements), *["-"] * 7, rung.outcome]
         choices = [self.choice(rung, run) for run in rung.runs]
@@ -279,5 +280,5 @@ def error(difference: Array, exact: Array, of: ErrorOf) -> float:
     return size / whole if whole else (np.inf if size else 0.0)
 
 
-def _level(rung: Rung) -> int:
+def _level(rung: ModelVariant) -> int:
     return rung.level

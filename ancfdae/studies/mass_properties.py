@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.system import AncfSystem
-from ancfdae.errors import require_kind
+from ancfdae.errors.checks import require_kind
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import final
 
-from ancfdae.errors import InvalidInput, UnknownName
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.model.bodies import BeamBody
 from ancfdae.model.design import DesignVariable, parse_target
 from ancfdae.model.elements import ALL_ELEMENTS, BeamElement
@@ -22,7 +22,7 @@ def with_mesh(
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If a beam cannot have this mesh: its elements differ or are too few, its nodes are given,
         or a start is given node by node.
     """
@@ -48,7 +48,7 @@ def _fewer(count: int, level: int) -> int:
             f"must be a multiple of {1 << -level} to be coarsened",
             "Declare a finer mesh.",
         )
-        raise InvalidInput("elements", rule, count, repair)
+        raise InvalidInputError("elements", rule, count, repair)
     return count >> -level
 
 
@@ -70,7 +70,7 @@ def _targets(text: str, scene: Scene, level: int) -> list[str]:
         return [text]
     if level < 0:
         rule, repair = "an element of its own", "Leave it out, or take finer meshes only."
-        raise InvalidInput(f"design target {text}", rule, "a coarser mesh", repair)
+        raise InvalidInputError(f"design target {text}", rule, "a coarser mesh", repair)
     first = target.element << level
     return [str(replace(target, element=k)) for k in range(first, first + (1 << level))]
 
@@ -88,7 +88,7 @@ class Kind:
     ----------
     name : str
     build : callable
-        Returns the scene, or raises InvalidInput where parts do not go with each other.
+        Returns the scene, or raises InvalidInputError where parts do not go with each other.
     lacks : str
         A parameter of beams that it leaves out.
     """
@@ -106,7 +106,7 @@ def known_design(
     def has(text: str) -> bool:
         try:
             return scene.resolve(text).parameter != lacks
-        except UnknownName:
+        except UnknownNameError:
             return False
 
     rows = [(x, {text: x.factor(text) for text in x.targets if has(text)}) for x in design]

@@ -10,8 +10,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import (
-    InvalidInput,
+from ancfdae.errors.checks import (
     require_array,
     require_each,
     require_finite,
@@ -19,17 +18,18 @@ from ancfdae.errors import (
     require_positive,
     require_sequence,
 )
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.static import Static
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
-from ancfdae.modes.result import Modes, MotionKind
+from ancfdae.modes.result import ModeKind, Modes
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.sensitivity.method import Run, finished
-from ancfdae.sensitivity.objectives import NonFiniteObjective
+from ancfdae.sensitivity.objectives import NonFiniteObjectiveError
 from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import States, states_of
-from ancfdae.statics.equilibrium import NoEquilibrium, find_equilibrium
+from ancfdae.statics.equilibrium import NoEquilibriumError, find_equilibrium
 from ancfdae.studies.calls import design_bounds, differentiable
 from ancfdae.studies.fit import MeasuredFit
 from ancfdae.studies.modes import modes
@@ -67,7 +67,7 @@ class Misfit:
         for time in times:
             require_finite("Misfit.times", time)
         if not times or min(times) < 0:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "Misfit.times",
                 "must contain at least one time, none below 0",
                 times,
@@ -84,7 +84,7 @@ class Misfit:
         integrator: Integrator,
         *,
         design: Sequence[str | DesignVariable] | None = None,
-    ) -> RunFit:
+    ) -> RunResidualFunction:
         """Return residuals and Jacobian as functions of the design values.
 
         Parameters
@@ -99,17 +99,17 @@ class Misfit:
         require_positive("t_end", t_end)
         if max(self.times) > t_end * (1 + 1e-12):
             rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
-            raise InvalidInput("Misfit.times", rule, max(self.times), repair)
+            raise InvalidInputError("Misfit.times", rule, max(self.times), repair)
         system = differentiable(model, design)
         for observable in self.observables:
             observable.check(system)
         run = Run(system, float(t_end), integrator)
-        return RunFit(system, design_bounds(system, design), self, run)
+        return RunResidualFunction(system, design_bounds(system, design), self, run)
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class RunFit(MeasuredFit[tuple[Run, Solution]]):
+class RunResidualFunction(MeasuredFit[tuple[Run, Solution]]):
     """Residuals of a run, from one run with direct differentiation per design.
 
     Attributes
@@ -160,7 +160,7 @@ def _along(
     total = p.total(sensitivities.q_b, sensitivities.v_b, sensitivities.lam_b)
     bad = ~np.isfinite(p.value) | ~np.isfinite(total).all(axis=1)
     if np.any(bad):
-        raise NonFiniteObjective("Misfit", "an observable", float(states.t[np.argmax(bad)]))
+        raise NonFiniteObjectiveError("Misfit", "an observable", float(states.t[np.argmax(bad)]))
     return p.value, total
 
 
@@ -203,7 +203,7 @@ class StaticMisfit:
         model: Scene | MechanicalSystem,
         *,
         design: Sequence[str | DesignVariable] | None = None,
-    ) -> RunFit:
+    ) -> RunResidualFunction:
         """Return residuals and Jacobian as functions of the design values; as `Misfit.fit`."""
         data, weights = np.asarray(self.data), np.asarray(self.weights)
         misfit = Misfit(self.observables, (0.0,), data[:, None], weights[:, None])
@@ -211,7 +211,7 @@ class StaticMisfit:
         for observable in self.observables:
             observable.check(system)
         run = Run(system, 0.0, Static())
-        return RunFit(system, design_bounds(system, design), misfit, run)
+        return RunResidualFunction(system, design_bounds(system, design), misfit, run)
 
 
 @final
@@ -281,7 +281,7 @@ class FrequencyFit(MeasuredFit[Modes]):
         if self.misfit.under_load:
             at = find_equilibrium(system, sensitivities=True)
             if not at.outcome.success:
-                raise NoEquilibrium(at)
+                raise NoEquilibriumError(at)
         wanted = count
         while True:
             lowest = modes(system, wanted, at=at)
@@ -289,7 +289,7 @@ class FrequencyFit(MeasuredFit[Modes]):
             if missing <= 0:
                 return lowest
             if len(lowest.exponents) < wanted:
-                raise InvalidInput(
+                raise InvalidInputError(
                     "FrequencyMisfit.data",
                     f"must be at most the {count - missing} vibrations that the model has",
                     count,
@@ -300,13 +300,13 @@ class FrequencyFit(MeasuredFit[Modes]):
 
 def _vibrations(computed: Modes) -> Array:
     """Return which modes vibrate."""
-    return np.flatnonzero([kind is MotionKind.VIBRATION for kind in computed.kinds])
+    return np.flatnonzero([kind is ModeKind.VIBRATION for kind in computed.kinds])
 
 
 def _measured(misfit: Misfit | StaticMisfit | FrequencyMisfit, shape: tuple[int, ...]) -> None:
     """Store data and weights as arrays of a shape, in which -1 stands for any number.
 
-    Raises InvalidInput for other shapes, infinite data, or data that are all NaN.
+    Raises InvalidInputError for other shapes, infinite data, or data that are all NaN.
     """
     where, data = type(misfit).__name__, np.zeros(0)
     of_shape = "a sequence" if -1 in shape else f"of the shape {shape}"
@@ -315,17 +315,19 @@ def _measured(misfit: Misfit | StaticMisfit | FrequencyMisfit, shape: tuple[int,
     try:
         data = np.asarray(misfit.data, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise InvalidInput(f"{where}.data", rule, repr(misfit.data), repair) from None
+        raise InvalidInputError(f"{where}.data", rule, repr(misfit.data), repair) from None
     fits = data.ndim == len(shape) and all(
         n in (m, -1) for n, m in zip(shape, data.shape, strict=True)
     )
     if not fits or np.all(np.isnan(data)) or np.any(np.isinf(data)):
-        raise InvalidInput(f"{where}.data", rule, f"shape {data.shape}: {data.tolist()}", repair)
+        raise InvalidInputError(
+            f"{where}.data", rule, f"shape {data.shape}: {data.tolist()}", repair
+        )
     weights = require_array(f"{where}.weights", misfit.weights)
     try:
         weights = np.broadcast_to(weights, data.shape)
     except ValueError:
         rule, repair = f"must spread to the shape {data.shape}", "Give one each, or one for all."
-        raise InvalidInput(f"{where}.weights", rule, weights.shape, repair) from None
+        raise InvalidInputError(f"{where}.weights", rule, weights.shape, repair) from None
     object.__setattr__(misfit, "data", data)
     object.__setattr__(misfit, "weights", weights)

@@ -10,7 +10,8 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import force_total, held_pull_back, held_q, held_total
 from ancfdae.equations.saddle_points import saddle_point, solve, solve_transposed
-from ancfdae.errors import InvalidInput, require_count, require_flag, require_kind, require_positive
+from ancfdae.errors.checks import require_count, require_flag, require_kind, require_positive
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.start import (
     Covectors,
     consistent_start,
@@ -20,13 +21,13 @@ from ancfdae.integrators.start import (
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.modes.analysis import modes_about
-from ancfdae.modes.configuration import Configuration
+from ancfdae.modes.configuration import LinearisationPoint
 from ancfdae.modes.periods import StepSuggestion, suggestion
 from ancfdae.modes.result import Modes
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.threads import in_one_thread
-from ancfdae.sensitivity.adjoint import Adjoint, Direct
+from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.equilibrium import Equilibrium
 from ancfdae.studies.calls import as_system
@@ -37,11 +38,11 @@ def modes(
     model: Scene | MechanicalSystem,
     count: int = 6,
     *,
-    at: Configuration | Equilibrium | None = None,
+    at: LinearisationPoint | Equilibrium | None = None,
     design: Sequence[str | DesignVariable] | None = None,
     damped: bool | None = None,
     highest: bool = False,
-    method: Direct | Adjoint | None = None,
+    method: DirectDifferentiation | Adjoint | None = None,
 ) -> Modes:
     """Return natural frequencies and shapes of small motions about a configuration at rest.
 
@@ -57,27 +58,28 @@ def modes(
         How many. Modes that coincide to round-off are not separated if that adds eight at most, as
         of a square bar; of a larger group, as of motions that creep in an overdamped body, those
         that were asked for are returned, and `Modes.cut` names them.
-    at : Equilibrium or Configuration, optional
+    at : Equilibrium or LinearisationPoint, optional
         Where: what `equilibrium` found, or coordinates and multipliers, for example
-        ``Configuration.of(solution, instant)`` of a motion that has come to rest. By default the
-        start of the model, at rest, with the multipliers that hold it best; if forces there are
+        ``LinearisationPoint.of(solution, instant)`` of a motion that has come to rest. By default
+        the start of the model, at rest, with the multipliers that hold it best; if forces there are
         not in balance these are the modes of a motion that is held there, and the result says so.
     design : sequence of str or DesignVariable, optional
         Design variables of a scene to differentiate in; a mechanical system has its own.
     damped : bool, optional
         Whether velocity forces count; by default if there are any. False leaves out all of them,
-        gyroscopic forces in a `TurningFrame` included: centrifugal forces alone remain there, and
+        gyroscopic forces in a `RotatingFrame` included: centrifugal forces alone remain there, and
         the frequencies are not those of the rotor.
     highest : bool
         Whether the highest modes are wanted instead of the lowest.
-    method : Direct or Adjoint, optional
-        How frequencies are differentiated: `Direct` (default) with the shapes, `Adjoint` by one
-        transposed solve for each mode, independent of the number of design variables.
+    method : DirectDifferentiation or Adjoint, optional
+        How frequencies are differentiated: `DirectDifferentiation` (default) with the shapes,
+        `Adjoint` by one transposed solve for each mode, independent of the number of design
+        variables.
     """
     require_count("count", count, "Ask for one or more modes.")
     require_flag("highest", highest)
     if method is not None:
-        require_kind("method", method, (Direct, Adjoint), "Direct() or Adjoint().")
+        require_kind("method", method, (DirectDifferentiation, Adjoint), "Direct() or Adjoint().")
     system = as_system(model, design)
     where = place(system, at)
     back = where.pull_back if system.n_b and isinstance(method, Adjoint) else None
@@ -91,7 +93,7 @@ def suggest_step(
     per_period: float = 20.0,
     *,
     follow: int | None = 6,
-    at: Configuration | Equilibrium | None = None,
+    at: LinearisationPoint | Equilibrium | None = None,
 ) -> StepSuggestion:
     """Return a step that resolves the vibrations of a model, and its shortest and longest period.
 
@@ -104,7 +106,7 @@ def suggest_step(
     follow : int, optional
         How many motions count, from the slowest; None for all of them. Waves through the sections
         of stiff beams are thousands of times faster than what one wants to see.
-    at : Configuration, optional
+    at : LinearisationPoint, optional
         As in `modes`.
     """
     require_positive("per_period", per_period)
@@ -114,7 +116,7 @@ def suggest_step(
     return suggestion(system, place(system, at).configuration(False), per_period, follow)
 
 
-At: TypeAlias = Configuration | Equilibrium | None
+At: TypeAlias = LinearisationPoint | Equilibrium | None
 
 
 class DesignedConfiguration(abc.ABC):
@@ -123,7 +125,7 @@ class DesignedConfiguration(abc.ABC):
     matrices: SaddlePoint | None = None
 
     @abc.abstractmethod
-    def configuration(self, differentiated: bool) -> Configuration:
+    def configuration(self, differentiated: bool) -> LinearisationPoint:
         """Return q and lam, with their design derivatives if asked for."""
 
     @abc.abstractmethod
@@ -132,21 +134,21 @@ class DesignedConfiguration(abc.ABC):
 
 
 def place(system: MechanicalSystem, at: At) -> DesignedConfiguration:
-    """Return the place that a user means; InvalidInput if it is none."""
+    """Return the place that a user means; InvalidInputError if it is none."""
     if at is None:
         return _Start(system)
-    require_kind("at", at, (Configuration, Equilibrium), "Pass what `equilibrium` returned.")
-    return _Given(at) if isinstance(at, Configuration) else _Balanced(system, at)
+    require_kind("at", at, (LinearisationPoint, Equilibrium), "Pass what `equilibrium` returned.")
+    return _Given(at) if isinstance(at, LinearisationPoint) else _Balanced(system, at)
 
 
 @final
 class _Given(DesignedConfiguration):
     """A configuration as it is, with the derivatives it brings."""
 
-    def __init__(self, at: Configuration) -> None:
+    def __init__(self, at: LinearisationPoint) -> None:
         self._at = at
 
-    def configuration(self, differentiated: bool) -> Configuration:
+    def configuration(self, differentiated: bool) -> LinearisationPoint:
         return self._at
 
     def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
@@ -162,12 +164,12 @@ class _Balanced(DesignedConfiguration):
 
     def __init__(self, system: MechanicalSystem, at: Equilibrium) -> None:
         self._system, self._at = system, at
-        Configuration(at.q, at.lam, t=self._t).check(system)
+        LinearisationPoint(at.q, at.lam, t=self._t).check(system)
 
     @cached_property
     def _tangent(self) -> Tangent:
         if not self._at.outcome.success:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "at",
                 "must be an equilibrium under the full load to be differentiated",
                 str(self._at.outcome),
@@ -179,11 +181,11 @@ class _Balanced(DesignedConfiguration):
     def _t(self) -> float:
         return float(self._at.solution.t[0])
 
-    def configuration(self, differentiated: bool) -> Configuration:
+    def configuration(self, differentiated: bool) -> LinearisationPoint:
         at = self._at
         if not differentiated:
-            return Configuration(at.q, at.lam, t=self._t)
-        return Configuration(at.q, at.lam, *self._tangent.sensitivities(), self._t)
+            return LinearisationPoint(at.q, at.lam, t=self._t)
+        return LinearisationPoint(at.q, at.lam, *self._tangent.sensitivities(), self._t)
 
     def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
         total: Array = on_b + self._tangent.pull_back(on_q, on_lam)
@@ -211,9 +213,9 @@ class _Start(DesignedConfiguration):
         system = self._system
         return self.matrices.factor(system.mass(self._q), system.constraint_q(0.0, self._q))
 
-    def configuration(self, differentiated: bool) -> Configuration:
+    def configuration(self, differentiated: bool) -> LinearisationPoint:
         if not differentiated:
-            return Configuration(self._q, self._lam)
+            return LinearisationPoint(self._q, self._lam)
         system, q, a = self._system, self._q, self._a
         q_b = start_sensitivity(system, self.matrices, self._state).q_b
         held = np.zeros_like(q_b)
@@ -222,7 +224,7 @@ class _Start(DesignedConfiguration):
         # Phi_q a = Phi'(q, a) - Phi'(q, 0)
         side = system.constraint_total(0.0, (q, self._rest), (q_b, held))
         side = side - system.constraint_total(0.0, (q, a), (q_b, held))
-        return Configuration(q, self._lam, q_b, solve(self._factors, force, side)[1])
+        return LinearisationPoint(q, self._lam, q_b, solve(self._factors, force, side)[1])
 
     def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
         """With [m, z] the transposed solution: what is left of on_lam moves q and b."""

@@ -10,14 +10,8 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.files import replacing
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import (
-    Outcome,
-    Verdict,
-    require_each,
-    require_kind,
-    require_path,
-    uninterrupted,
-)
+from ancfdae.errors.checks import require_each, require_kind, require_path
+from ancfdae.errors.outcomes import RunOutcome, Verdict, uninterrupted
 from ancfdae.errors.text import columns
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.model.scene import Scene
@@ -30,7 +24,7 @@ from ancfdae.studies.parts import Keep, RunOfParts
 
 @final
 @dataclass(frozen=True)
-class Observations:
+class ObservableRecord:
     """Values observed during a run.
 
     Attributes
@@ -40,22 +34,22 @@ class Observations:
     values : array, shape (n, n_observables)
         Values of the observables at `t`, each in its unit; a view of the file if there is one.
     steps : int
-    outcome : Outcome
+    outcome : RunOutcome
     """
 
     t: Array
     values: Array
     steps: int
-    outcome: Outcome
+    outcome: RunOutcome
 
     def __repr__(self) -> str:
-        head = f"Observations: {len(self.t)} instants of {self.steps} steps"
+        head = f"ObservableRecord: {len(self.t)} instants of {self.steps} steps"
         rows = [["observable", "last value"]]
         rows += [[str(k), f"{x:.6g}"] for k, x in enumerate(self.values[-1] if len(self.t) else ())]
         return f"{head}\n{columns(rows)}\n{self.outcome}"
 
 
-def observations(
+def record_observables(
     model: Scene | MechanicalSystem,
     observables: Sequence[Observable],
     t_end: float,
@@ -64,7 +58,7 @@ def observations(
     keep: Keep,
     file: str | os.PathLike[str] | None = None,
     progress: bool = False,
-) -> Observations:
+) -> ObservableRecord:
     """Integrate and keep observables at some instants only, so that memory does not grow.
 
     Parameters
@@ -85,7 +79,7 @@ def observations(
     run = RunOfParts(system, t_end, integrator, keep, progress)
     shape = len(run.times), 1 + len(observables)
     rows = np.zeros(shape) if file is None else _on_disk(file, shape)
-    done, steps, outcome = 0, 0, Outcome(Verdict.INTERRUPTED, 0.0, 0, 0.0)
+    done, steps, outcome = 0, 0, RunOutcome(Verdict.INTERRUPTED, 0.0, 0, 0.0)
     seen = [_Seen(each, system) for each in observables]
     try:
         for part, some in run:
@@ -96,7 +90,7 @@ def observations(
                 rows.flush()
     except KeyboardInterrupt:  # between parts
         outcome = replace(outcome, verdict=Verdict.INTERRUPTED)
-    return uninterrupted(Observations(rows[:done, 0], rows[:done, 1:], steps, outcome))
+    return uninterrupted(ObservableRecord(rows[:done, 0], rows[:done, 1:], steps, outcome))
 
 
 @final

@@ -2,13 +2,14 @@
 
 from typing import Any, final
 
-from ancfdae.errors import AncfdaeError, MissingPackage, require_kind
+from ancfdae.errors.checks import require_kind
+from ancfdae.errors.kinds import AncfdaeError, MissingPackageError
 from ancfdae.studies.responses import Responses
 
 try:
     import openmdao.api as om
 except ImportError as error:
-    raise MissingPackage(
+    raise MissingPackageError(
         "ancfdae.studies.openmdao: needs the package openmdao; got none. Install it: "
         'python3 -m pip install "ancfdae[openmdao]".'
     ) from error

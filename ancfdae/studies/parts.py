@@ -9,7 +9,8 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Statistics
-from ancfdae.errors import InvalidInput, require_array, require_count
+from ancfdae.errors.checks import require_array, require_count
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import Integrator, PartwiseIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
@@ -38,7 +39,7 @@ class RunOfParts:
         if not isinstance(integrator, PartwiseIntegrator):
             rule = "needs one whose runs can be taken part by part, such as HHT"
             repair = "The others keep the instants of their intervals."
-            raise InvalidInput("keep, integrator", rule, repr(integrator), repair)
+            raise InvalidInputError("keep, integrator", rule, repr(integrator), repair)
         self._system, self._progress = system, progress
         self._run = in_one_thread(integrator.replay)(system, t_end)
         t, self._between = self._run.t, not isinstance(keep, int)
@@ -93,15 +94,17 @@ class RunOfParts:
 def instants(where: str, given: Sequence[float] | Array, end: float) -> Array:
     """Return times of a run as an array, shape (n,); s.
 
-    Raises InvalidInput unless they ascend and lie in [0, end].
+    Raises InvalidInputError unless they ascend and lie in [0, end].
     """
     times = require_array(where, given)
     if times.ndim != 1 or not len(times) or np.any(np.diff(times) <= 0):
         rule, repair = "must be ascending times", "For example np.linspace(0, t_end, 101)."
-        raise InvalidInput(where, rule, repr(given), repair)
+        raise InvalidInputError(where, rule, repr(given), repair)
     if times[0] < 0 or times[-1] > end:
         rule = f"must lie in [0, {end:.6g}]"
-        raise InvalidInput(where, rule, f"{times[0]:.6g} to {times[-1]:.6g}", "Let the run go on.")
+        raise InvalidInputError(
+            where, rule, f"{times[0]:.6g} to {times[-1]:.6g}", "Let the run go on."
+        )
     return times
 
 

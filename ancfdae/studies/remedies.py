@@ -17,8 +17,9 @@ from typing import Any
 from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import AncfdaeError, Interrupted, ManySteps, Verdict
-from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, StepControl
+from ancfdae.errors.kinds import AncfdaeError, ManyStepsWarning
+from ancfdae.errors.outcomes import Interrupted, Verdict
+from ancfdae.integrators.step_control import AdaptiveSteps, FixedSteps, StepControl
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.model.material import Material
 from ancfdae.model.scene import Scene
@@ -76,12 +77,12 @@ class _Budget:
         """Whether a run under error control reaches the end in the steps that are left."""
         system = self._run.system
         most = self._left / (system.n_q + system.n_lam) / _DEARER
-        return most >= 1 and self._ends(system, ControlledSteps(rtol, max_steps=int(most)))
+        return most >= 1 and self._ends(system, AdaptiveSteps(rtol, max_steps=int(most)))
 
     def _ends(self, system: MechanicalSystem, steps: StepControl) -> bool:
         integrator, spent = self._integrator.with_steps(steps), stopwatch()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ManySteps)
+            warnings.simplefilter("ignore", ManyStepsWarning)
             outcome = integrator.integrate(system, self._run.t_end).outcome
         self._longest = max(self._longest, spent())
         if outcome.verdict is Verdict.INTERRUPTED:

@@ -25,22 +25,24 @@ import scipy
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import (
-    AncfdaeError,
-    FailedDesign,
-    InvalidInput,
-    UnknownName,
+from ancfdae.errors.checks import (
     require_array,
     require_finite,
     require_flag,
     require_kind,
     require_text,
 )
+from ancfdae.errors.kinds import (
+    AncfdaeError,
+    FailedDesignWarning,
+    InvalidInputError,
+    UnknownNameError,
+)
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.adjoint import Direct
+from ancfdae.sensitivity.adjoint import DirectDifferentiation
 from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import cheapest, design_bounds, differentiable, require_objectives
@@ -120,7 +122,9 @@ class Evaluations(Generic[R]):
             self.rows.append(SweepRow(at, None, f"{type(error).__name__}: {error}"))
             if self._strict or not others:
                 raise
-            warnings.warn(f"the design {at} has no values: {error}", FailedDesign, stacklevel=5)
+            warnings.warn(
+                f"the design {at} has no values: {error}", FailedDesignWarning, stacklevel=5
+            )
             none = np.full(self._count, np.inf), np.full((self._count, len(x)), np.nan)
             evaluation = Evaluation(x, *none, error, others[-1])
         else:
@@ -169,10 +173,10 @@ class Responses:
         similar size: the values at the start are a good scale.
     strict : bool
         Whether a design without values, whose run ends early or which cannot be assembled,
-        raises its error. By default a later one than the first is warned about (`FailedDesign`)
-        and made unattractive, so that the optimiser steps back: functions rise towards it,
-        constraints turn to what they forbid, `values` are infinite. Ask for `solution` at the
-        optimum, which raises the error if there is none.
+        raises its error. By default a later one than the first is warned about
+        (`FailedDesignWarning`) and made unattractive, so that the optimiser steps back: functions
+        rise towards it, constraints turn to what they forbid, `values` are infinite. Ask for
+        `solution` at the optimum, which raises the error if there is none.
 
     Attributes
     ----------
@@ -196,7 +200,7 @@ class Responses:
         repair = 'For example {"mass": Terminal(mass("rod"))}.'
         require_kind("functions", functions, (Mapping,), repair)
         if not functions:
-            raise InvalidInput("functions", "must not be empty", "none", repair)
+            raise InvalidInputError("functions", "must not be empty", "none", repair)
         for name in functions:
             require_text("functions", name)
         require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
@@ -205,8 +209,10 @@ class Responses:
         require_objectives(system, list(functions.values()), t_end)
         if method is None:
             adjoint = isinstance(integrator, AdjointIntegrator)
-            method = cheapest(system.n_b, len(functions)) if adjoint else Direct()
-        require_kind("method", method, (GradientMethod,), "For example Adjoint() or Direct().")
+            method = cheapest(system.n_b, len(functions)) if adjoint else DirectDifferentiation()
+        require_kind(
+            "method", method, (GradientMethod,), "For example Adjoint() or DirectDifferentiation()."
+        )
         self._run, self._method = Run(system, t_end, integrator), method
         self._functions, self._scale = dict(functions), _scale(scale, system.n_b)
         self._limits = design_bounds(system, design)
@@ -248,7 +254,7 @@ class Responses:
         """Return one of the functions."""
         require_text("function of the design", name)
         if name not in self.names:
-            raise UnknownName("function of the design", name, self.names)
+            raise UnknownNameError("function of the design", name, self.names)
         return Response(self, self.names.index(name))
 
     def constraint(
@@ -261,7 +267,7 @@ class Responses:
                 require_finite(f"constraint {name!r}", bound)
         if not lower <= upper or (lower, upper) == (-np.inf, np.inf):
             rule, repair = "lower and upper must bound it", 'For example upper=1.0 for "at most 1".'
-            raise InvalidInput(f"constraint {name!r}", rule, f"{lower} and {upper}", repair)
+            raise InvalidInputError(f"constraint {name!r}", rule, f"{lower} and {upper}", repair)
         fun = Response(self, response.index, 1.0 if upper < np.inf else -1.0)
         return scipy.optimize.NonlinearConstraint(fun, lower, upper, jac=fun.gradient)
 
@@ -349,5 +355,5 @@ def _scale(scale: object, n_b: int) -> Array:
     given = require_array("scale", scale)
     if given.shape not in ((), (n_b,)) or not np.all(given > 0):
         rule = f"must be positive, one number or one for each of {n_b} design variables"
-        raise InvalidInput("scale", rule, repr(scale), "For example np.abs(system.b).")
+        raise InvalidInputError("scale", rule, repr(scale), "For example np.abs(system.b).")
     return np.broadcast_to(given, n_b)

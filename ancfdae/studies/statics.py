@@ -8,15 +8,9 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import (
-    InvalidInput,
-    UnknownName,
-    require_count,
-    require_finite,
-    require_kind,
-    require_sequence,
-    uninterrupted,
-)
+from ancfdae.errors.checks import require_count, require_finite, require_kind, require_sequence
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
+from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.integrators.static import Static
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
@@ -61,14 +55,14 @@ def equilibrium(
     -------
     Equilibrium
         A load that cannot be carried is reported by `outcome`, and what was carried is kept. Warns
-        of beams whose elements are too few for their bends (`CoarseMesh`), or that are strained
-        beyond what their elements are made for (`LargeStrain`).
+        of beams whose elements are too few for their bends (`CoarseMeshWarning`), or that are
+        strained beyond what their elements are made for (`LargeStrainWarning`).
 
     Raises
     ------
-    FreeMechanism
+    FreeMotionError
         If nothing holds a motion; the message names it.
-    InvalidInput
+    InvalidInputError
         If the input makes no sense, or a joint drives a motion at t = 0 (a law with a rate there).
     Interrupted
         At Ctrl-C; its `result` is what was found up to there.
@@ -120,9 +114,9 @@ def critical_load(
 
     Raises
     ------
-    NoCriticalPoint
+    NoCriticalPointError
         If every equilibrium up to `to` is stable.
-    InvalidInput
+    InvalidInputError
         If the model is not in stable equilibrium, two motions lose their stiffness at once, or a
         design variable parts the paths of a bifurcation: the load then falls with a root of it and
         has no derivative.
@@ -157,7 +151,7 @@ class CriticalValue(Objective):
     def __post_init__(self) -> None:
         require_finite("to", self.to)
         if self._name not in self.system.design_names:
-            raise UnknownName("parameter", self._name, self.system.design_names)
+            raise UnknownNameError("parameter", self._name, self.system.design_names)
 
     @property
     def _name(self) -> str:
@@ -181,7 +175,7 @@ class CriticalValue(Objective):
         """Refuse a run that lacks a design variable."""
         for name in self.system.design_names:
             if name not in (self._name, *system.design_names):
-                raise UnknownName("design of CriticalValue", name, system.design_names)
+                raise UnknownNameError("design of CriticalValue", name, system.design_names)
 
     def value(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
@@ -217,7 +211,7 @@ def _critical(sought: CriticalValue, b: tuple[float, ...]) -> CriticalLoad:
 def _require_start_of(system: MechanicalSystem, start: Equilibrium) -> None:
     require_kind("start", start, (Equilibrium,), "Pass what `equilibrium` returned.")
     if (len(start.q), len(start.lam)) != (system.n_q, system.n_lam):
-        raise InvalidInput(
+        raise InvalidInputError(
             "start",
             f"must have {system.n_q} coordinates and {system.n_lam} multipliers",
             f"{len(start.q)} and {len(start.lam)}",
@@ -226,7 +220,7 @@ def _require_start_of(system: MechanicalSystem, start: Equilibrium) -> None:
         )
 
 
-def static_gradient(
+def equilibrium_gradient(
     model: Scene | MechanicalSystem,
     observable: Observable,
     *,
@@ -244,16 +238,16 @@ def static_gradient(
     design : sequence of str or DesignVariable
         As in `equilibrium`.
     method : GradientMethod, optional
-        `Direct`, `Adjoint`, `FiniteDifference` or `ComplexStep`; by default whichever of the
-        first two costs less, see `cheapest`.
+        `DirectDifferentiation`, `Adjoint`, `FiniteDifference` or `ComplexStep`; by default
+        whichever of the first two costs less, see `cheapest`.
     max_steps : int
         Attempted steps of the load.
 
     Raises
     ------
-    FreeMechanism
+    FreeMotionError
         If nothing holds a motion.
-    UnfinishedRun
+    UnfinishedRunError
         If there is no equilibrium under the full load; the error states why and keeps the rest.
     """
     require_count("max_steps", max_steps, _STEPS)
@@ -261,9 +255,13 @@ def static_gradient(
     objective = Terminal(observable)
     objective.check(system, 0.0)
     chosen = cheapest(system.n_b, 1) if method is None else method
-    require_kind("method", chosen, (GradientMethod,), "For example Adjoint() or Direct().")
+    require_kind(
+        "method", chosen, (GradientMethod,), "For example Adjoint() or DirectDifferentiation()."
+    )
     if isinstance(chosen, ContinuousAdjoint):
-        raise InvalidInput(
-            "method", "must be Adjoint, Direct or a perturbation method", repr(chosen)
+        raise InvalidInputError(
+            "method",
+            "must be Adjoint, DirectDifferentiation or a perturbation method",
+            repr(chosen),
         )
     return chosen.gradients(Run(system, 0.0, Static(max_steps)), [objective])[0]

@@ -14,11 +14,7 @@ import numpy as np
 from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.complex_steps import at_values
-from ancfdae.errors import (
-    AncfdaeError,
-    Interrupted,
-    InvalidInput,
-    UnknownName,
+from ancfdae.errors.checks import (
     require_count,
     require_flag,
     require_folder,
@@ -27,6 +23,8 @@ from ancfdae.errors import (
     require_positive,
     require_sequence,
 )
+from ancfdae.errors.kinds import AncfdaeError, InvalidInputError, UnknownNameError
+from ancfdae.errors.outcomes import Interrupted
 from ancfdae.integrators.high_order import HighOrder
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
@@ -47,7 +45,7 @@ Design = Mapping[str | DesignVariable, float]
 
 @final
 @dataclass(frozen=True)
-class Evaluate:
+class Evaluator:
     """Calculation of `sweep` at a design: an objective, its gradient, or an observable.
 
     Parameters
@@ -72,11 +70,11 @@ class Evaluate:
     method: GradientMethod | None = None
 
     def __post_init__(self) -> None:
-        require_flag("Evaluate.gradient", self.gradient)
+        require_flag("Evaluator.gradient", self.gradient)
         kinds = (Objective,) if self.gradient else (Objective, Observable)
-        require_kind("Evaluate.of", self.of, kinds, "For example Terminal(position(...)).")
-        require_kind("Evaluate.integrator", self.integrator, (Integrator,), "Give HHT(step=0.01).")
-        require_positive("Evaluate.t_end", self.t_end)
+        require_kind("Evaluator.of", self.of, kinds, "For example Terminal(position(...)).")
+        require_kind("Evaluator.integrator", self.integrator, (Integrator,), "Give HHT(step=0.01).")
+        require_positive("Evaluator.t_end", self.t_end)
         if self.design is not None:
             as_design(self.design)
 
@@ -119,7 +117,7 @@ def sweep(
         Values by target or `DesignVariable`, as `Scene.with_values` takes them, of a system by the
         names of its design variables; or a row of values per design, of the variables `design`.
     what : callable
-        Called with the model at the values; `Evaluate` or a function of your own.
+        Called with the model at the values; `Evaluator` or a function of your own.
     design : sequence of str or DesignVariable, optional
         What the columns of rows of values are; of a system all its design variables by default.
     executor : concurrent.futures.Executor, optional
@@ -158,7 +156,7 @@ def _check(model: object, what: object, executor: object, chunk: int, progress: 
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
     require_flag("progress", progress)
     if not callable(what):
-        raise InvalidInput("what", "must be callable", repr(what), "Pass Evaluate(...).")
+        raise InvalidInputError("what", "must be callable", repr(what), "Pass Evaluator(...).")
     if executor is not None:
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
     require_count("chunk", chunk, "1 is best for calls of 0.1 s and more.")
@@ -188,7 +186,7 @@ def _collect(
 class _Study:
     """A model and what is computed of it, the same for all designs of a sweep.
 
-    A scene that `Evaluate` runs is assembled once in every process; its designs are numbers of
+    A scene that `Evaluator` runs is assembled once in every process; its designs are numbers of
     this one structure. Copies in other processes have the same number.
     """
 
@@ -201,7 +199,7 @@ class _Study:
         if isinstance(self.model, MechanicalSystem):
             return self.what(_moved(self.model, design))
         system = _assembled(self, tuple(design))
-        if system is not None and isinstance(self.what, Evaluate):
+        if system is not None and isinstance(self.what, Evaluator):
             # An error is raised again by the scene at the values, in the words that a user wrote.
             with suppress(Exception):
                 return replace(self.what, design=None)(_moved(system, design))
@@ -212,7 +210,7 @@ class _Study:
 def _assembled(study: _Study, keys: tuple[str | DesignVariable, ...]) -> MechanicalSystem | None:
     """Return the scene with the variables of a design; None if runs would see their number."""
     what, scene = study.what, study.model
-    if not (isinstance(what, Evaluate) and isinstance(scene, Scene)):
+    if not (isinstance(what, Evaluator) and isinstance(scene, Scene)):
         return None
     integrator = what.integrator
     along = isinstance(integrator, SteppedIntegrator) and not integrator.differentiates_runs
@@ -255,7 +253,7 @@ def _moved(model: MechanicalSystem, design: Design) -> MechanicalSystem:
     named = {_name(key): value for key, value in design.items()}
     for name in named:
         if name not in b:
-            raise UnknownName("design variable", name, b)
+            raise UnknownNameError("design variable", name, b)
     return at_values(model, np.array(list((b | named).values())))
 
 
@@ -274,7 +272,7 @@ def _mappings(
         if variables is not None:
             rule = "must be left out where designs are mappings"
             repair = "Mappings name their variables."
-            raise InvalidInput("design", rule, repr(variables), repair)
+            raise InvalidInputError("design", rule, repr(variables), repair)
         return list(rows)
     if variables is None and isinstance(model, MechanicalSystem):
         variables = model.design_names
@@ -289,5 +287,5 @@ def _values(k: int, row: object, count: int) -> tuple[float, ...]:
     rule, repair = f"must have {count} values", "Give rows throughout, or mappings throughout."
     values = require_sequence(f"designs[{k}]", row, rule, repair)
     if isinstance(row, Mapping) or len(values) != count:
-        raise InvalidInput(f"designs[{k}]", rule, repr(row), repair)
+        raise InvalidInputError(f"designs[{k}]", rule, repr(row), repair)
     return values

@@ -17,7 +17,7 @@ import numpy as np
 
 from ancfdae.equations.files import saving
 from ancfdae.equations.solution_parts import pandas
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import columns, listed, page
 from ancfdae.sensitivity.method import Gradient
 from ancfdae.studies.identity import digest
@@ -117,7 +117,7 @@ _OTHER = "Give another file, or remove this one to compute all rows anew."
 
 @final
 class SweepFile:
-    """Rows of one sweep on disk; InvalidInput if the file holds something else.
+    """Rows of one sweep on disk; InvalidInputError if the file holds something else.
 
     They belong to `model` and `what`, at designs with these values by name.
     """
@@ -151,7 +151,7 @@ class SweepFile:
             except (ValueError, TypeError, KeyError, RecursionError) as cause:
                 got = f"{line[:_SHOWN]!r} in line {number}"
                 repair = "Remove this line to compute its row anew, or give another file."
-                raise InvalidInput(self._where, "must hold rows", got, repair) from cause
+                raise InvalidInputError(self._where, "must hold rows", got, repair) from cause
             if k >= len(self._values) or json.dumps(values) != _text(self._values[k]):
                 raise self._refused("must hold rows of these designs", f"row {k} at {values}")
             rows[k] = SweepRow(self._values[k], result, error)
@@ -168,7 +168,7 @@ class SweepFile:
         try:
             line = _text(record)
         except (TypeError, ValueError) as error:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "what, file",
                 "results must be numbers, strings, arrays, or lists or mappings of them",
                 str(error),
@@ -195,8 +195,8 @@ class SweepFile:
             if known_mark != mark:
                 raise self._refused(f"must be of the same {part}", f"rows of another {part}")
 
-    def _refused(self, rule: str, got: str) -> InvalidInput:
-        return InvalidInput(self._where, rule, got, _OTHER)
+    def _refused(self, rule: str, got: str) -> InvalidInputError:
+        return InvalidInputError(self._where, rule, got, _OTHER)
 
     @property
     def _where(self) -> str:

@@ -7,7 +7,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import InvalidInput, require_array
+from ancfdae.errors.checks import require_array
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import columns
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.model.design import DesignVariable
@@ -89,14 +90,14 @@ def taylor_test(
     """
     system, s = differentiable(model, design), require_array("sizes", sizes)
     if s.ndim != 1 or len(s) < 2 or np.any(np.diff(s) >= 0) or s[-1] <= 0:
-        raise InvalidInput(
+        raise InvalidInputError(
             "sizes", "must be two or more, positive and falling", sizes, "For example (1e-3, 5e-4)."
         )
     given = np.ones(system.n_b) if direction is None else direction
     relative = require_array("direction", given, (system.n_b,))
     if not relative.any():
         repair = "Leave it out to change all variables."
-        raise InvalidInput("direction", "must change at least one variable", given, repair)
+        raise InvalidInputError("direction", "must change at least one variable", given, repair)
     db = relative * np.where(system.b == 0, 1.0, np.abs(system.b))
     base = gradient(system, objective, t_end, integrator, method=method)
     frozen = integrator.frozen(base.solution)

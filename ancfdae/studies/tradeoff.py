@@ -8,18 +8,16 @@ from contextlib import closing
 from dataclasses import replace
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import (
-    Interrupted,
-    InvalidInput,
-    Verdict,
+from ancfdae.errors.checks import (
     require_count,
     require_each,
     require_flag,
     require_kind,
     require_positive,
-    uninterrupted,
 )
-from ancfdae.integrators.explicit import Explicit
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.outcomes import Interrupted, Verdict, uninterrupted
+from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.sundials.ida import IDA
 from ancfdae.model.design import DesignVariable, as_design
@@ -29,18 +27,18 @@ from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import differentiable, require_objectives
 from ancfdae.studies.jobs import answers
 from ancfdae.studies.meshes import known_design
-from ancfdae.studies.tradeoff_result import Tradeoff, compared
+from ancfdae.studies.tradeoff_result import WorkPrecision, compared
 from ancfdae.studies.tradeoff_run import Measurement, Results, Task, measure
 
-# Most steps of the reference by default: the crank-slider of the paper takes 29,410 by `Explicit`.
+# Most steps of the reference by default: the crank-slider of the paper takes 29,410 by `DOP853`.
 _STEPS = 50_000
-# The steps of `Explicit` in the first of _PARTS parts of the motion show whether it can be the
+# The steps of `DOP853` in the first of _PARTS parts of the motion show whether it can be the
 # reference; fewer than _FEW steps show nothing.
 _PARTS, _FEW = 64, 20
 _LEFT = Measurement(0.0, "not measured: the tradeoff was interrupted")
 
 
-def tradeoff(
+def work_precision(
     model: Scene | MechanicalSystem,
     objective: Objective,
     t_end: float,
@@ -54,7 +52,7 @@ def tradeoff(
     executor: Executor | None = None,
     models: Mapping[str, Scene] | None = None,
     progress: bool = False,
-) -> Tradeoff:
+) -> WorkPrecision:
     """Measure every setting's processor time and errors; one that fails is a row with its message.
 
     Parameters
@@ -64,7 +62,7 @@ def tradeoff(
     settings : sequence of Integrator
         For example ``[HHT(step=h) for h in (0.01, 0.005)] + [HHT(rtol=1e-3), IDA(1e-6)]``.
     reference : Integrator, optional
-        The integrator against which errors are measured. By default ``Explicit(1e-10)``. If it
+        The integrator against which errors are measured. By default ``DOP853(1e-10)``. If it
         would take more than 50,000 steps, or if stability rather than accuracy would limit its
         step, ``IDA(1e-9)``.
     repeats : int
@@ -86,7 +84,7 @@ def tradeoff(
     measured = _measured(tasks, executor, progress)
     exact = _required(measured[0])
     rows = [compared(system, t, r, exact) for t, r in zip(tasks, measured, strict=True)]
-    done = Tradeoff(tuple(rows[1:]), replace(rows[0], outcome=rows[0].outcome + why))
+    done = WorkPrecision(tuple(rows[1:]), replace(rows[0], outcome=rows[0].outcome + why))
     count, left = len(done.rows), sum(each is _LEFT for each in measured)
     if left:
         raise Interrupted(done, f"{count - left} of {count} settings were measured")
@@ -112,16 +110,16 @@ def _checked(
     time_limit: float | None,
     progress: bool,
 ) -> Sequence[Integrator]:
-    """Return the settings as a tuple; raise InvalidInput for arguments that cannot be used."""
+    """Return the settings as a tuple; raise InvalidInputError for arguments that cannot be used."""
     require_flag("progress", progress)
     repair = "For example [HHT(step=0.01)]."
     settings = require_each("settings", settings, (Integrator,), repair)
     if not settings:
-        raise InvalidInput("settings", "must not be empty", "none", repair)
+        raise InvalidInputError("settings", "must not be empty", "none", repair)
     if reference is not None:
-        require_kind("reference", reference, (Integrator,), "For example Explicit(1e-10).")
+        require_kind("reference", reference, (Integrator,), "For example DOP853(1e-10).")
     if method is not None:
-        require_kind("method", method, (GradientMethod,), "For example Direct().")
+        require_kind("method", method, (GradientMethod,), "For example DirectDifferentiation().")
     if executor is not None:
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
     require_count("repeats", repeats, "1 is enough for ratios of long runs.")
@@ -131,23 +129,23 @@ def _checked(
 
 
 def _suitable(system: MechanicalSystem, t_end: float) -> tuple[Integrator, str]:
-    """Return a reference that can finish, and why it is not `Explicit`.
+    """Return a reference that can finish, and why it is not `DOP853`.
 
-    Where stability limits the steps of `Explicit`, a loose tolerance needs about as many as a tight
+    Where stability limits the steps of `DOP853`, a loose tolerance needs about as many as a tight
     one; where accuracy does, it needs 10^(-5/8) = 0.24 times as many.
     """
     tight, loose = (
         uninterrupted(
-            Explicit(rtol, max_steps=2 * _STEPS // _PARTS).integrate(system, t_end / _PARTS)
+            DOP853(rtol, max_steps=2 * _STEPS // _PARTS).integrate(system, t_end / _PARTS)
         )
         for rtol in (1e-10, 1e-5)
     )
     steps = tight.statistics.steps
     if tight.outcome.success and (steps < _FEW or loose.statistics.steps < steps / 2):
-        return Explicit(1e-10, max_steps=_STEPS), ""
-    why = " Chosen because Explicit(1e-10) would need short steps only to be stable."
+        return DOP853(1e-10, max_steps=_STEPS), ""
+    why = " Chosen because DOP853(1e-10) would need short steps only to be stable."
     if not tight.outcome.success:
-        why = f" Chosen because Explicit(1e-10) would take more than {_STEPS} steps."
+        why = f" Chosen because DOP853(1e-10) would take more than {_STEPS} steps."
     return IDA(1e-9, max_steps=_STEPS), why
 
 
@@ -179,5 +177,5 @@ def _required(reference: Measurement) -> Results:
             "must finish and give a gradient",
             f"{repair} it, or take another integrator.",
         )
-        raise InvalidInput("reference", rule, reference.outcome, repair)
+        raise InvalidInputError("reference", rule, reference.outcome, repair)
     return reference.results

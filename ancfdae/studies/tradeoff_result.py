@@ -19,7 +19,8 @@ import scipy
 
 from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.solution_parts import pandas
-from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
+from ancfdae.errors.checks import require_positive
+from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
 from ancfdae.errors.text import columns
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.step_control import StepControl
@@ -40,7 +41,7 @@ _TECHNICAL: Final = ("newton_tolerance", "max_iterations", "max_steps", "interva
 
 @final
 @dataclass(frozen=True)
-class Setting:
+class MeasuredSetting:
     """One measured setting.
 
     Attributes
@@ -100,19 +101,19 @@ class Setting:
         """Return one of the four errors; infinite if the setting failed."""
         if str(of) not in _KINDS:  # Also of an array, which compares entry by entry.
             known = ", ".join(_KINDS)
-            raise InvalidInput("of", f"must be one of {known}", repr(of))
+            raise InvalidInputError("of", f"must be one of {known}", repr(of))
         value: float | None = getattr(self, of)
         return np.inf if value is None else value
 
 
 @final
-class TargetNotReached(AncfdaeError):
+class TargetNotReachedError(AncfdaeError):
     """No measured setting is accurate enough; the message names the best one.
 
     `best` is the most accurate setting; None if all failed.
     """
 
-    def __init__(self, target: float, of: str, best: Setting | None) -> None:
+    def __init__(self, target: float, of: str, best: MeasuredSetting | None) -> None:
         start = f"no measured setting reaches an error of {target:.3g} in the {of}"
         if best is None:
             super().__init__(f"{start}: all of them failed. Look at their outcomes in table().")
@@ -126,19 +127,19 @@ class TargetNotReached(AncfdaeError):
 
 @final
 @dataclass(frozen=True)
-class Tradeoff:
+class WorkPrecision:
     """Cost against accuracy on one scene: settings in the order they were asked for.
 
     The error of the reference, which errors are measured against, is not known; errors below that
     mean nothing.
     """
 
-    rows: tuple[Setting, ...]
-    reference: Setting
+    rows: tuple[MeasuredSetting, ...]
+    reference: MeasuredSetting
 
-    def pareto(self, of: ErrorKind = "gradient") -> tuple[Setting, ...]:
+    def pareto(self, of: ErrorKind = "gradient") -> tuple[MeasuredSetting, ...]:
         """Return the settings that no other beats in both processor time and error, cheap first."""
-        front: list[Setting] = []
+        front: list[MeasuredSetting] = []
         least = np.inf
         for row in sorted(self.rows, key=lambda row: (row.seconds, row.error(of))):
             if row.error(of) < least:
@@ -146,7 +147,7 @@ class Tradeoff:
                 least = row.error(of)
         return tuple(front)
 
-    def recommend(self, target_error: float, of: ErrorKind = "gradient") -> Setting:
+    def recommend(self, target_error: float, of: ErrorKind = "gradient") -> MeasuredSetting:
         """Return the cheapest measured setting whose relative error is at most the target.
 
         Processor times of the same run differ from call to call. Settings that take at most a
@@ -156,7 +157,7 @@ class Tradeoff:
 
         Raises
         ------
-        TargetNotReached
+        TargetNotReachedError
             If no setting is accurate enough.
         """
         require_positive("target_error", target_error)
@@ -164,7 +165,7 @@ class Tradeoff:
         if not good:
             finished = [row for row in self.rows if np.isfinite(row.error(of))]
             best = min(finished, key=lambda row: row.error(of), default=None)
-            raise TargetNotReached(target_error, of, best)
+            raise TargetNotReachedError(target_error, of, best)
         least = min(row.seconds for row in good)
         return next(row for row in good if row.seconds <= _NEAR * least)
 
@@ -196,7 +197,7 @@ class Tradeoff:
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If the path has a suffix, or no setting has an error that can be shown.
         """
         from ancfdae import plotting
@@ -228,8 +229,8 @@ class Tradeoff:
             if error is not None and np.isfinite(error) and error > 0 and row.seconds > 0:
                 lines.setdefault(row.family, []).append((row.seconds, error))
         if not lines:
-            raise InvalidInput(
-                "Tradeoff.plot",
+            raise InvalidInputError(
+                "WorkPrecision.plot",
                 "needs a setting with an error",
                 "none",
                 "See table() for the reasons.",
@@ -240,10 +241,12 @@ class Tradeoff:
         ]
 
 
-def compared(system: MechanicalSystem, task: Task, run: Measurement, exact: Results) -> Setting:
+def compared(
+    system: MechanicalSystem, task: Task, run: Measurement, exact: Results
+) -> MeasuredSetting:
     """Measure a run against the reference, which is one of `system`."""
     given = run.results
-    row = Setting(task.integrator, run.seconds, run.outcome, model=task.model)
+    row = MeasuredSetting(task.integrator, run.seconds, run.outcome, model=task.model)
     if given is None:
         return row
     names = list(system.design_names)
@@ -315,7 +318,7 @@ def _ratio(x: float, size: float) -> float:
     return x / size if size else (np.inf if x else 0.0)
 
 
-def _cells(row: Setting) -> list[str]:
+def _cells(row: MeasuredSetting) -> list[str]:
     numbers = (row.states, row.multipliers, row.objective, row.gradient, row.drift, row.energy)
     shown = ["-" if x is None else f"{x:.2g}" for x in numbers]
     return [row.family, row.label, f"{row.seconds:.3g}", *shown, row.outcome]

@@ -10,11 +10,12 @@ import numpy as np
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import AncfdaeError, Verdict
+from ancfdae.errors.kinds import AncfdaeError
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch, timed
-from ancfdae.sensitivity.method import Gradient, GradientMethod, UnfinishedRun
+from ancfdae.sensitivity.method import Gradient, GradientMethod, UnfinishedRunError
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import gradient
 from ancfdae.studies.jobs import TimeLimit
@@ -104,7 +105,7 @@ def _repeated(task: Task) -> Measurement:
     clock = stopwatch()
     try:
         seconds, answer = timed(run, task.repeats, long=_LONG)
-    except UnfinishedRun as error:
+    except UnfinishedRunError as error:
         outcome = error.solution.outcome
         return Measurement(clock(), str(outcome), verdict=outcome.verdict)
     except (AncfdaeError, ArithmeticError, ValueError, RuntimeError, MemoryError) as error:

@@ -11,9 +11,10 @@ against that of Euler's beam. :doc:`/howto/elements` says what follows;
 import numpy as np
 
 from ancfdae import (
-    CABLE_2D, Beam, Clamp, EnhancedContinuum, Material, PlaneStress, PointForce, Rectangle,
+    CABLE_2D, Beam, Clamp, EnhancedContinuum, Material, PlaneStress, PointForce,
     SaintVenantKirchhoff, Scene, equilibrium, modes,
 )
+from ancfdae.sections import Rectangle
 from ancfdae.plotting import Panel, Series, draw, save
 
 L, h, E, rho, nu = 1.0, 0.002, 2.1e11, 7850.0, 0.3

@@ -9,9 +9,11 @@ their weight. Beams, cables and rigid bodies share a scene.
 import numpy as np
 
 from ancfdae import (
-    CABLE_3D, Beam, Circle, Clamp, DistributedForce, Material, Pin, Scene, Tube, axial_force,
-    equilibrium, maximum_stress, modes, position, static_gradient,
+    CABLE_3D, Beam, Clamp, DistributedForce, Material, Pin, Scene, equilibrium,
+    equilibrium_gradient, modes,
 )
+from ancfdae.observables import axial_force, maximum_von_mises, position
+from ancfdae.sections import Circle, Tube
 from ancfdae.plotting import AxialForce, save, snapshots
 
 steel = Material(density=7850, youngs_modulus=2.1e11, poisson_ratio=0.3)
@@ -32,7 +34,7 @@ scene = Scene([mast, *guys], joints, gravity=(0, 0, -9.81), loads=[wind])
 rest = equilibrium(scene)
 print(rest.outcome)
 for guy in guys:
-    pull = static_gradient(scene, axial_force(guy.at(0.5)), design=["wind.force_x"])
+    pull = equilibrium_gradient(scene, axial_force(guy.at(0.5)), design=["wind.force_x"])
     end, middle = (rest.solution.position(guy.at(x))[0, 2] for x in (1, 0.5))
     print(f"{guy.name}: {pull.value:.0f} N, {pull.gradient[0]:+.1f} N per N/m of wind")
     print(f"it hangs {end / 2 - middle:.3f} m below its chord")
@@ -47,6 +49,6 @@ print(modes(scene, 8, at=rest))
 # What thicker guys or a thicker mast would change, at the top and in the stress of a guy.
 
 design = ["mast.radius", "guy_a.radius", "guy_b.radius", "guy_c.radius"]
-for observable in (position(mast.at_end, 0), maximum_stress("guy_b", 1e-6)):
-    found = static_gradient(scene, observable, design=design)
+for observable in (position(mast.at_end, 0), maximum_von_mises("guy_b", 1e-6)):
+    found = equilibrium_gradient(scene, observable, design=design)
     print(f"{found.value:.6g};", *found.names, found.gradient)

@@ -7,9 +7,12 @@ a payload. Colours show how far one design variable moves each point.
 """
 
 from ancfdae import (
-    HHT, Beam, Drive, Material, PointMass, Ramp, Revolute, RigidBody, RigidCylinder, Scene,
-    Tube, Weld, assemble, differentiate, drive_torque, observe,
+    HHT, Beam, Material, PointMass, Revolute, RigidBody, RigidCylinder, RotationDriver, Scene, Weld,
+    assemble, differentiate,
 )
+from ancfdae.laws import SmoothStep
+from ancfdae.observables import driver_torque, observe
+from ancfdae.sections import Tube
 from ancfdae.plotting import Sensitivity, VonMisesStress, animate, save, snapshots
 
 alloy = Material(density=2700, youngs_modulus=7e10, poisson_ratio=0.33, damping_time=1e-4)
@@ -17,13 +20,13 @@ tube = Tube(radius=0.012, thickness=0.001)
 table = RigidBody("table", (0, 0, 0), shape=RigidCylinder(0.1, 0.04), density=2700)
 upper = Beam("upper", (0, 0, 0), (0, 0, 0.6), 3, tube, alloy)
 fore = Beam("fore", (0, 0, 0.6), (0.6, 0, 0.6), 3, tube, alloy)
-turn, bend = Ramp(0.0, 1.5, duration=0.4), Ramp(0.0, 0.9, duration=0.4)  # rad, s
+turn, bend = SmoothStep(0.0, 1.5, duration=0.4), SmoothStep(0.0, 0.9, duration=0.4)  # rad, s
 joints = [
     Revolute(table.at(0, 0, 0), axis=(0, 0, 1), ground=(0, 0, 0), name="bearing"),
-    Drive(table.at(0, 0, 0), turn, axis=(0, 0, 1), name="base_motor"),
+    RotationDriver(table.at(0, 0, 0), turn, axis=(0, 0, 1), name="base_motor"),
     Weld(upper.at_start, table.at(0, 0, 0), name="foot"),
     Revolute(fore.at_start, axis=(0, 1, 0), other=upper.at_end, name="elbow"),
-    Drive(fore.at_start, bend, axis=(0, 1, 0), other=upper.at_end, name="elbow_motor"),
+    RotationDriver(fore.at_start, bend, axis=(0, 1, 0), other=upper.at_end, name="elbow_motor"),
 ]
 payload = PointMass(fore.at_end, 0.5, name="payload")
 scene = Scene([upper, fore], joints, (0, 0, -9.81), bodies=[table, payload])
@@ -43,7 +46,7 @@ save(snapshots(scene, solution, times, moved, "What a heavier payload moves"), "
 
 system = assemble(scene, ["fore.thickness", "payload.mass"])
 for motor in ("base_motor", "elbow_motor"):
-    torque = observe(drive_torque(motor), solution, system)
+    torque = observe(driver_torque(motor), solution, system)
     print(f"{motor}: up to {abs(torque).max():.2f} N m")
 
 # %%

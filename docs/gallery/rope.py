@@ -9,9 +9,11 @@ from which the motion starts.
 import numpy as np
 
 from ancfdae import (
-    CABLE_2D, HHT, AtRest, Beam, Circle, Material, Pin, PointForce, Scene, Terminal,
-    equilibrium, gradient, position, simulate,
+    CABLE_2D, HHT, Beam, EquilibriumStart, Material, Pin, PointForce, Scene, Terminal, equilibrium,
+    gradient, simulate,
 )
+from ancfdae.observables import position
+from ancfdae.sections import Circle
 from ancfdae.plotting import AxialForce, save, snapshots
 
 nylon = Material(density=1150, youngs_modulus=2e8, poisson_ratio=0.4, damping_time=2e-3)
@@ -29,9 +31,9 @@ print(rest.outcome)
 save(snapshots(held, rest.solution, colour=AxialForce(), title="A rope, held"), "rope_held")
 
 # %%
-# Let go: ``AtRest(loads=[hand])`` says what held it before the motion.
+# Let go: ``EquilibriumStart(loads=[hand])`` says what held it before the motion.
 
-free = Scene([rope], [hook], (0, -9.81), start=[AtRest(loads=[hand])])
+free = Scene([rope], [hook], (0, -9.81), start=[EquilibriumStart(loads=[hand])])
 solution = simulate(free, 0.75, HHT(2**-9))
 print(solution.outcome)
 save(snapshots(free, solution, title="Let go"), "rope_free")

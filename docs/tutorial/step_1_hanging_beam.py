@@ -9,7 +9,9 @@ A scene is made of beams, joints and gravity. Numbers are in any consistent set 
 m, kg, s, N, Pa.
 """
 
-from ancfdae import Beam, Clamp, Material, Rectangle, Scene, equilibrium, position, static_gradient
+from ancfdae import Beam, Clamp, Material, Scene, equilibrium, equilibrium_gradient
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 from ancfdae.plotting import VonMisesStress, save, snapshots
 
 rubber = Material(density=1100, youngs_modulus=5e6, poisson_ratio=0.45)
@@ -38,7 +40,7 @@ print(f"{-weight * 0.4**4 / (8 * 5e6 * 0.02**4 / 12):.4f} m by linear theory")
 # to be chosen.
 
 names = ["beam.height", "beam.width", "beam.youngs_modulus", "beam.density"]
-result = static_gradient(scene, position(beam.at_end, 1), design=names)
+result = equilibrium_gradient(scene, position(beam.at_end, 1), design=names)
 for name, slope in zip(names, result.gradient, strict=True):
     print(f"d(tip)/d({name}) = {slope: .4e}")
 

@@ -6,10 +6,9 @@ The clamp becomes a pin, and the beam falls as a flexible pendulum. `simulate` i
 motion. HHT is the integrator to start with; its step is chosen in step 4.
 """
 
-from ancfdae import (
-    HHT, Beam, Material, Pin, Rectangle, Scene, assemble, kinetic_energy, observe, simulate,
-    strain_energy,
-)
+from ancfdae import HHT, Beam, Material, Pin, Scene, assemble, simulate
+from ancfdae.observables import kinetic_energy, observe, strain_energy
+from ancfdae.sections import Rectangle
 from ancfdae.plotting import Panel, Series, Speed, draw, save, snapshots
 
 rubber = Material(density=1100, youngs_modulus=5e6, poisson_ratio=0.45)

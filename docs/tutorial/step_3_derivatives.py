@@ -9,9 +9,10 @@ How does the whole motion change with the design? `differentiate` answers for ev
 import numpy as np
 
 from ancfdae import (
-    HHT, Beam, Integral, Material, Pin, Rectangle, Scene, assemble, deflection, differentiate,
-    gradient, taylor_test,
+    HHT, Beam, Integral, Material, Pin, Scene, assemble, differentiate, gradient, taylor_test,
 )
+from ancfdae.observables import deflection
+from ancfdae.sections import Rectangle
 from ancfdae.plotting import history, save
 
 rubber = Material(density=1100, youngs_modulus=5e6, poisson_ratio=0.45)

@@ -8,10 +8,9 @@ two choices: the number of elements and the step.
 
 import numpy as np
 
-from ancfdae import (
-    HHT, Beam, Integral, Material, Pin, Rectangle, Scene, deflection, error_bars, gradient,
-    suggest_step,
-)
+from ancfdae import HHT, Beam, Integral, Material, Pin, Scene, error_bars, gradient, suggest_step
+from ancfdae.observables import deflection
+from ancfdae.sections import Rectangle
 from ancfdae.plotting import Panel, Series, draw, save
 
 rubber = Material(1100, 5e6, 0.45, damping_time=2e-3)  # s: rubber damps its own vibration

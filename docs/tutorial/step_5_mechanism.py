@@ -10,9 +10,11 @@ beams, a line for the slider and a motor. ``start=crank.at_end`` puts the rod on
 import numpy as np
 
 from ancfdae import (
-    HHT, Beam, Drive, Material, Pin, PointMass, PointOnLine, Rectangle, Scene, Uniform,
-    assemble, drive_torque, maximum_stress, observe, simulate,
+    HHT, Beam, Material, Pin, PointMass, PointOnLine, RotationDriver, Scene, assemble, simulate,
 )
+from ancfdae.laws import ConstantAcceleration
+from ancfdae.observables import driver_torque, maximum_von_mises, observe
+from ancfdae.sections import Rectangle
 from ancfdae.plotting import Panel, Series, VonMisesStress, animate, draw, save, snapshots
 
 nylon = Material(density=1150, youngs_modulus=2.5e9, poisson_ratio=0.4, damping_time=1e-4)
@@ -20,7 +22,7 @@ crank = Beam("crank", (0, 0), (0.15, 0), 1, Rectangle(0.03, 0.02), nylon, rigid=
 rod = Beam("rod", crank.at_end, (0.4, 0), 4, Rectangle(0.012, 0.01), nylon)
 joints = [
     Pin(crank.at_start, name="bearing"),
-    Drive(crank.at_start, Uniform(speed=60.0), name="motor"),  # rad/s
+    RotationDriver(crank.at_start, ConstantAcceleration(speed=60.0), name="motor"),  # rad/s
     Pin(crank.at_end, rod.at_start, name="elbow"),
     PointOnLine(rod.at_end, direction=(1, 0), name="slot"),
 ]
@@ -52,8 +54,8 @@ animate(scene, solution, "step_5.html", VonMisesStress())
 system = assemble(scene)
 slider = solution.position(rod.at_end)[:, 0]
 rigid = 0.15 * np.cos(60 * solution.t) + np.sqrt(0.4**2 - (0.15 * np.sin(60 * solution.t)) ** 2)
-torque = observe(drive_torque("motor"), solution, system)
-stress = observe(maximum_stress("rod", sharpness=1e-5), solution, system)
+torque = observe(driver_torque("motor"), solution, system)
+stress = observe(maximum_von_mises("rod", sharpness=1e-5), solution, system)
 print(f"the slider strays by up to {1e3 * abs(slider - rigid).max():.2f} mm from a rigid rod's")
 print(f"the motor needs up to {abs(torque).max():.2f} N m; stress {stress.max() / 1e6:.1f} MPa")
 strays = Series("deviation", solution.t, 1e3 * (slider - rigid))

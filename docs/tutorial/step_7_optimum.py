@@ -11,10 +11,12 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ancfdae import (
-    HHT, Beam, Drive, Integral, Material, Pin, PointMass, PointOnLine, Rectangle, Responses,
-    Scene, Terminal, Uniform, UpperMaximum, assemble, distribution, elapsed_time, mass,
-    maximum_stress, observe, position, simulate,
+    HHT, Beam, Integral, Material, Pin, PointMass, PointOnLine, Responses, RotationDriver, Scene,
+    SmoothUpperBound, Terminal, assemble, distributed_variables, simulate,
 )
+from ancfdae.laws import ConstantAcceleration
+from ancfdae.observables import elapsed_time, mass, maximum_von_mises, observe, position
+from ancfdae.sections import Rectangle
 from ancfdae.plotting import VonMisesStress, save, snapshots
 
 nylon = Material(1150, 2.5e9, 0.4, damping_time=1e-4)
@@ -22,7 +24,7 @@ crank = Beam("crank", (0, 0), (0.15, 0), 1, Rectangle(0.03, 0.02), nylon, rigid=
 rod = Beam("rod", crank.at_end, (0.4, 0), 4, Rectangle(0.012, 0.01), nylon)
 joints = [
     Pin(crank.at_start, name="bearing"),
-    Drive(crank.at_start, Uniform(60.0), name="motor"),
+    RotationDriver(crank.at_start, ConstantAcceleration(60.0), name="motor"),
     Pin(crank.at_end, rod.at_start, name="elbow"),
     PointOnLine(rod.at_end, direction=(1, 0), name="slot"),
 ]
@@ -31,14 +33,14 @@ scene = Scene([crank, rod], joints, bodies=[slider], assemble=True)
 turned = 60 * elapsed_time()
 ideal = 0.15 * np.cos(turned) + np.sqrt(0.4**2 - (0.15 * np.sin(turned)) ** 2)
 strays = np.sqrt(Integral((position(rod.at_end, 0) - ideal) ** 2) / 0.105)
-stress = UpperMaximum(maximum_stress("rod", sharpness=5e-5) / 1e6, sharpness=50.0)  # MPa
+stress = SmoothUpperBound(maximum_von_mises("rod", sharpness=5e-5) / 1e6, sharpness=50.0)  # MPa
 
 # %%
 # `Responses` makes functions of the design: the first question about a design runs it, and all
 # others share that run. ``scale`` divides the variables, and every function is divided by its
 # limit, so that the search sees numbers of order one.
 
-system = assemble(scene, distribution("rod.height", 4))
+system = assemble(scene, distributed_variables("rod.height", 4))
 functions = {"mass": Terminal(mass("rod")) / 0.05, "strays": strays / 1e-4, "stress": stress / 4.3}
 design = Responses(system, functions, 0.105, HHT(5e-4), scale=system.b)
 print("uniform:", *functions, design.values(design.start).round(3))
@@ -62,13 +64,14 @@ assert design["mass"](optimum.x) < 0.95 * design["mass"](design.start)
 assert design["strays"](optimum.x) < 1.01 and design["stress"](optimum.x) < 1.01
 
 # %%
-# The rod is thick where it bends, in its middle, and thin at its pins. `UpperMaximum` lies above
-# the stress at every instant, so that the limit is kept; `SmoothMaximum` lies below the largest.
+# The rod is thick where it bends, in its middle, and thin at its pins. `SmoothUpperBound` lies
+# above the stress at every instant, so that the limit is kept; `SmoothMaximum` lies below the
+# largest.
 
 heights = {f"rod.height[{k}]": h for k, h in enumerate(optimum.x * system.b)}
 best = scene.with_values(heights)
 solution = simulate(best, 0.105, HHT(5e-4))
-largest = observe(maximum_stress("rod", sharpness=5e-5), solution, assemble(best)).max()
+largest = observe(maximum_von_mises("rod", sharpness=5e-5), solution, assemble(best)).max()
 print(f"largest stress: {largest / 1e6:.2f} MPa")
 assert largest < 4.3e6
 picture = snapshots(best, solution, [0.0, 0.03], VonMisesStress(), "The optimum")

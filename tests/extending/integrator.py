@@ -4,24 +4,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ancfdae import (
-    Beam,
-    Drive,
-    Harmonic,
-    Material,
-    Outcome,
-    Pin,
-    Rectangle,
-    RigidBody,
-    Scene,
-    SpringDamper,
-    Verdict,
-    position,
-)
+from ancfdae import Beam, Material, Pin, RigidBody, RotationDriver, Scene, SpringDamper
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrator import AdjointIntegrator
-from ancfdae.integrators.problem import Problem
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.integrators.recorder import SolutionRecorder
+from ancfdae.laws import Harmonic
+from ancfdae.observables import position
+from ancfdae.results import RunOutcome, Verdict
+from ancfdae.sections import Rectangle
 
 TINY = 1e-40
 
@@ -38,8 +29,8 @@ class SymplecticEuler(AdjointIntegrator):
         return replace(self, steps=2 * self.steps)
 
     def integrate(self, system, t_end, *, sensitivities=False, progress=False):
-        problem, h, n = Problem.of(system, t_end), t_end / self.steps, system.n_q
-        recorder = Recorder(system, self.steps + 1, sensitivities=sensitivities)
+        problem, h, n = InitialValueProblem.of(system, t_end), t_end / self.steps, system.n_q
+        recorder = SolutionRecorder(system, self.steps + 1, sensitivities=sensitivities)
         q, v = stacked(problem.initial.q, problem.initial.v)
         if sensitivities:
             slopes = problem.differentiated().derivative
@@ -52,10 +43,10 @@ class SymplecticEuler(AdjointIntegrator):
             recorder.record(k * h, *(row[0] for row in rows), slopes)
             v = v + h * x[:, :n]
             q = q + h * v
-        return recorder.solution(Outcome(Verdict.FINISHED, t_end, self.steps, 0.0))
+        return recorder.solution(RunOutcome(Verdict.FINISHED, t_end, self.steps, 0.0))
 
     def pull_back(self, system, solution, seeds, progress=False):
-        problem = Problem.of(system, solution.t[-1]).differentiated()
+        problem = InitialValueProblem.of(system, solution.t[-1]).differentiated()
         h, gradient = solution.t[-1] / self.steps, np.zeros(system.n_b)
         on_q, on_v = np.zeros((2, system.n_q))
         seed_q, seed_v, seed_lam = (
@@ -95,7 +86,7 @@ wheel = RigidBody("wheel", (0, 0), mass=1.0, inertia=0.05)
 joints = [
     Pin(wheel.at(0, 0), name="axle"),
     Pin(rod.at_start, wheel.at(0, 0), name="hinge"),
-    Drive(wheel.at(0, 0), Harmonic(0.3, 5.0), name="motor"),
+    RotationDriver(wheel.at(0, 0), Harmonic(0.3, 5.0), name="motor"),
 ]
 spring = SpringDamper(rod.at(0.6), 40.0, 2.0, 0.3, wheel.at(0.0, 0.2), name="spring")
 SCENE = Scene([rod], joints, (0, -9.81), loads=[spring], bodies=[wheel], project_start=True)

@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ancfdae import HHT, Law, PointForce, RigidBody, Scene, velocity
-from ancfdae.model.design import numbers
+from ancfdae import HHT, PointForce, RigidBody, Scene
+from ancfdae.extend import Law
+from ancfdae.model.design import design_numbers
+from ancfdae.observables import velocity
 
 #: Polynomials by which the derivatives of exp(-x^2) multiply it.
 HERMITE = ((1.0,), (-2.0, 0.0), (4.0, 0.0, -2.0), (-8.0, 0.0, 12.0, 0.0))
@@ -19,7 +21,7 @@ class Gust(Law):
     time: float
     width: float
 
-    design_fields = numbers("peak", "time", "width")
+    design_fields = design_numbers("peak", "time", "width")
 
     def derivative(self, p, t, order):
         peak, time, width = p

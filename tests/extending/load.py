@@ -3,38 +3,30 @@
 from dataclasses import dataclass
 from typing import Any
 
-from ancfdae import (
-    HHT,
-    Beam,
-    Clamp,
-    Load,
-    Material,
-    Point,
-    Rectangle,
-    RigidBody,
-    Scene,
-    position,
-)
+from ancfdae import HHT, Beam, Clamp, Material, RigidBody, Scene
+from ancfdae.extend import Load, MaterialPoint
 from ancfdae.model.bodies import Quantity
-from ancfdae.model.design import numbers
-from ancfdae.model.loads.load import LAW
+from ancfdae.model.design import design_numbers
+from ancfdae.model.loads.load import LAW_FIELD
 from ancfdae.numerics.jets import concatenate, dot
+from ancfdae.observables import position
+from ancfdae.sections import Rectangle
 
 
 @dataclass(frozen=True)
 class Magnet(Load):
     """F = -k e / (e^2 + gap^2)^2 on the point, e from the other one to it; k in N m3."""
 
-    point: Point
-    other: Point
+    point: MaterialPoint
+    other: MaterialPoint
     strength: float
     gap: float
 
     kind = "magnet"
     elastic = True
-    design_fields = (*numbers("strength", "gap"), LAW)
+    design_fields = (*design_numbers("strength", "gap"), LAW_FIELD)
 
-    def vectors(self, elements) -> tuple[tuple[Point, Quantity], ...]:
+    def vectors(self, elements) -> tuple[tuple[MaterialPoint, Quantity], ...]:
         return tuple((point, Quantity.POSITION) for point in self.points)
 
     def force(self, U: Any, V: Any, p, U_o) -> Any:

@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ancfdae import HHT, Beam, Clamp, Material, PointForce, Scene, Section, position
+from ancfdae import HHT, Beam, Clamp, Material, PointForce, Scene
+from ancfdae.extend import Section
 from ancfdae.numerics.quadrature import box_rule
+from ancfdae.observables import position
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import (
-    HHT,
-    Integral,
-    Point,
-    Solution,
-    assemble,
-    gradient,
-    position,
-)
+from ancfdae import HHT, Integral, assemble, gradient
+from ancfdae.extend import MaterialPoint
+from ancfdae.observables import position
+from ancfdae.results import Solution
 from ancfdae.sensitivity.method import GradientMethod
 from validation.scenes import crank_slider
 
@@ -47,7 +42,7 @@ def paper_objective() -> Integral:
 
 def slider(solution: Solution) -> npt.NDArray[np.number]:
     """Return the position of the slider along its line, shape (n_t,); m."""
-    return solution.position(Point("rod", 1.0))[:, 0]
+    return solution.position(MaterialPoint("rod", 1.0))[:, 0]
 
 
 def scaled(solution: Solution) -> Array:

@@ -10,7 +10,7 @@ from ancfdae import (
     HHT,
     Adjoint,
     ContinuousAdjoint,
-    Direct,
+    DirectDifferentiation,
     FiniteDifference,
     assemble,
     gradient,
@@ -43,7 +43,7 @@ def cost(report: Report, extent: Extent) -> None:
 
     tasks: dict[str, Callable[[], object]] = {
         "dynamics alone": lambda: simulate(plain, t_end, integrator),
-        "direct": by(Direct()),
+        "direct": by(DirectDifferentiation()),
         "adjoint": by(Adjoint()),
         "continuous adjoint": by(ContinuousAdjoint()),
         "finite difference": by(FiniteDifference(0.01)),

@@ -8,15 +8,15 @@ from ancfdae import (
     Adjoint,
     ComplexStep,
     ContinuousAdjoint,
-    Direct,
+    DirectDifferentiation,
     Integral,
-    Solution,
     assemble,
     gradient,
-    reaction,
 )
 from ancfdae.integrators.integrator import Seeds
+from ancfdae.observables import reaction
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Solution
 from validation.crank_slider.case import (
     DESIGN,
     STEP,
@@ -43,7 +43,7 @@ def exactness(report: Report, solution: Solution, extent: Extent) -> None:
     for key, (name, objective) in zip(("psi", "reaction"), kinds.items(), strict=True):
         adjoint, direct, check = (
             gradient(system, objective, extent.t_end, integrator, method=method).gradient * system.b
-            for method in (Adjoint(), Direct(), ComplexStep())
+            for method in (Adjoint(), DirectDifferentiation(), ComplexStep())
         )
         first = report.figure(f"exact.{key}.adjoint_direct", relative(adjoint, direct))
         second = report.figure(f"exact.{key}.adjoint_complex_step", relative(adjoint, check))

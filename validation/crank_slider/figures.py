@@ -3,16 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import (
-    HHT,
-    Adjoint,
-    ContinuousAdjoint,
-    FiniteDifference,
-    Solution,
-    differentiate,
-    simulate,
-)
+from ancfdae import HHT, Adjoint, ContinuousAdjoint, FiniteDifference, differentiate, simulate
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Solution
 from validation.crank_slider.case import (
     DESIGN,
     STEP,

@@ -5,24 +5,14 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from ancfdae import (
-    HHT,
-    Beam,
-    Drive,
-    Material,
-    Misfit,
-    Pin,
-    Point,
-    PointMass,
-    Rectangle,
-    RunFit,
-    Scene,
-    Uniform,
-    position,
-    simulate,
-)
+from ancfdae import HHT, Beam, Material, Misfit, Pin, PointMass, RotationDriver, Scene, simulate
+from ancfdae.extend import MaterialPoint
+from ancfdae.laws import ConstantAcceleration
 from ancfdae.numerics.timing import stopwatch
+from ancfdae.observables import position
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import RunResidualFunction
+from ancfdae.sections import Rectangle
 from validation.design.case import Case, Comparison, Response
 from validation.design.optimisation import Array, Once, Optimisation, searched
 
@@ -32,7 +22,7 @@ __all__ = ["coupler_path"]
 _UNIT, _SPEED = 0.1, 20.0
 _PLASTIC: Final = Material(1200.0, 2e9, 0.35, damping_time=2e-3)
 _STRIP: Final = Rectangle(0.008, 0.01)
-_TIP: Final = Point("coupler", 1.0)
+_TIP: Final = MaterialPoint("coupler", 1.0)
 _DESIGN: Final = (
     "crank.length",
     "coupler.length",
@@ -50,7 +40,7 @@ def hoeken(elements: int, rigid: bool = False) -> Scene:
     rocker = Beam("rocker", (2 * u, 0), (2 * u, 2.5 * u), 1, _STRIP, _PLASTIC, rigid=True)
     joints = [
         Pin(crank.at_start, ground=(0, 0), name="left"),
-        Drive(crank.at_start, Uniform(_SPEED), name="motor"),
+        RotationDriver(crank.at_start, ConstantAcceleration(_SPEED), name="motor"),
         Pin(crank.at_end, coupler.at_start, name="elbow"),
         Pin(coupler.at(0.5), rocker.at_end, name="knee"),
         Pin(rocker.at_start, ground=(2 * u, 0), name="right"),
@@ -60,7 +50,7 @@ def hoeken(elements: int, rigid: bool = False) -> Scene:
     return Scene(beams, joints, (0, -9.81), assemble=True, bodies=[weight])
 
 
-def path_fit(elements: int, steps: int) -> RunFit:
+def path_fit(elements: int, steps: int) -> RunResidualFunction:
     """Return residuals, in mm, to a straight line, passed as the rigid linkage passes it."""
     t_end = np.pi / _SPEED
     integrator = HHT(t_end / steps)
@@ -71,7 +61,7 @@ def path_fit(elements: int, steps: int) -> RunFit:
     return misfit.fit(hoeken(elements), t_end, integrator, design=_DESIGN)
 
 
-def evaluation(fit: RunFit) -> Once:
+def evaluation(fit: RunResidualFunction) -> Once:
     """Return half the sum of squares over 100, by lengths over the unit."""
 
     @Once
@@ -82,7 +72,7 @@ def evaluation(fit: RunFit) -> Once:
     return evaluate
 
 
-def optimise(fit: RunFit, iterations: int) -> Optimisation:
+def optimise(fit: RunResidualFunction, iterations: int) -> Optimisation:
     """Find the lengths by Gauss and Newton's method with a trust region."""
     evaluate, clock = evaluation(fit), stopwatch()
     result = least_squares(
@@ -131,19 +121,22 @@ def coupler_path(quick: bool) -> Case:
     )
 
 
-def _rms(fit: RunFit, x: Array) -> float:
+def _rms(fit: RunResidualFunction, x: Array) -> float:
     """Distance from the path; mm."""
     return float(np.sqrt(2 * np.mean(fit.residuals(_UNIT * x) ** 2)))
 
 
-def _panels(fit: RunFit, found: Optimisation) -> list[Panel]:
+def _panels(fit: RunResidualFunction, found: Optimisation) -> list[Panel]:
     wanted = np.array(fit.misfit.data)
     bars, paths = [], [Series("wanted", wanted[0], wanted[1], line=False, marker=True)]
     for name, x in (("Hoeken's proportions", found.start), ("optimum", found.optimum)):
         solution = fit.solution(_UNIT * x)
         right = (2.0 * _UNIT, 0.0) if name != "optimum" else tuple(_UNIT * found.optimum[3:])
-        corners = [Point("crank", 0.0), *(Point("coupler", s) for s in np.linspace(0, 1, 9))]
-        corners += [Point("coupler", s) for s in np.linspace(1, 0.5, 5)]
+        corners = [
+            MaterialPoint("crank", 0.0),
+            *(MaterialPoint("coupler", s) for s in np.linspace(0, 1, 9)),
+        ]
+        corners += [MaterialPoint("coupler", s) for s in np.linspace(1, 0.5, 5)]
         places = [solution.position(point)[0] for point in corners]
         bars.append(Series(name, *np.array([*places, right]).T))
         paths.append(Series(name, *solution.position(_TIP).T))

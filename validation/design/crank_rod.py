@@ -8,34 +8,29 @@ from scipy.optimize import brentq
 from ancfdae import (
     HHT,
     Adjoint,
-    AncfSystem,
     Beam,
-    Circle,
     DesignVariable,
-    Drive,
+    InitialVelocity,
     Material,
-    Observable,
     Pin,
-    Point,
     PointMass,
     PointOnLine,
     RigidBody,
-    RigidMotion,
+    RotationDriver,
     Scene,
     SmoothMaximum,
-    Solution,
     Terminal,
-    Uniform,
     assemble,
-    distribution,
+    distributed_variables,
     gradients,
-    mass,
-    maximum_stress,
-    observe,
-    position,
     simulate,
 )
+from ancfdae.extend import MaterialPoint, Observable
+from ancfdae.laws import ConstantAcceleration
+from ancfdae.observables import mass, maximum_von_mises, observe, position
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import AncfSystem, Solution
+from ancfdae.sections import Circle
 from validation.design.case import Case, Comparison, Response
 from validation.design.optimisation import Array, Once, Optimisation, constrained, searched
 
@@ -61,20 +56,20 @@ def slider_crank(elements: int) -> Scene:
         bodies=[crank, PointMass(rod.at_end, _SLIDER)],
         joints=[
             Pin(crank.origin),
-            Drive(crank.origin, Uniform(_SPEED), name="motor"),
+            RotationDriver(crank.origin, ConstantAcceleration(_SPEED), name="motor"),
             Pin(crank.at(_CRANK, 0), rod.at_start),
             PointOnLine(rod.at_end, direction=(1, 0)),
         ],
         start=[
-            RigidMotion("crank", _SPEED, about=(0, 0)),
-            RigidMotion("rod", -_SPEED * _CRANK / _ROD, about=(_CRANK + _ROD, 0)),
+            InitialVelocity("crank", _SPEED, about=(0, 0)),
+            InitialVelocity("rod", -_SPEED * _CRANK / _ROD, about=(_CRANK + _ROD, 0)),
         ],
     )
 
 
 def sag() -> Observable:
     """Return how far the middle of the rod is from the line through its ends; m."""
-    pin, middle, slider = (Point("rod", s) for s in (0.0, 0.5, 1.0))
+    pin, middle, slider = (MaterialPoint("rod", s) for s in (0.0, 0.5, 1.0))
     (e_x, e_y), (m_x, m_y) = (
         [position(point, i) - position(pin, i) for i in (0, 1)] for point in (slider, middle)
     )
@@ -87,9 +82,12 @@ def evaluation(elements: int, steps: int, uniform: bool = False) -> Once:
     Variables: radii of the elements, mm; a single one of all if `uniform`.
     """
     t_end = 2 * np.pi / _SPEED
-    one, each = DesignVariable("radius", ["rod.radius"]), distribution("rod.radius", elements)
+    one, each = (
+        DesignVariable("radius", ["rod.radius"]),
+        distributed_variables("rod.radius", elements),
+    )
     system = assemble(slider_crank(elements), [one] if uniform else each)
-    stress = maximum_stress("rod", _SHARPNESS / _ALLOWED) / _ALLOWED
+    stress = maximum_von_mises("rod", _SHARPNESS / _ALLOWED) / _ALLOWED
     asked = [
         Terminal(mass("rod")) / _JONKER,
         SmoothMaximum(stress, _SHARPNESS),
@@ -154,7 +152,7 @@ def _lightest_uniform(elements: int, steps: int) -> float:
 
 
 def _moved(found: Optimisation, elements: int, steps: int) -> tuple[AncfSystem, Solution]:
-    system = assemble(slider_crank(elements), distribution("rod.radius", elements))
+    system = assemble(slider_crank(elements), distributed_variables("rod.radius", elements))
     system = system.with_values(1e-3 * found.optimum)
     t_end = 2 * np.pi / _SPEED
     return system, simulate(system, t_end, HHT(t_end / steps))
@@ -164,7 +162,7 @@ def _panels(found: Optimisation, uniform: float, elements: int, steps: int) -> l
     _, solution = _moved(found, elements, steps)
     row = len(solution.t) // 4
     s = np.linspace(0, 1, 2 * elements + 1)
-    x, y = np.array([solution.position(Point("rod", each))[row] for each in s]).T
+    x, y = np.array([solution.position(MaterialPoint("rod", each))[row] for each in s]).T
     series = [
         Series("crank", [0, x[0]], [0, y[0]], marker=True),
         Series("rod", x, y),
@@ -184,7 +182,7 @@ def _panels(found: Optimisation, uniform: float, elements: int, steps: int) -> l
 def _findings(ratio: float, found: Optimisation, elements: int, steps: int) -> str:
     system, solution = _moved(found, elements, steps)
     # Sharper than in the optimisation: within 1 % of the largest stress at any place.
-    stress = maximum_stress("rod", 10 * _SHARPNESS / _ALLOWED)
+    stress = maximum_von_mises("rod", 10 * _SHARPNESS / _ALLOWED)
     largest = float(np.max(observe(stress, solution, system))) / _ALLOWED
     sags = observe(sag(), solution, system)
     furthest = float(np.max(np.abs(sags))) / _SAG

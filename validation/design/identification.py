@@ -5,21 +5,12 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from ancfdae import (
-    HHT,
-    Beam,
-    Clamp,
-    DesignVariable,
-    Material,
-    Misfit,
-    Rectangle,
-    RunFit,
-    Scene,
-    position,
-    simulate,
-)
+from ancfdae import HHT, Beam, Clamp, DesignVariable, Material, Misfit, Scene, simulate
 from ancfdae.numerics.timing import stopwatch
+from ancfdae.observables import position
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import RunResidualFunction
+from ancfdae.sections import Rectangle
 from validation.design.case import Case, Comparison, Response
 from validation.design.optimisation import Array, Once, Optimisation, searched
 
@@ -42,7 +33,7 @@ def cantilever() -> Scene:
     return Scene([rod], [Clamp(rod.at_start)], (0, -9.81))
 
 
-def record(noise: Array | float) -> RunFit:
+def record(noise: Array | float) -> RunResidualFunction:
     """Return the fit to a simulated record of the tip with this noise."""
     scene, t_end = cantilever(), _STEP * _STEPS
     tip = scene.beams[0].at_end
@@ -52,7 +43,7 @@ def record(noise: Array | float) -> RunFit:
     return misfit.fit(scene, t_end, HHT(_STEP), design=_DESIGN)
 
 
-def gauss_newton(fit: RunFit, x: Array, iterations: int) -> tuple[Array, Array, int]:
+def gauss_newton(fit: RunResidualFunction, x: Array, iterations: int) -> tuple[Array, Array, int]:
     """Return values over the true ones, where the last run was, and the number of runs."""
     runs = 0
     while runs < iterations:
@@ -85,7 +76,7 @@ def coverage(records: int) -> tuple[Array, Array, int]:
     return np.array(estimates), np.array(holds), runs
 
 
-def optimise(fit: RunFit, start: Array, iterations: int) -> Optimisation:
+def optimise(fit: RunResidualFunction, start: Array, iterations: int) -> Optimisation:
     """Find stiffness and damping over the true ones, from afar."""
     clock = stopwatch()
 
@@ -142,7 +133,7 @@ def identification(quick: bool) -> Case:
     )
 
 
-def _panels(fit: RunFit, found: Optimisation, estimates: Array) -> list[Panel]:
+def _panels(fit: RunResidualFunction, found: Optimisation, estimates: Array) -> list[Panel]:
     tip = cantilever().beams[0].at_end
     series = [Series("record", fit.misfit.times, fit.misfit.data[0], line=False, marker=True)]
     for name, x in (("start", found.start), ("found", found.optimum)):

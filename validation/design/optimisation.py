@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import OptimizeResult, minimize
 
-from ancfdae import UnfinishedRun
+from ancfdae.errors import UnfinishedRunError
 from ancfdae.numerics.timing import stopwatch
 
 __all__ = ["Array", "Evaluation", "Once", "Optimisation", "constrained", "searched"]
@@ -127,7 +127,7 @@ def constrained(
         box = np.clip(np.stack([x - move, x + move], 1), limits[:, :1], limits[:, 1:])
         try:
             result = _slsqp(evaluate, x, box, iterations - done, tolerance)
-        except UnfinishedRun:
+        except UnfinishedRunError:
             move /= 2
             done += 1
             continue

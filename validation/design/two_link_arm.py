@@ -10,32 +10,24 @@ from ancfdae import (
     AtTimes,
     Beam,
     DesignVariable,
-    Drive,
-    Joint,
-    Load,
     Material,
-    Objective,
+    MotorTorque,
     Pin,
-    Point,
     PointMass,
-    Ramp,
-    Rectangle,
+    RotationDriver,
     Scene,
     SmoothMaximum,
-    Solution,
-    Spline,
     Terminal,
-    Torque,
     assemble,
-    drive_torque,
     gradients,
-    mass,
-    maximum_stress,
-    observe,
-    position,
     simulate,
 )
+from ancfdae.extend import Joint, Load, MaterialPoint, Objective
+from ancfdae.laws import SmoothStep, Spline
+from ancfdae.observables import driver_torque, mass, maximum_von_mises, observe, position
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Solution
+from ancfdae.sections import Rectangle
 from validation.design.case import Case, Comparison, Response
 from validation.design.optimisation import Array, Once, Optimisation, constrained, searched
 
@@ -46,7 +38,7 @@ _ALUMINIUM: Final = Material(2700.0, 7e10, 0.33, damping_time=1e-4)
 _ALLOWED, _TOLERANCE = 40e6, 2e-3  # Pa, m
 _SHOULDER, _ELBOW = np.pi / 3, np.pi / 6
 _TARGET: Final = (0.5 * _LENGTH, (np.sqrt(0.75) + 1.0) * _LENGTH)
-_TIP: Final = Point("lower", 1.0)
+_TIP: Final = MaterialPoint("lower", 1.0)
 _LINKS, _MOTORS = ("upper", "lower"), ("shoulder", "elbow")
 _MANOEUVRE = 0.5  # s
 _INSTANTS: Final = (0.5, 0.55, 0.6)
@@ -64,13 +56,13 @@ def arm(elements: int, driven: bool = False) -> Scene:
     joints: list[Joint] = [Pin(upper.at_start), Pin(upper.at_end, lower.at_start)]
     loads: list[Load] = []
     if driven:
-        path, more = (Ramp(0.0, angle, _MANOEUVRE) for angle in (_SHOULDER, _ELBOW))
-        joints.append(Drive(upper.at_start, path, name="shoulder"))
-        joints.append(Drive(lower.at_start, more, other=upper.at_end, name="elbow"))
+        path, more = (SmoothStep(0.0, angle, _MANOEUVRE) for angle in (_SHOULDER, _ELBOW))
+        joints.append(RotationDriver(upper.at_start, path, name="shoulder"))
+        joints.append(RotationDriver(lower.at_start, more, other=upper.at_end, name="elbow"))
     else:
         law = Spline(_CONTROLS, [0.0] * len(_CONTROLS))
-        loads.append(Torque(upper.at_start, 1.0, name="shoulder", law=law))
-        loads.append(Torque(lower.at_start, 1.0, other=upper.at_end, name="elbow", law=law))
+        loads.append(MotorTorque(upper.at_start, 1.0, name="shoulder", law=law))
+        loads.append(MotorTorque(lower.at_start, 1.0, other=upper.at_end, name="elbow", law=law))
     weights = [PointMass(point, _WEIGHT) for point in (lower.at_start, lower.at_end)]
     return Scene([upper, lower], joints, loads=loads, bodies=weights)
 
@@ -79,7 +71,7 @@ def torques(elements: int, step: float) -> Array:
     """Return what motors on the given path exert at the inner control times, N m."""
     system = assemble(arm(elements, driven=True))
     solution = simulate(system, _MANOEUVRE, HHT(step))
-    exerted = [observe(drive_torque(name), solution, system) for name in ("shoulder", "elbow")]
+    exerted = [observe(driver_torque(name), solution, system) for name in ("shoulder", "elbow")]
     return np.concatenate([np.interp(_CONTROLS[1:-1], solution.t, each) for each in exerted])
 
 
@@ -95,7 +87,7 @@ def evaluation(elements: int, step: float, driven: bool = False) -> Once:
         design += [DesignVariable(f"{m} {k}", [f"{m}.value[{k}]"]) for m in _MOTORS for k in inner]
     unit = np.array([1e-2] * 2 + [10.0] * (len(design) - 2))
     system = assemble(arm(elements, driven), design)
-    stresses = [maximum_stress(link, _SHARPNESS / _ALLOWED) / _ALLOWED for link in _LINKS]
+    stresses = [maximum_von_mises(link, _SHARPNESS / _ALLOWED) / _ALLOWED for link in _LINKS]
     misses = [(position(_TIP, i) - _TARGET[i]) / _TOLERANCE for i in (0, 1)]
     asked: list[Objective] = [Terminal(mass("upper") + mass("lower"))]
     asked += [SmoothMaximum(stress, _SHARPNESS) for stress in stresses]
@@ -177,7 +169,7 @@ def _moved(x: Array, elements: int, step: float, driven: bool = False) -> tuple[
 def _panels(found: Optimisation, given: Optimisation, elements: int, step: float) -> list[Panel]:
     _, optimum = _moved(found.optimum, elements, step)
     scene, led = _moved(given.optimum, elements, step, driven=True)
-    points = [Point(link, s) for link in _LINKS for s in np.linspace(0, 1, 5)]
+    points = [MaterialPoint(link, s) for link in _LINKS for s in np.linspace(0, 1, 5)]
     arms = []
     for time in (0.0, 0.125, 0.25, 0.375, 0.5):
         at = optimum.at([time])
@@ -190,7 +182,7 @@ def _panels(found: Optimisation, given: Optimisation, elements: int, step: float
         law = Spline(_CONTROLS, [0.0, *inner.tolist(), 0.0])
         torque = [float(law.derivative(np.array(law.values), time, 0)) for time in t]
         exerted.append(Series(f"{motor}, optimum", t, torque))
-        torque_led = observe(drive_torque(motor), led, assemble(scene))
+        torque_led = observe(driver_torque(motor), led, assemble(scene))
         exerted.append(Series(f"{motor}, given path", led.t, torque_led))
     return [
         Panel("Optimal arm on its way", "x [m]", "y [m]", arms),

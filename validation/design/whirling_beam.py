@@ -8,23 +8,22 @@ from ancfdae import (
     HHT,
     Adjoint,
     Beam,
-    Drive,
     Integral,
     Material,
     Pin,
-    Point,
-    Rectangle,
+    RotationDriver,
     Scene,
     Terminal,
-    UserLaw,
     assemble,
-    deflection,
-    distribution,
+    distributed_variables,
     gradients,
-    mass,
     simulate,
 )
+from ancfdae.extend import MaterialPoint
+from ancfdae.laws import UserLaw
+from ancfdae.observables import deflection, mass
 from ancfdae.plotting import Panel, Series
+from ancfdae.sections import Rectangle
 from validation.design.case import Case, Comparison, Response
 from validation.design.optimisation import Array, Once, Optimisation, constrained, searched
 
@@ -42,7 +41,7 @@ def spin_up(t: Any) -> Any:
 def blade(elements: int) -> Scene:
     """Return the beam, 1 m long, on its hub."""
     beam = Beam("blade", (0, 0), (1, 0), elements, Rectangle(_HEIGHT, 0.02), _POLYMER)
-    return Scene([beam], [Pin(beam.at_start), Drive(beam.at_start, UserLaw(spin_up))])
+    return Scene([beam], [Pin(beam.at_start), RotationDriver(beam.at_start, UserLaw(spin_up))])
 
 
 def evaluation(elements: int, steps: int) -> Once:
@@ -54,7 +53,7 @@ def evaluation(elements: int, steps: int) -> Once:
     beam = scene.beams[0]
     bending = Integral(deflection(beam.at_end, beam.at_start) ** 2)
     asked = [np.log(bending), Terminal(mass("blade")) * (1 / _MASS)]
-    system = assemble(scene, distribution("blade.height", elements))
+    system = assemble(scene, distributed_variables("blade.height", elements))
 
     @Once
     def evaluate(x: Array) -> tuple[Array, Array]:
@@ -109,13 +108,13 @@ def whirling_beam(quick: bool) -> Case:
 
 
 def _panels(found: Optimisation, elements: int, steps: int) -> list[Panel]:
-    system = assemble(blade(elements), distribution("blade.height", elements))
+    system = assemble(blade(elements), distributed_variables("blade.height", elements))
     shapes, heights = [], []
     ends = np.repeat(np.linspace(0, 1, elements + 1), 2)[1:-1]
     for name, x in (("uniform", found.start), ("optimum", found.optimum)):
         solution = simulate(system.with_values(_HEIGHT * x), _DURATION, HHT(_DURATION / steps))
         s = np.linspace(0, 1, 2 * elements + 1)
-        places = np.array([solution.position(Point("blade", each)) for each in s])
+        places = np.array([solution.position(MaterialPoint("blade", each)) for each in s])
         # Turned back with the hub.
         angle = spin_up(solution.t)
         along = places[..., 0] * np.cos(angle) + places[..., 1] * np.sin(angle)

@@ -6,10 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from ancfdae import HHT, Integral, Solution, custom
+from ancfdae import HHT, Integral
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.observables import custom
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Solution
 from validation.external import published
 from validation.external.pendulum_section import speed
 from validation.external.rods import double_four_bar, four_bar_minimal
@@ -267,13 +269,13 @@ Which integrators pass, and why:
   is, the closer to the pole they must step, and Newton's method fails there; they shrink the step
   until they give up, and report it. Sensitivities of the multipliers have a pole of higher order,
   so with them they stop at looser tolerances already.
-- **Explicit** solves for accelerations, whose equations lose the digits of 1/s²; its error
+- **DOP853** solves for accelerations, whose equations lose the digits of 1/s²; its error
   estimate sees that noise at the tightest tolerance only and runs into the limit of steps. Down to
   1e-8 it is the cheapest by far, positions and derivatives alike: it takes few, long steps.
 
 A run that stops keeps what it has, and that is right to its tolerance. Whether a variable
 step passes depends on where it falls; a fixed step of HHT with newton_tolerance = 1e-5 does
-not depend on that. The safe way is a minimal form, or HHT checked against Explicit.
+not depend on that. The safe way is a minimal form, or HHT checked against DOP853.
 """
 
 _METHODS = """

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from ancfdae import Direction, Traits
+from ancfdae.extend import StateDirection, SystemProperties
 from validation.external.scleronomic import Array, Scleronomic
 
 __all__ = ["Rods", "cartesian_pendulum", "double_four_bar", "four_bar_minimal"]
@@ -66,7 +66,7 @@ class Rods(Scleronomic):
         L and g.
     """
 
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
 
     def __init__(self, geometry: Geometry, b: npt.ArrayLike = (1.0, 9.81)) -> None:
         super().__init__(geometry.mass_matrix, geometry.names, ("L", "g"), b)
@@ -89,7 +89,7 @@ class Rods(Scleronomic):
         Q: Array = self.b[1] * self._geometry.weight
         return Q
 
-    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+    def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
         """Return the derivative of the force along a direction: zero, since it is constant."""
         return np.zeros(self.n_q)
 

@@ -8,28 +8,30 @@ from typing import Final
 import numpy as np
 
 from ancfdae import (
+    DOP853,
     IDA,
     IDAS,
     Adjoint,
     ComplexStep,
     ContinuousAdjoint,
-    Direct,
-    Explicit,
+    DirectDifferentiation,
     FiniteDifference,
-    InvalidInput,
-    ManySteps,
-    MechanicalSystem,
-    MissingPackage,
-    Solution,
-    UnfinishedRun,
     differentiate,
     gradient,
     simulate,
 )
+from ancfdae.errors import (
+    InvalidInputError,
+    ManyStepsWarning,
+    MissingPackageError,
+    UnfinishedRunError,
+)
+from ancfdae.extend import MechanicalSystem
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Solution
 from ancfdae.sensitivity.method import GradientMethod
 from ancfdae.sensitivity.objectives import Objective
 from validation.external.scleronomic import Array
@@ -56,7 +58,7 @@ FINISHED: Final = "finished"
 _REFUSED: Final = "refused"
 
 _METHODS: Final[Mapping[str, GradientMethod]] = {
-    "direct": Direct(),
+    "direct": DirectDifferentiation(),
     "adjoint": Adjoint(),
     "continuous adjoint": ContinuousAdjoint(),
     "central difference": FiniteDifference(1e-3, central=True),
@@ -154,9 +156,9 @@ def add_verdict(report: Report, requirements: Sequence[Requirement], quick: bool
 
 def controlled(
     rtols: Sequence[float], intervals: int, max_steps: int = MANY
-) -> list[IDA | IDAS | Explicit]:
+) -> list[IDA | IDAS | DOP853]:
     """Return every integrator with error control at every tolerance."""
-    kinds = (IDA, IDAS, Explicit)
+    kinds = (IDA, IDAS, DOP853)
     return [k(rtol=r, intervals=intervals, max_steps=max_steps) for k in kinds for r in rtols]
 
 
@@ -164,7 +166,7 @@ def setting(integrator: Integrator) -> str:
     """Return the step or the tolerance in words."""
     if isinstance(integrator, SteppedIntegrator):
         return f"h = {step_of(integrator):g}"
-    assert isinstance(integrator, IDA | IDAS | Explicit)
+    assert isinstance(integrator, IDA | IDAS | DOP853)
     return f"rtol = {integrator.rtol:.0e}"
 
 
@@ -208,16 +210,16 @@ def _timed(call: Callable[[], Attempt]) -> Attempt:
     clock = stopwatch()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", ManySteps)
+            warnings.simplefilter("error", ManyStepsWarning)
             attempt = call()
-    except ManySteps as warning:
+    except ManyStepsWarning as warning:
         attempt = Attempt(f"given up: {str(warning).split(':')[0]}", 0.0)
-    except MissingPackage:
+    except MissingPackageError:
         attempt = Attempt("sundials4py is not installed", 0.0)
-    except UnfinishedRun as error:
+    except UnfinishedRunError as error:
         note = error.solution.outcome.verdict.value
         attempt = Attempt(note, 0.0, error.solution)
-    except InvalidInput as error:
+    except InvalidInputError as error:
         attempt = Attempt(f"{_REFUSED}: {error.where} {error.rule}", 0.0)
     return Attempt(attempt.note, clock(), attempt.solution, attempt.value)
 

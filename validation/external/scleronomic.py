@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import MechanicalSystem, Traits
+from ancfdae.extend import MechanicalSystem, SystemProperties
 
 __all__ = ["Array", "Scleronomic"]
 
@@ -24,7 +24,7 @@ class Scleronomic(MechanicalSystem):
         Values of the design variables.
     """
 
-    traits = Traits(constant_mass=True)
+    traits = SystemProperties(constant_mass=True)
 
     def __init__(
         self,

@@ -19,7 +19,9 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import Direction, Integral, custom
+from ancfdae import Integral
+from ancfdae.extend import StateDirection
+from ancfdae.observables import custom
 from ancfdae.sensitivity.objectives import Objective
 from validation.external.scleronomic import Array, Scleronomic
 
@@ -68,7 +70,7 @@ class SliderCrank(Scleronomic):
         s = self._spring(q, v)
         return -0.5 * s.f * s.n + _PUSH * np.array([0.0, 1.0, -np.sin(q[2])])
 
-    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+    def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
         """Return Q_q dq + Q_v dv."""
         s, dq, dv = self._spring(q, v), direction.q, direction.v
         n_s = s.H @ dq

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ancfdae import (
-    HHT,
-    Solution,
-    simulate,
-)
+from ancfdae import HHT, simulate
+from ancfdae.results import Solution
 from validation.extremes.joint_cases import dead_link, no_length, short_link
 from validation.extremes.rows import Case
 from validation.extremes.scenes import Crank

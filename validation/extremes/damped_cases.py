@@ -4,18 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ancfdae import (
-    HHT,
-    Beam,
-    Clamp,
-    Material,
-    Point,
-    PointForce,
-    Rectangle,
-    Scene,
-    Solution,
-    simulate,
-)
+from ancfdae import HHT, Beam, Clamp, Material, PointForce, Scene, simulate
+from ancfdae.extend import MaterialPoint
+from ancfdae.results import Solution
+from ancfdae.sections import Rectangle
 from validation.extremes.rows import Case, against_sixteenth
 from validation.scenes import crank_slider, pendulum
 
@@ -63,7 +55,8 @@ def first_steps(quick: bool) -> list[Case]:
         if not fine.outcome.success:
             return np.inf
         apart = [
-            run.position(Point("pendulum", s)) - fine.position(Point("pendulum", s))[-1]
+            run.position(MaterialPoint("pendulum", s))
+            - fine.position(MaterialPoint("pendulum", s))[-1]
             for s in (0.5, 1)
         ]
         return float(max(np.max(np.abs(x[-1])) for x in apart)) / 1.2

@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from ancfdae import HHT, Explicit, Point, Solution, differentiate, simulate
+from ancfdae import DOP853, HHT, differentiate, simulate
 from ancfdae.equations import reaction
+from ancfdae.extend import MaterialPoint
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Solution
 from validation.external.rods import cartesian_pendulum
 from validation.extremes.scenes import SI, Crank, Rod
 from validation.report import Report
@@ -101,7 +103,7 @@ def _derivatives(h: float, alpha: float, steps: int) -> dict[str, float]:
     system = cartesian_pendulum(angle=_ANGLE, spin=_SPIN)
     runs = [
         differentiate(system, h * steps, integrator).sensitivities
-        for integrator in (HHT(h, hht_alpha=alpha), Explicit(1e-12))
+        for integrator in (HHT(h, hht_alpha=alpha), DOP853(1e-12))
     ]
     return {name: _largest(*(getattr(run, name)[-1] for run in runs)) for name in _QUANTITIES}
 
@@ -141,7 +143,7 @@ def _pendulum(h: float, alpha: float, steps: int) -> _Errors:
         run = simulate(rod.scene(units), step * count, HHT(step, hht_alpha=alpha))
         if not run.outcome.success:
             return _Errors(np.nan, np.nan)
-        a = run.acceleration(Point("rod", 1.0)) * units.time**2 / units.length
+        a = run.acceleration(MaterialPoint("rod", 1.0)) * units.time**2 / units.length
         parts.append((a, run.lam / units.force))
     return _Errors(*(_largest(x, y) for x, y in zip(*parts, strict=True)))
 
@@ -159,7 +161,7 @@ def _stiff(h: float, alpha: float, steps: int) -> _Errors:
 
 
 def _elbow(run: Solution) -> Array:
-    return run.acceleration(Point("crank", 1.0))
+    return run.acceleration(MaterialPoint("crank", 1.0))
 
 
 def _largest(x: Array, exact: Array) -> float:

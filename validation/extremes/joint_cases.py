@@ -2,17 +2,8 @@
 
 from __future__ import annotations
 
-from ancfdae import (
-    Beam,
-    Clamp,
-    Distance,
-    Material,
-    Pin,
-    PointOnLine,
-    Rectangle,
-    Revolute,
-    Scene,
-)
+from ancfdae import Beam, Clamp, Distance, Material, Pin, PointOnLine, Revolute, Scene
+from ancfdae.sections import Rectangle
 from validation.extremes.rows import Case
 
 _STEP = 2.0**-7

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import HHT, Solution, StabilityWarning, assemble, simulate
+from ancfdae import HHT, assemble, simulate
+from ancfdae.errors import StabilityWarning
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Solution
 from validation.external.rods import cartesian_pendulum
 from validation.report import Report
 from validation.scenes import pendulum

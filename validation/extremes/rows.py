@@ -10,11 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import HHT, Point, Scene, Solution, StabilityWarning, assemble, simulate
+from ancfdae import HHT, Scene, assemble, simulate
 from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.errors import AncfdaeError
+from ancfdae.errors import AncfdaeError, StabilityWarning
+from ancfdae.extend import MaterialPoint
 from ancfdae.integrators.hht.equations import Coefficients, iteration_terms
+from ancfdae.results import Solution
 from validation.report import Report
 
 __all__ = ["HEADER", "Case", "Row", "add_table", "against_sixteenth", "measure"]
@@ -246,7 +248,7 @@ def against_sixteenth(
         fine = simulate(scene, step * steps, HHT(step / 16))
         if not fine.outcome.success:
             return np.inf
-        place, exact = (x.position(Point(beam, at)) for x in (run, fine))
+        place, exact = (x.position(MaterialPoint(beam, at)) for x in (run, fine))
         return float(np.max(np.abs(place - exact[::16])) / np.max(np.abs(exact - exact[0])))
 
     return Case(label, lambda: scene, step, steps, error=error)

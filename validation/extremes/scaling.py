@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import HHT, Point, Solution, differentiate
+from ancfdae import HHT, differentiate
+from ancfdae.extend import MaterialPoint
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Solution
 from validation.extremes.scenes import SI, Rod, Units
 from validation.report import Report
 
@@ -85,12 +87,12 @@ def _dimensionless(rod: Rod, units: Units, steps: int) -> tuple[list[Array], int
     assert run.sensitivities is not None
 
     def tip(solution: Solution) -> Array:
-        return solution.position(Point("rod", 1.0))
+        return solution.position(MaterialPoint("rod", 1.0))
 
     sensitivities = run.derivative(tip) * run.sensitivities.values / units.length
     parts = [
         tip(run) / units.length,
-        run.acceleration(Point("rod", 1.0)) * units.time**2 / units.length,
+        run.acceleration(MaterialPoint("rod", 1.0)) * units.time**2 / units.length,
         run.reaction("pin(rod@0)") / units.force,
         sensitivities,
     ]

@@ -7,17 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import (
-    Beam,
-    Material,
-    Pin,
-    Point,
-    PointOnLine,
-    Rectangle,
-    RigidMotion,
-    Scene,
-    Solution,
-)
+from ancfdae import Beam, InitialVelocity, Material, Pin, PointOnLine, Scene
+from ancfdae.extend import MaterialPoint
+from ancfdae.results import Solution
+from ancfdae.sections import Rectangle
 
 __all__ = ["SI", "Crank", "Rod", "Units"]
 
@@ -75,7 +68,7 @@ class Rod:
         )
         gravity = (0.0, -self.gravity * L / T**2, 0.0)[: self.dimension]
         axis = self.spin / T if self.dimension == 2 else (0.0, 0.0, self.spin / T)
-        start = [RigidMotion("rod", axis, (self.at * L, *rest))]
+        start = [InitialVelocity("rod", axis, (self.at * L, *rest))]
         return Scene([beam], [Pin(beam.at_start)], gravity=gravity, start=start)
 
     def natural(self) -> Units:
@@ -86,7 +79,7 @@ class Rod:
 
     def arm(self, run: Solution, units: Units = SI) -> Array:
         """Return the vector from pin to tip in lengths of the rod, shape (n_t, d)."""
-        arm = run.position(Point("rod", 1.0)) - run.position(Point("rod", 0.0))
+        arm = run.position(MaterialPoint("rod", 1.0)) - run.position(MaterialPoint("rod", 0.0))
         result: Array = arm / (self.length * units.length)
         return result
 
@@ -135,7 +128,7 @@ class Crank:
             Pin(crank.at_end, rod.at_start, name="elbow"),
             PointOnLine(rod.at_end, direction=tuple(line), name="slider"),
         ]
-        start = [RigidMotion("crank", self.spin, (0.0, 0.0))] if self.spin else []
+        start = [InitialVelocity("crank", self.spin, (0.0, 0.0))] if self.spin else []
         gravity = tuple(turn @ [0.0, -9.81])
         return Scene([crank, rod], joints, gravity, start, project_start=bool(self.spin))
 
@@ -146,5 +139,5 @@ class Crank:
     def reach(self, run: Solution) -> Array:
         """Return the distance of the slider from the bearing along its line, shape (n_t,)."""
         line = np.array([np.cos(self.turned), np.sin(self.turned)])
-        result: Array = run.position(Point("rod", 1.0)) @ line
+        result: Array = run.position(MaterialPoint("rod", 1.0)) @ line
         return result

@@ -2,17 +2,9 @@
 
 from __future__ import annotations
 
-from ancfdae import (
-    Beam,
-    Clamp,
-    Guide,
-    Harmonic,
-    Material,
-    PointForce,
-    Rectangle,
-    Scene,
-    Uniform,
-)
+from ancfdae import Beam, Clamp, Material, PointForce, Scene, TranslationDriver
+from ancfdae.laws import ConstantAcceleration, Harmonic
+from ancfdae.sections import Rectangle
 from validation.extremes.rows import Case, against_sixteenth
 from validation.extremes.scenes import Rod
 
@@ -23,8 +15,8 @@ def _shocked(elements: int) -> Scene:
     Rigid motions cannot follow, so the start is projected: a shock of a few nodes.
     """
     rod = Beam("rod", (0, 0), (1, 0), elements, Rectangle(0.05, 0.05), Material(4000, 1e7, 0.3))
-    up = Guide(rod.at_start, (0, 1), Harmonic(0.1, 5.0), name="up")
-    side = Guide(rod.at_start, (1, 0), Uniform(0.0))
+    up = TranslationDriver(rod.at_start, (0, 1), Harmonic(0.1, 5.0), name="up")
+    side = TranslationDriver(rod.at_start, (1, 0), ConstantAcceleration(0.0))
     return Scene([rod], [up, side, Clamp(rod.at_end)], (0, -9.81), project_start=True)
 
 

@@ -7,20 +7,12 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import brentq
 
-from ancfdae import (
-    Clamp,
-    CurvedBeam,
-    Equilibrium,
-    Guide,
-    Material,
-    Pin,
-    Point,
-    Rectangle,
-    Scene,
-    Uniform,
-    equilibrium,
-)
+from ancfdae import Clamp, CurvedBeam, Material, Pin, Scene, TranslationDriver, equilibrium
+from ancfdae.extend import MaterialPoint
+from ancfdae.laws import ConstantAcceleration
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Equilibrium
+from ancfdae.sections import Rectangle
 from validation.external.runs import Requirement
 from validation.literature.rod import Rod, derivatives, solve
 from validation.literature.tables import Array, convergence, derivative_table, relative
@@ -101,7 +93,9 @@ def _scene(n: int, down: float) -> Scene:
     positions = _R * np.array([c, s]).T
     beam = CurvedBeam("arch", positions, frames, Rectangle(_H, _W), Material(1.0, _E, 0.0))
     # The crown is a node: the number of elements is even.
-    crown = Guide(beam.at(0.5), (0, 1), Uniform(0.0, offset=-down * _R), name="crown")
+    crown = TranslationDriver(
+        beam.at(0.5), (0, 1), ConstantAcceleration(0.0, offset=-down * _R), name="crown"
+    )
     return Scene([beam], [Clamp(beam.at_start), Pin(beam.at_end), crown])
 
 
@@ -115,7 +109,7 @@ def _limit(n: int) -> _Limit:
     """Lower the crown until the load no longer grows."""
 
     def crown(down: float, at: Equilibrium) -> tuple[float, float, float]:
-        aside = at.solution.position(Point("arch", 0.5))[0, 0]
+        aside = at.solution.position(MaterialPoint("arch", 0.5))[0, 0]
         return down, float(aside) / _R, _load(at)
 
     path, last = [(0.0, 0.0, 0.0)], None
@@ -248,6 +242,6 @@ _TEXT = """
 arch of 215°, clamped at one end, hinged at the other, carries at most P = 8.97 E I/R² at its
 crown; J. C. Simo and L. Vu-Quoc, *Comput. Meth. Appl. Mech. Engng* 58 (1986) 79-116, found 9.0528
 with 40 linear elements. *Here*: R = 100, section 1 x 1, nu = 0; the crown is lowered by a
-`Guide`, whose multiplier is the load, and the load is largest where its derivative in the way
-vanishes. *Reference*: shooting on the exact rod, in two parts.
+`TranslationDriver`, whose multiplier is the load, and the load is largest where its derivative in
+the way vanishes. *Reference*: shooting on the exact rod, in two parts.
 """

@@ -4,7 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ancfdae import Adjoint, DesignVariable, Direct, Observable, Scene, assemble, static_gradient
+from ancfdae import (
+    Adjoint,
+    DesignVariable,
+    DirectDifferentiation,
+    Scene,
+    assemble,
+    equilibrium_gradient,
+)
+from ancfdae.extend import Observable
 from validation.literature.tables import Array, relative
 
 __all__ = ["log_derivatives"]
@@ -28,9 +36,9 @@ def log_derivatives(
         Whether to run the adjoint too.
     """
     system = assemble(scene, design)
-    direct = static_gradient(system, observable, method=Direct())
+    direct = equilibrium_gradient(system, observable, method=DirectDifferentiation())
     computed: Array = direct.gradient * system.b.real / direct.value
     if not adjoint:
         return computed, 0.0
-    other = static_gradient(system, observable, method=Adjoint()).gradient
+    other = equilibrium_gradient(system, observable, method=Adjoint()).gradient
     return computed, float(np.max(relative(other, direct.gradient)))

@@ -6,19 +6,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import brentq
 
-from ancfdae import (
-    Beam,
-    Clamp,
-    CriticalLoad,
-    Material,
-    PointForce,
-    Rectangle,
-    Scene,
-    critical_load,
-    equilibrium,
-    modes,
-)
+from ancfdae import Beam, Clamp, Material, PointForce, Scene, critical_load, equilibrium, modes
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import CriticalLoad
+from ancfdae.sections import Rectangle
 from validation.external.runs import Requirement
 from validation.literature.rod import Rod, tip_loaded
 from validation.literature.tables import Array, convergence, derivative_table

@@ -5,19 +5,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from ancfdae import (
-    CABLE_2D,
-    Beam,
-    DesignVariable,
-    Material,
-    Pin,
-    PointForce,
-    Rectangle,
-    Scene,
-    equilibrium,
-    position,
-)
+from ancfdae import CABLE_2D, Beam, DesignVariable, Material, Pin, PointForce, Scene, equilibrium
+from ancfdae.observables import position
 from ancfdae.plotting import Panel, Series
+from ancfdae.sections import Rectangle
 from validation.external.runs import Requirement
 from validation.literature.at_rest import log_derivatives
 from validation.literature.rod import derivatives, solve

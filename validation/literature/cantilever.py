@@ -4,18 +4,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from ancfdae import (
-    Beam,
-    Clamp,
-    Material,
-    PointForce,
-    Rectangle,
-    SaintVenantKirchhoff,
-    Scene,
-    equilibrium,
-    position,
-)
+from ancfdae import Beam, Clamp, Material, PointForce, SaintVenantKirchhoff, Scene, equilibrium
+from ancfdae.observables import position
 from ancfdae.plotting import Panel, Series
+from ancfdae.sections import Rectangle
 from validation.external.runs import Requirement
 from validation.literature.at_rest import log_derivatives
 from validation.literature.rod import Rod, clamped, derivatives, tip_loaded

@@ -6,18 +6,10 @@ from typing import Final
 import numpy as np
 from scipy.special import ellipeinc, ellipkinc
 
-from ancfdae import (
-    Beam,
-    Clamp,
-    Material,
-    PointForce,
-    Rectangle,
-    Scene,
-    design_value,
-    equilibrium,
-    position,
-)
+from ancfdae import Beam, Clamp, Material, PointForce, Scene, equilibrium
+from ancfdae.observables import design_value, position
 from ancfdae.plotting import Panel, Series
+from ancfdae.sections import Rectangle
 from validation.external.runs import Requirement
 from validation.literature.at_rest import log_derivatives
 from validation.literature.rod import Rod, tip_loaded

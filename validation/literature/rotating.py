@@ -10,17 +10,9 @@ import numpy as np
 from numpy.polynomial.legendre import Legendre, leggauss
 from scipy.linalg import eigh
 
-from ancfdae import (
-    Beam,
-    Clamp,
-    Material,
-    Rectangle,
-    Scene,
-    TurningFrame,
-    equilibrium,
-    modes,
-)
+from ancfdae import Beam, Clamp, Material, RotatingFrame, Scene, equilibrium, modes
 from ancfdae.plotting import Panel, Series
+from ancfdae.sections import Rectangle
 from validation.external.runs import Requirement
 from validation.literature.tables import Array, convergence, derivative_table, relative
 from validation.report import Agreement, Report
@@ -84,7 +76,7 @@ def _flap(n: int, speed: float, design: Sequence[str] = ()) -> tuple[Array, Arra
     """Return the first three flap frequencies in the unit of the speed, and their derivatives."""
     section = Rectangle(2 * _W, _W)
     blade = Beam("blade", (0, 0, 0), (_L, 0, 0), n, section, Material(_RHO, _E, 0.0))
-    scene = Scene([blade], [Clamp(blade.at_start)], frame=TurningFrame(speed * _UNIT))
+    scene = Scene([blade], [Clamp(blade.at_start)], frame=RotatingFrame(speed * _UNIT))
     computed = modes(scene, 8, at=equilibrium(scene), design=design, damped=True)
     # Motions odd in z: z of positions and slopes along x and y, x and y of the slope along z.
     k = np.arange(len(computed.shapes))

@@ -9,21 +9,20 @@ from ancfdae import (
     HHT,
     Adjoint,
     Beam,
-    Direct,
-    Drive,
-    Law,
+    DirectDifferentiation,
     Material,
     Pin,
-    Point,
-    Rectangle,
+    RotationDriver,
     Scene,
     Terminal,
     assemble,
     gradient,
-    position,
     simulate,
 )
+from ancfdae.extend import Law, MaterialPoint
+from ancfdae.observables import position
 from ancfdae.plotting import Panel, Series
+from ancfdae.sections import Rectangle
 from validation.external.runs import Requirement
 from validation.literature.moving_rod import Array, HubRod
 from validation.literature.tables import convergence, derivative_table, relative
@@ -97,7 +96,9 @@ def _scene(n: int) -> Scene:
     h = np.sqrt(12 * _EI / _EA)
     material = Material(_MASS / h**2, _EA / h**2, 0.0)
     beam = Beam("beam", (0, 0), (_L, 0), n, Rectangle(h, h), material)
-    return Scene([beam], [Pin(beam.at_start), Drive(beam.at_start, SpinUp(_SPEED, _DURATION))])
+    return Scene(
+        [beam], [Pin(beam.at_start), RotationDriver(beam.at_start, SpinUp(_SPEED, _DURATION))]
+    )
 
 
 def _integrator(step: float) -> HHT:
@@ -108,13 +109,13 @@ def _tip(n: int, step: float, times: Array) -> Array:
     """Return the displacement of the tip in the frame of the hub, shape (2, k)."""
     run = simulate(_scene(n), float(times[-1]), _integrator(step)).at(times)
     psi = np.array([_turning(t)[0] for t in times])
-    c, s, r = np.cos(psi), np.sin(psi), run.position(Point("beam", 1.0))
+    c, s, r = np.cos(psi), np.sin(psi), run.position(MaterialPoint("beam", 1.0))
     return np.array([c * r[:, 0] + s * r[:, 1] - _L, -s * r[:, 0] + c * r[:, 1]])
 
 
 def _derivatives(report: Report, n: int, step: float, rod: HubRod, deflection: float) -> float:
     """Compare d ln(deflection)/d ln(E, rho) with differences of the reference."""
-    psi, end = _turning(_MIDDLE)[0], Point("beam", 1.0)
+    psi, end = _turning(_MIDDLE)[0], MaterialPoint("beam", 1.0)
     tip = -np.sin(psi) * position(end, 0) + np.cos(psi) * position(end, 1)
     design = ["beam.youngs_modulus", "beam.density"]
     direct, adjoint = (
@@ -126,7 +127,7 @@ def _derivatives(report: Report, n: int, step: float, rod: HubRod, deflection: f
             design=design,
             method=m,
         )
-        for m in (Direct(), Adjoint())
+        for m in (DirectDifferentiation(), Adjoint())
     )
     values = assemble(_scene(n), design).b
     computed = direct.gradient * values / direct.value

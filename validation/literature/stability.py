@@ -8,18 +8,18 @@ from scipy.special import ellipe, ellipk
 from ancfdae import (
     Beam,
     Clamp,
-    CriticalLoad,
     DesignVariable,
     Material,
     Pin,
     PointForce,
-    Rectangle,
     Scene,
     Weld,
     critical_load,
     equilibrium,
 )
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import CriticalLoad
+from ancfdae.sections import Rectangle
 from validation.external.runs import Requirement
 from validation.literature.tables import Array, convergence, derivative_table, relative
 from validation.report import Agreement, Report

@@ -5,8 +5,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from ancfdae import Beam, Clamp, Material, Pin, PointOnLine, Rectangle, Scene, modes
+from ancfdae import Beam, Clamp, Material, Pin, PointOnLine, Scene, modes
 from ancfdae.plotting import Panel, Series
+from ancfdae.sections import Rectangle
 from validation.external.runs import Requirement
 from validation.literature.tables import Array, convergence, derivative_table, relative
 from validation.report import Agreement, Report

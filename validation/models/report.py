@@ -7,8 +7,11 @@ from typing import Final, final
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import HHT, Choice, ModelLadder, NoModel, Objective, choose_model, gradient
+from ancfdae import HHT, choose_model, gradient
+from ancfdae.errors import NoAccurateModelError
+from ancfdae.extend import Objective
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import ModelChoice, ModelComparison
 from ancfdae.studies.ladder_result import KINDS, ErrorOf, error
 from ancfdae.studies.meshes import with_mesh
 from validation.models.scenes import CASES, Case
@@ -33,10 +36,10 @@ class _Answer:
     objective: str
     of: ErrorOf
     tolerance: float
-    choice: Choice
+    choice: ModelChoice
     exact: float
     reached: bool
-    best: Choice | None
+    best: ModelChoice | None
 
     @property
     def ratio(self) -> float | None:
@@ -78,7 +81,7 @@ def run(report: Report, quick: bool) -> None:
     report.text(_LIMITS)
 
 
-def _truth(case: Case, objective: Objective, ladder: ModelLadder) -> Array:
+def _truth(case: Case, objective: Objective, ladder: ModelComparison) -> Array:
     """Value and derivatives of the richest model with twice its elements and half its step."""
     rung = ladder.richest
     scene, design = with_mesh(rung.scene, rung.design, 1)  # type: ignore[arg-type]
@@ -87,7 +90,7 @@ def _truth(case: Case, objective: Objective, ladder: ModelLadder) -> Array:
     return np.array([answer.value, *(answer.gradient * b)])
 
 
-def _rungs(report: Report, ladder: ModelLadder, truth: Array) -> None:
+def _rungs(report: Report, ladder: ModelComparison, truth: Array) -> None:
     head = ["model", "elements", "value: model", "mesh", "gradient: model", "mesh", "step [s]"]
     rows = []
     for rung in ladder.rungs:
@@ -112,7 +115,7 @@ def _rungs(report: Report, ladder: ModelLadder, truth: Array) -> None:
     report.text(f"Bar of the last mesh: {bars} in value and gradient; orders observed {orders}.")
 
 
-def _answers(case: Case, name: str, ladder: ModelLadder, truth: Array) -> list[_Answer]:
+def _answers(case: Case, name: str, ladder: ModelComparison, truth: Array) -> list[_Answer]:
     answers = []
     for of in KINDS:
         choices = [(each, _away(each, truth, of)) for each in ladder.choices(of)]
@@ -121,14 +124,14 @@ def _answers(case: Case, name: str, ladder: ModelLadder, truth: Array) -> list[_
             best = min(good, key=lambda each: each.run.seconds, default=None)
             try:
                 choice, reached = ladder.recommend(tolerance, of), True
-            except NoModel as none:
+            except NoAccurateModelError as none:
                 choice, reached = none.best, False
             away = _away(choice, truth, of)
             answers.append(_Answer(case, name, of, tolerance, choice, away, reached, best))
     return answers
 
 
-def _away(choice: Choice, truth: Array, of: ErrorOf) -> float:
+def _away(choice: ModelChoice, truth: Array, of: ErrorOf) -> float:
     return error(choice.run.numbers - truth, truth, of)
 
 
@@ -156,7 +159,7 @@ def _chosen(report: Report, answers: Sequence[_Answer]) -> None:
     report.table(head, rows)
 
 
-def _surprises(case: Case, name: str, ladder: ModelLadder, truth: Array) -> list[list[object]]:
+def _surprises(case: Case, name: str, ladder: ModelComparison, truth: Array) -> list[list[object]]:
     """Return a row where rigid bodies give the value and not the gradient."""
     rigid = [rung for rung in ladder.rungs if rung.name == "rigid" and rung.runs]
     rows = list[list[object]]()
@@ -177,7 +180,7 @@ def _told_wrong(report: Report, rows: Sequence[Sequence[object]]) -> None:
         report.text("None here.")
 
 
-def _panel(name: str, ladder: ModelLadder, truth: Array) -> Panel:
+def _panel(name: str, ladder: ModelComparison, truth: Array) -> Panel:
     """Return the best runs of every kind: error of the gradient over cost."""
     kinds = dict.fromkeys(rung.name for rung in ladder.rungs if rung.runs)
     series = []

@@ -11,29 +11,21 @@ from ancfdae import (
     AtTimes,
     Beam,
     Clamp,
-    Drive,
     Integral,
-    Load,
     Material,
-    Objective,
     Pin,
-    Point,
     PointForce,
     PointMass,
     PointOnLine,
-    Ramp,
-    Rectangle,
     Revolute,
+    RotationDriver,
     Scene,
-    Spline,
-    UserLaw,
     Weld,
-    drive_torque,
-    kinetic_energy,
-    position,
-    strain_energy,
-    von_mises,
 )
+from ancfdae.extend import Load, MaterialPoint, Objective
+from ancfdae.laws import SmoothStep, Spline, UserLaw
+from ancfdae.observables import driver_torque, kinetic_energy, position, strain_energy, von_mises
+from ancfdae.sections import Rectangle
 from validation.design.coupler_path import hoeken
 from validation.design.two_link_arm import arm, torques
 from validation.design.whirling_beam import blade, spin_up
@@ -60,7 +52,7 @@ class Case:
 
 
 def _stress(beam: str, fraction: float, y: float) -> Objective:
-    return Integral((von_mises(Point(beam, fraction, y)) / _MEGA) ** 2)
+    return Integral((von_mises(MaterialPoint(beam, fraction, y)) / _MEGA) ** 2)
 
 
 def slider_crank(speed: float, key: str) -> Case:
@@ -72,7 +64,7 @@ def slider_crank(speed: float, key: str) -> Case:
         Pin(crank.at_start, name="bearing"),
         Pin(crank.at_end, rod.at_start, name="elbow"),
         PointOnLine(rod.at_end, (1, 0), name="slide"),
-        Drive(crank.at_start, Ramp(0.0, 4 * np.pi, 2 * turn), name="motor"),
+        RotationDriver(crank.at_start, SmoothStep(0.0, 4 * np.pi, 2 * turn), name="motor"),
     ]
     scene = Scene([crank, rod], joints, (0, -9.81), bodies=[PointMass(rod.at_end, 0.2)])
     return Case(
@@ -83,7 +75,7 @@ def slider_crank(speed: float, key: str) -> Case:
         ("rod.height", "rod.youngs_modulus", "crank.height"),
         {
             "position of the slider": Integral((position(rod.at_end, 0) - 0.45) ** 2),
-            "torque of the motor": Integral(drive_torque("motor") ** 2),
+            "torque of the motor": Integral(driver_torque("motor") ** 2),
             "stress in the rod": _stress("rod", 0.5, 0.005),
         },
     )
@@ -99,8 +91,10 @@ def four_bar() -> Case:
         np.pi / 20,
         design,
         {
-            "position of the coupler point": Integral(position(Point("coupler", 1.0), 1) ** 2),
-            "torque of the motor": Integral(drive_torque("motor") ** 2),
+            "position of the coupler point": Integral(
+                position(MaterialPoint("coupler", 1.0), 1) ** 2
+            ),
+            "torque of the motor": Integral(driver_torque("motor") ** 2),
             "stress in the coupler": _stress("coupler", 0.5, 0.004),
         },
     )
@@ -116,8 +110,8 @@ def driven_arm() -> Case:
         0.5,
         design,
         {
-            "position of the tip": AtTimes(position(Point("lower", 1.0), 1), 0.3),
-            "torque of the shoulder": Integral(drive_torque("shoulder") ** 2),
+            "position of the tip": AtTimes(position(MaterialPoint("lower", 1.0), 1), 0.3),
+            "torque of the shoulder": Integral(driver_torque("shoulder") ** 2),
             "stress in the lower link": _stress("lower", 0.0, 0.01),
         },
     )
@@ -139,7 +133,7 @@ def free_arm() -> Case:
         0.5,
         design,
         {
-            "position of the tip": AtTimes(position(Point("lower", 1.0), 1), 0.3),
+            "position of the tip": AtTimes(position(MaterialPoint("lower", 1.0), 1), 0.3),
             "kinetic energy": Integral(kinetic_energy()),
             "stress in the lower link": _stress("lower", 0.0, 0.01),
         },
@@ -189,7 +183,10 @@ def spinning_blade() -> Case:
     flat = planar.beams[0]
     beam = Beam("blade", (0, 0, 0), (1, 0, 0), 4, flat.section, flat.material, element=BEAM_3D)
     axis = (0.0, 0.0, 1.0)
-    joints = [Revolute(beam.at_start, axis), Drive(beam.at_start, UserLaw(spin_up), name="hub")]
+    joints = [
+        Revolute(beam.at_start, axis),
+        RotationDriver(beam.at_start, UserLaw(spin_up), name="hub"),
+    ]
     named = replace(planar, joints=[planar.joints[0], replace(planar.joints[1], name="hub")])
     return Case(
         "blade",
@@ -201,7 +198,7 @@ def spinning_blade() -> Case:
             "deflection of the tip": Integral(
                 position(beam.at_end, 1) ** 2 + position(beam.at_end, 0)
             ),
-            "torque of the hub": Integral(drive_torque("hub") ** 2),
+            "torque of the hub": Integral(driver_torque("hub") ** 2),
             "stress": _stress("blade", 0.0, 0.01),
         },
         {"planar": named},

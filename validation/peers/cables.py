@@ -10,19 +10,19 @@ from ancfdae import (
     CABLE_2D,
     Beam,
     Clamp,
-    Drive,
+    InitialVelocity,
     Material,
     Pin,
-    Point,
     PointForce,
     PointMass,
     PointOnLine,
-    Rectangle,
     RigidBody,
-    RigidMotion,
+    RotationDriver,
     Scene,
-    Uniform,
 )
+from ancfdae.extend import MaterialPoint
+from ancfdae.laws import ConstantAcceleration
+from ancfdae.sections import Rectangle
 from validation.peers.pair import GRAVITY, Model, Pair
 
 __all__ = ["CablePendulum", "Elastica", "FlexibleSlider"]
@@ -90,9 +90,9 @@ class CablePendulum(Pair):
         return Scene([rope], [Pin(rope.at_start)], gravity=(0, -GRAVITY))
 
     @property
-    def point(self) -> Point:
+    def point(self) -> MaterialPoint:
         """The point that is compared: the free end."""
-        return Point("rope", 1.0)
+        return MaterialPoint("rope", 1.0)
 
     def design(self) -> list[str]:
         """Return Young's modulus of every cable."""
@@ -147,21 +147,21 @@ class FlexibleSlider(Pair):
         rod = _rod("rod", self.crank, end, self.cables, self.side)
         joints = [
             Pin(crank.at(-self.crank / 2)),
-            Drive(crank.origin, Uniform(self.rate)),
+            RotationDriver(crank.origin, ConstantAcceleration(self.rate)),
             Pin(crank.at(self.crank / 2), rod.at_start),
             PointOnLine(rod.at_end, (1, 0)),
         ]
         start = [
-            RigidMotion("crank", self.rate, (0, 0)),
-            RigidMotion("rod", self._swing, (end, 0)),
+            InitialVelocity("crank", self.rate, (0, 0)),
+            InitialVelocity("rod", self._swing, (end, 0)),
         ]
         mass = PointMass(rod.at_end, self.slider)
         return Scene([rod], joints, (0, -GRAVITY), start, bodies=[crank, mass])
 
     @property
-    def point(self) -> Point:
+    def point(self) -> MaterialPoint:
         """The point that is compared: the slider."""
-        return Point("rod", 1.0)
+        return MaterialPoint("rod", 1.0)
 
     def build(self, exu: Any, items: Any, mbs: Any) -> Model:
         """Constrain the rate of the crank, which needs no function of time."""
@@ -242,9 +242,9 @@ class Elastica(Pair):
         return Scene([rod], [Clamp(rod.at_start)], loads=[load])
 
     @property
-    def point(self) -> Point:
+    def point(self) -> MaterialPoint:
         """The point that is compared: the free end."""
-        return Point("rod", 1.0)
+        return MaterialPoint("rod", 1.0)
 
     def build(self, exu: Any, items: Any, mbs: Any) -> Model:
         """Fix position and direction of the first node."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.errors import MissingPackage
+from ancfdae.errors import MissingPackageError
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
 from validation.peers.pair import Pair
@@ -41,7 +41,7 @@ _DENSE = 500
 def require_exudyn() -> None:
     """Refuse where Exudyn is not installed."""
     if importlib.util.find_spec("exudyn") is None:
-        raise MissingPackage(INSTALL)
+        raise MissingPackageError(INSTALL)
 
 
 @final

@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ancfdae import HHT, Adjoint, Direct, Terminal, assemble, gradient, position
+from ancfdae import HHT, Adjoint, DirectDifferentiation, Terminal, assemble, gradient
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import medians
+from ancfdae.observables import position
 from ancfdae.plotting import Panel, Series
 from validation.peers.cables import CablePendulum
 from validation.peers.exudyn import Exudyn, Way
@@ -92,7 +93,7 @@ class _Case:
     def errors_of_differences(self) -> Array:
         """Return how much differences move from one change to the next, relative."""
         values = np.array([self._differences(1, float(x))[0] for x in _CHANGES])
-        exact = self._gradient(Direct())[0]
+        exact = self._gradient(DirectDifferentiation())[0]
         # Both codes discretise time in their own ways; the most quiet pair of changes is Exudyn's
         # limit, and must be the gradient here up to that.
         steps = np.abs(np.diff(values))
@@ -104,19 +105,19 @@ class _Case:
 
     def error_here(self) -> float:
         """Return how far direct and adjoint are apart, relative."""
-        direct, adjoint = self._gradient(Direct()), self._gradient(Adjoint())
+        direct, adjoint = self._gradient(DirectDifferentiation()), self._gradient(Adjoint())
         return float(np.linalg.norm(direct - adjoint) / np.linalg.norm(direct))
 
     def times(self, change: float, repeats: int) -> list[float]:
         """Return median processor seconds of direct, adjoint and differences, in turns."""
         calls: list[Callable[[], object]] = [
-            lambda: self._gradient(Direct()),
+            lambda: self._gradient(DirectDifferentiation()),
             lambda: self._gradient(Adjoint()),
             lambda: self._differences(self._number, change),
         ]
         return medians(calls, repeats)
 
-    def _gradient(self, method: Direct | Adjoint) -> Array:
+    def _gradient(self, method: DirectDifferentiation | Adjoint) -> Array:
         hht = HHT(step=_STEP, newton_tolerance=_NEWTON)
         found = gradient(self._system, self._objective, self._t_end, hht, method=method)
         return found.gradient * self._system.b

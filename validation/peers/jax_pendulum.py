@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ancfdae.errors import MissingPackage
+from ancfdae.errors import MissingPackageError
 from ancfdae.numerics.arrays import Array
 from validation.peers.exudyn import INSTALL
 
@@ -39,7 +39,7 @@ def compiled(elements: int, step: float, steps: int, b: Array) -> list[Callable[
 
 def _jax() -> Any:
     if importlib.util.find_spec("jax") is None:
-        raise MissingPackage(INSTALL)
+        raise MissingPackageError(INSTALL)
     jax: Any = importlib.import_module("jax")
     jax.config.update("jax_enable_x64", True)
     return jax

@@ -5,8 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from ancfdae import HHT, Adjoint, Terminal, assemble, gradient, position, simulate
+from ancfdae import HHT, Adjoint, Terminal, assemble, gradient, simulate
 from ancfdae.numerics.timing import medians, timed
+from ancfdae.observables import position
 from validation.peers.jax_pendulum import compiled
 from validation.report import Agreement, Report
 from validation.scenes import pendulum

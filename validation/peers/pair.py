@@ -4,7 +4,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
-from ancfdae import Integrator, Point, Scene, simulate
+from ancfdae import Scene, simulate
+from ancfdae.extend import Integrator, MaterialPoint
 from ancfdae.numerics.arrays import Array
 
 __all__ = ["GRAVITY", "Model", "Pair"]
@@ -41,7 +42,7 @@ class Pair(ABC):
 
     @property
     @abstractmethod
-    def point(self) -> Point:
+    def point(self) -> MaterialPoint:
         """The point that is compared."""
 
     @abstractmethod

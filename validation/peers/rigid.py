@@ -7,18 +7,17 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae import (
-    Joint,
+    InitialVelocity,
     Pin,
-    Point,
     PointMass,
     PointOnLine,
     Revolute,
     RigidBody,
     RigidBox,
-    RigidMotion,
     Scene,
     Spherical,
 )
+from ancfdae.extend import Joint, MaterialPoint
 from validation.peers.pair import GRAVITY, Model, Pair
 
 __all__ = ["Chain", "RigidSlider"]
@@ -51,7 +50,7 @@ class Chain(Pair):
             for i in range(self.bodies)
         ]
         joints = [self._joint(bars[i], bars[i - 1] if i else None) for i in range(self.bodies)]
-        turn = [RigidMotion(bar.name, (0, 0, self._spin), (0, 0, 0)) for bar in bars]
+        turn = [InitialVelocity(bar.name, (0, 0, self._spin), (0, 0, 0)) for bar in bars]
         return Scene(bodies=bars, joints=joints, gravity=(0, 0, -GRAVITY), start=turn)
 
     @property
@@ -64,9 +63,9 @@ class Chain(Pair):
         return Revolute(here, (0, 1, 0), other) if self.revolute else Spherical(here, other)
 
     @property
-    def point(self) -> Point:
+    def point(self) -> MaterialPoint:
         """The end of the last bar."""
-        return Point(f"bar {self.bodies - 1}", x=_LENGTH / 2, y=0, z=0)
+        return MaterialPoint(f"bar {self.bodies - 1}", x=_LENGTH / 2, y=0, z=0)
 
     def design(self) -> list[str]:
         """Return the densities."""
@@ -147,9 +146,9 @@ class RigidSlider(Pair):
         return Scene(bodies=[*bars, mass], joints=joints, gravity=(0, -GRAVITY))
 
     @property
-    def point(self) -> Point:
+    def point(self) -> MaterialPoint:
         """The point that is compared: the slider."""
-        return Point("rod", x=self.rod / 2, y=0)
+        return MaterialPoint("rod", x=self.rod / 2, y=0)
 
     def build(self, exu: Any, items: Any, mbs: Any) -> Model:
         """Build the model in Exudyn: three coordinates per bar, two of the slider."""

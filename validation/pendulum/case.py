@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import Solution
+from ancfdae.results import Solution
 from validation.scenes import pendulum_deflection
 
 Array = npt.NDArray[np.float64]

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ancfdae import HHT, Solution, assemble, differentiate, simulate
+from ancfdae import HHT, assemble, differentiate, simulate
+from ancfdae.results import Solution
 from validation.pendulum.case import DESIGN, STEP, Extent
 from validation.report import Report
 from validation.scenes import pendulum

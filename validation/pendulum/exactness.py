@@ -5,16 +5,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ancfdae import (
-    HHT,
-    ComplexStep,
-    FiniteDifference,
-    RigidMotion,
-    Solution,
-    differentiate,
-    simulate,
-)
+from ancfdae import HHT, ComplexStep, FiniteDifference, InitialVelocity, differentiate, simulate
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Solution
 from ancfdae.sensitivity.method import Method
 from validation.pendulum.case import DESIGN, STEP, SYMBOLS, Array, Curves, Extent, relative, scaled
 from validation.report import Report
@@ -78,7 +71,7 @@ def order(report: Report, extent: Extent) -> None:
     rows = []
     for name, modulus, first, t_end in _ORDER_CASES:
         for spin in (0.0, 3.0):
-            start = (RigidMotion("pendulum", spin, (0.0, 0.0)),) if spin else ()
+            start = (InitialVelocity("pendulum", spin, (0.0, 0.0)),) if spin else ()
             scene = pendulum(youngs_modulus=modulus, start=start)
             exponents = range(first, first + (4 if extent.repeats > 1 else 3))
             runs = [simulate(scene, t_end, HHT(2.0**-k)) for k in exponents]

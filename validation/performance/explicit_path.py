@@ -4,10 +4,10 @@ from functools import partial
 
 import numpy as np
 
-from ancfdae import Explicit, assemble, differentiate, simulate
+from ancfdae import DOP853, assemble, differentiate, simulate
 from ancfdae.equations import MechanicalSystem
 from ancfdae.integrators.index_1 import stacked
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.timing import medians
 from validation.performance.row import Row
 from validation.performance.steps import crank_variables, pendulum_variables
@@ -41,7 +41,7 @@ def measure(repeats: int = 5) -> list[Row]:
 
 def _evaluate(system: MechanicalSystem) -> None:
     """Call the right-hand side of an explicit run, at its start, many times."""
-    problem = Problem.of(system, 1.0)
+    problem = InitialValueProblem.of(system, 1.0)
     problem = problem.differentiated() if system.n_b else problem
     first, b, rows = problem.initial, problem.derivative, problem.accelerations.rows
     q, v = stacked(first.q, first.v, *(b or ())[:2])
@@ -50,14 +50,14 @@ def _evaluate(system: MechanicalSystem) -> None:
 
 
 def _run(system: MechanicalSystem, rtol: float, t_end: float = 0.02) -> object:
-    explicit = Explicit(rtol, max_steps=_MOST)
+    explicit = DOP853(rtol, max_steps=_MOST)
     if system.n_b:
         return differentiate(system, t_end, explicit)
     return simulate(system, t_end, explicit)
 
 
 def _evaluations(system: MechanicalSystem) -> int:
-    explicit = Explicit(1e-6, max_steps=_MOST)
+    explicit = DOP853(1e-6, max_steps=_MOST)
     run = differentiate if system.n_b else simulate
     return run(system, 0.02, explicit).statistics.residuals
 
@@ -65,12 +65,12 @@ def _evaluations(system: MechanicalSystem) -> int:
 def _pendulum(repeats: int) -> list[Row]:
     """Return the least time, of a few tolerances, that reaches an accuracy of E d/dE at 1 s."""
     system, rows = assemble(pendulum(), pendulum_variables()), []
-    exact = differentiate(system, 1.0, Explicit(_EXACT, max_steps=_MOST)).sensitivities
+    exact = differentiate(system, 1.0, DOP853(_EXACT, max_steps=_MOST)).sensitivities
     assert exact is not None
     size = np.max(np.abs(exact.q_b[-1, :, 0]))
     for accuracy, asked in ((1e-3, "at most 0.3"), (1e-6, "at most 0.5")):
         for rtol in accuracy * np.array([10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01]):
-            run = partial(differentiate, system, 1.0, Explicit(float(rtol), max_steps=_MOST))
+            run = partial(differentiate, system, 1.0, DOP853(float(rtol), max_steps=_MOST))
             found = run().sensitivities
             assert found is not None
             if np.max(np.abs(found.q_b[-1] - exact.q_b[-1])[:, 0]) <= accuracy * size:

@@ -13,8 +13,10 @@ from typing import Literal, final
 
 import numpy as np
 
-from ancfdae import HHT, Interrupted, PointMass, Scene, observations, position
+from ancfdae import HHT, PointMass, Scene, record_observables
+from ancfdae.errors import Interrupted
 from ancfdae.numerics.timing import stopwatch
+from ancfdae.observables import position
 from ancfdae.sensitivity.observables.observable import Observable
 from validation.performance.mechanisms import rigid_slider_crank
 from validation.performance.row import Row, in_a_process, largest_memory
@@ -106,7 +108,7 @@ def _run(run: _Long, interrupted: bool) -> _Taken:
         begin = clock()
         with suppress(Interrupted):
             end, kept = run.steps * _STEP, run.every
-            observations(run.scene, run.observed, end, HHT(_STEP), keep=kept, file=file)
+            record_observables(run.scene, run.observed, end, HHT(_STEP), keep=kept, file=file)
         end_of_call = clock()
         written = int(np.sum(np.isfinite(np.load(file)).all(axis=1)))
     answer = end_of_call - pressed[0] if pressed else 0.0

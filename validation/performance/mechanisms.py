@@ -7,21 +7,21 @@ from ancfdae import (
     CABLE_2D,
     HHT,
     Beam,
-    Drive,
     Material,
     Pin,
     PointMass,
     PointOnLine,
-    Rectangle,
     Revolute,
     RigidBody,
+    RotationDriver,
     Scene,
-    Uniform,
     assemble,
     simulate,
 )
 from ancfdae.equations import MechanicalSystem
+from ancfdae.laws import ConstantAcceleration
 from ancfdae.numerics.timing import medians
+from ancfdae.sections import Rectangle
 from validation.performance.row import Row
 from validation.performance.unit import banded_lu
 
@@ -65,7 +65,7 @@ def flexible_slider_crank(cables: int) -> Scene:
     rod = Beam("rod", (0.15, 0), (0.55, 0), cables, section, steel, element=CABLE_2D)
     joints = [
         Pin(crank.at_start),
-        Drive(crank.at_start, Uniform(speed=10.0)),
+        RotationDriver(crank.at_start, ConstantAcceleration(speed=10.0)),
         Pin(crank.at_end, rod.at_start),
         PointOnLine(rod.at_end, direction=(1, 0)),
     ]

@@ -5,10 +5,11 @@ from functools import partial
 
 import numpy as np
 
-from ancfdae import HHT, Adjoint, Integral, assemble, gradient, position, simulate
+from ancfdae import HHT, Adjoint, Integral, assemble, gradient, simulate
 from ancfdae.equations import MechanicalSystem
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import timed
+from ancfdae.observables import position
 from validation.performance.row import Row, in_a_process, largest_memory
 from validation.performance.scale import cantilever, variables
 

@@ -3,19 +3,10 @@
 from collections.abc import Callable
 from functools import partial
 
-from ancfdae import (
-    HHT,
-    Adjoint,
-    Integral,
-    Scene,
-    assemble,
-    differentiate,
-    gradient,
-    position,
-    simulate,
-)
+from ancfdae import HHT, Adjoint, Integral, Scene, assemble, differentiate, gradient, simulate
 from ancfdae.equations import MechanicalSystem
 from ancfdae.numerics.timing import medians
+from ancfdae.observables import position
 from validation.performance.row import Row
 from validation.scenes import crank_slider, pendulum
 

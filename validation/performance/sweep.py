@@ -9,17 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ancfdae import (
-    HHT,
-    DesignVariable,
-    Evaluate,
-    Point,
-    Scene,
-    Terminal,
-    position,
-    sweep,
-)
+from ancfdae import HHT, DesignVariable, Evaluator, Scene, Terminal, sweep
+from ancfdae.extend import MaterialPoint
 from ancfdae.numerics.timing import medians, stopwatch
+from ancfdae.observables import position
 from validation.peers.cables import CablePendulum, FlexibleSlider
 from validation.performance.mechanisms import rigid_slider_crank
 from validation.performance.row import Row
@@ -47,7 +40,7 @@ def measure(runs: int = 200, repeats: int = 5) -> list[Row]:
     return rows
 
 
-def _mechanisms() -> Iterator[tuple[str, Scene, str, Point, float]]:
+def _mechanisms() -> Iterator[tuple[str, Scene, str, MaterialPoint, float]]:
     """Yield small mechanisms, with what varies, what is observed, and the step; s."""
     crank, rope = FlexibleSlider(4), CablePendulum(4)
     yield "the flexible crank", crank.scene(), "rod.youngs_modulus", crank.point, 2.0**-10
@@ -56,11 +49,13 @@ def _mechanisms() -> Iterator[tuple[str, Scene, str, Point, float]]:
     yield "four cables", rope.scene(), "rope.youngs_modulus", rope.point, 2.0**-8
 
 
-def _design(name: str, scene: Scene, target: str, point: Point, step: float, repeats: int) -> Row:
+def _design(
+    name: str, scene: Scene, target: str, point: MaterialPoint, step: float, repeats: int
+) -> Row:
     """Return the processor time of a design: 64 steps of HHT, of a scene as it is declared."""
     value = scene.value(DesignVariable("x", [target]))
     values = value * np.linspace(1.0, 1.2, _DESIGNS)[:, None]
-    what = Evaluate(Terminal(position(point, 0)), 64 * step, HHT(step))
+    what = Evaluator(Terminal(position(point, 0)), 64 * step, HHT(step))
     (time,) = medians([lambda: sweep(scene, values, what, design=[target])], repeats)
     return Row(f"a design of a sweep of {name}", 1e3 * time / _DESIGNS, "ms", "at most 1")
 
@@ -72,7 +67,7 @@ def _ratio(runs: int, executor: Executor) -> float:
 def _seconds(runs: int, executor: Executor | None) -> float:
     scene = crank_slider()
     rod = scene.beams[1]
-    what = Evaluate(Terminal(position(rod.at_end, 0)), 2.0**-6, HHT(2.0**-10))
+    what = Evaluator(Terminal(position(rod.at_end, 0)), 2.0**-6, HHT(2.0**-10))
     heights = np.linspace(0.04, 0.06, runs)[:, None]
     clock = stopwatch(wall=True)
     sweep(scene, heights, what, design=[f"{rod.name}.height"], executor=executor, chunk=_CHUNK)

@@ -6,8 +6,9 @@ import numpy as np
 import scipy
 from numpy.polynomial.legendre import Legendre, leggauss
 
-from ancfdae import Beam, Clamp, Material, Rectangle, Scene, TurningFrame, campbell
+from ancfdae import Beam, Clamp, Material, RotatingFrame, Scene, campbell
 from ancfdae.plotting import Panel, Series
+from ancfdae.sections import Rectangle
 from validation.external.runs import Requirement
 from validation.literature.rotating import PUBLISHED
 from validation.literature.tables import Array, relative
@@ -29,7 +30,7 @@ def scene_of(elements: int, hub: float, speed: float) -> Scene:
     """Return a blade of square section that starts at the hub, in a frame that turns."""
     section, material = Rectangle(_SIDE, _SIDE), Material(_RHO, _E, 0.0)
     blade = Beam("blade", (0, 0, 0), (_LENGTH, 0, 0), elements, section, material)
-    frame = TurningFrame(speed * unit(), through=(-hub * _LENGTH, 0, 0))
+    frame = RotatingFrame(speed * unit(), through=(-hub * _LENGTH, 0, 0))
     return Scene([blade], [Clamp(blade.at_start)], frame=frame)
 
 

@@ -23,7 +23,7 @@ def run(report: Report, quick: bool) -> None:
 
 
 _METHOD = """
-Scenes are declared in a `TurningFrame` ([theory](../../theory/15-steady-rotation.md)); `campbell`
+Scenes are declared in a `RotatingFrame` ([theory](../../theory/15-steady-rotation.md)); `campbell`
 finds the equilibrium and the modes at every rate. References share nothing with the elements:
 Ritz's method with polynomials, roots of a determinant, differences of the calls themselves, and
 a simulation of the same blade in a frame at rest, where neither centrifugal nor gyroscopic terms

@@ -7,17 +7,17 @@ import scipy
 
 from ancfdae import (
     Beam,
-    Circle,
     Clamp,
     Material,
     RigidBody,
     RigidCylinder,
+    RotatingFrame,
     Scene,
-    TurningFrame,
     Weld,
     campbell,
 )
 from ancfdae.plotting import Panel, Series
+from ancfdae.sections import Circle
 from validation.external.runs import Requirement
 from validation.literature.tables import Array, relative
 from validation.report import Agreement, Report
@@ -37,7 +37,7 @@ def shaft_scene(elements: int) -> Scene:
     shape = RigidCylinder(_DISC, _THICKNESS)
     disc = RigidBody("disc", (0, 0, _LENGTH), shape=shape, density=_RHO)
     joints = [Clamp(rod.at_start), Weld(rod.at_end, disc.at(0, 0, 0))]
-    return Scene([rod], joints, bodies=[disc], frame=TurningFrame(0.0))
+    return Scene([rod], joints, bodies=[disc], frame=RotatingFrame(0.0))
 
 
 def shafts(report: Report, quick: bool) -> list[Requirement]:

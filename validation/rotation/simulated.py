@@ -6,23 +6,21 @@ import scipy
 from ancfdae import (
     Beam,
     Clamp,
-    Drive,
-    Equilibrium,
     Material,
-    Modes,
-    NodeState,
+    NodalState,
     Pin,
     Radau,
-    Rectangle,
+    RotatingFrame,
+    RotationDriver,
     Scene,
-    Solution,
-    TurningFrame,
-    Uniform,
     equilibrium,
     modes,
     simulate,
 )
+from ancfdae.laws import ConstantAcceleration
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Equilibrium, Modes, Solution
+from ancfdae.sections import Rectangle
 from validation.external.runs import Requirement
 from validation.literature.tables import Array, relative
 from validation.report import Agreement, Report
@@ -44,8 +42,8 @@ def simulated(report: Report, quick: bool) -> list[Requirement]:
     blade = Beam(
         "blade", (0, 0), (1, 0), elements, Rectangle(0.004, 0.004), Material(1000.0, 1e9, 0.0)
     )
-    at = equilibrium(Scene([blade], [Clamp(blade.at_start)], frame=TurningFrame(rate)))
-    turning = Scene([blade], [Clamp(blade.at_start)], frame=TurningFrame(rate))
+    at = equilibrium(Scene([blade], [Clamp(blade.at_start)], frame=RotatingFrame(rate)))
+    turning = Scene([blade], [Clamp(blade.at_start)], frame=RotatingFrame(rate))
     lag = modes(turning, 1, at=at)
     frequency = float(lag.frequencies[0])
     run = _simulated(blade, rate, at, lag, steps)
@@ -81,8 +79,8 @@ def _simulated(blade: Beam, rate: float, at: Equilibrium, lag: Modes, steps: int
     vectors = (at.q + _AMPLITUDE * shape.real).reshape(-1, 2)
     rates = (_AMPLITUDE * (s * shape).real).reshape(-1, 2) + rate * vectors @ J.T
     nodes = (len(vectors) // blade.element.n_s, blade.element.n_s, 2)
-    start = NodeState("blade", vectors.reshape(nodes), rates.reshape(nodes))
-    joints = [Pin(blade.at_start), Drive(blade.at_start, Uniform(rate))]
+    start = NodalState("blade", vectors.reshape(nodes), rates.reshape(nodes))
+    joints = [Pin(blade.at_start), RotationDriver(blade.at_start, ConstantAcceleration(rate))]
     period = 2 * np.pi / s.imag
     scene = Scene([blade], joints, start=[start])
     return simulate(scene, _PERIODS * period, Radau(period / steps))

@@ -4,7 +4,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae import Traits
+from ancfdae.extend import SystemProperties
 from validation.test_set.problem import Array, TestProblem
 
 __all__ = ["CarAxis"]
@@ -29,7 +29,7 @@ class CarAxis(TestProblem):
 
     n_q, n_lam, design_names = 4, 2, ("L0", "M", "r")
     values = (0.5, 10.0, 0.1)
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return x_l, the x coordinate of the left end; m."""

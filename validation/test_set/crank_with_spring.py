@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae import Traits
+from ancfdae.extend import SystemProperties
 from validation.test_set.problem import Array, TestProblem
 
 __all__ = ["CrankWithSpring"]
@@ -28,7 +28,7 @@ class CrankWithSpring(TestProblem):
 
     n_q, n_lam, design_names = 3, 2, ("k", "c", "F")
     values = (1.0, 1.0, 1.0)
-    traits = Traits(constant_mass=True, velocity_forces=True)
+    traits = SystemProperties(constant_mass=True, velocity_forces=True)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return the kinetic energy."""

@@ -14,7 +14,7 @@ from typing import Final, final
 
 import numpy as np
 
-from ancfdae import Traits
+from ancfdae.extend import SystemProperties
 from validation.test_set.problem import Array, TestProblem
 
 __all__ = ["FlexibleCrank"]
@@ -38,7 +38,7 @@ class FlexibleCrank(TestProblem):
 
     n_q, n_lam, design_names = 7, 3, ("E", "h", "m_3")
     values = (0.2e12, 0.008, 0.075552)
-    traits = Traits(constant_mass=False, velocity_forces=True)
+    traits = SystemProperties(constant_mass=False, velocity_forces=True)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return q_1, the amplitude of the first bending mode."""

@@ -4,7 +4,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae import Traits
+from ancfdae.extend import SystemProperties
 from validation.test_set.problem import Array, TestProblem
 
 __all__ = ["SimplePendulum"]
@@ -21,7 +21,7 @@ class SimplePendulum(TestProblem):
 
     n_q, n_lam, design_names = 2, 1, ("L", "g", "m")
     values = (1.0, 9.81, 1.0)
-    traits = Traits(constant_mass=True, velocity_forces=False)
+    traits = SystemProperties(constant_mass=True, velocity_forces=False)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return the momentum m v_x."""

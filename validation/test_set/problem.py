@@ -18,7 +18,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from ancfdae import FormulaSystem, Integral, Terminal, custom
+from ancfdae import Integral, Terminal
+from ancfdae.extend import FormulaSystem
+from ancfdae.observables import custom
 from ancfdae.sensitivity.objectives import Objective
 
 __all__ = ["Array", "TestProblem"]
@@ -46,7 +48,7 @@ class TestProblem(FormulaSystem):
     step : float
         Largest step of HHT that is run; s.
     stiff : bool
-        Whether `Explicit` needs 100,000 steps for a decay that does not matter: it is left out.
+        Whether `DOP853` needs 100,000 steps for a decay that does not matter: it is left out.
     values : tuple of float
         Design values of the source.
     """

@@ -6,18 +6,18 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 
 from ancfdae import (
+    DOP853,
     HHT,
     IDA,
     IDAS,
     Adjoint,
     ComplexStep,
     ContinuousAdjoint,
-    Direct,
-    Explicit,
+    DirectDifferentiation,
     FiniteDifference,
-    Integrator,
     Radau,
 )
+from ancfdae.extend import Integrator
 from ancfdae.plotting import Panel
 from ancfdae.sensitivity.method import GradientMethod
 from validation.external.runs import Attempt, Problem, differentiated, work_precision
@@ -37,7 +37,7 @@ _PROBLEMS: Final = (
     SimplePendulum, CrankWithSpring, CarAxis, Squeezer, FlexibleCrank, Roberts,
 )  # fmt: skip
 _METHODS: Final[dict[str, GradientMethod]] = {
-    "direct": Direct(),
+    "direct": DirectDifferentiation(),
     "adjoint": Adjoint(),
     "continuous adjoint": ContinuousAdjoint(),
     "central difference": FiniteDifference(1e-4, central=True),
@@ -140,13 +140,13 @@ def _settings(system: TestProblem, rtols: Sequence[float], halvings: int) -> lis
     for k in range(halvings + 1):
         h = system.step / 2**k
         settings.append(_Setting("HHT", f"h = {h:.3g}", HHT(step=h)))
-    families: dict[str, Any] = {"Radau": Radau, "IDA": IDA, "IDAS": IDAS, "Explicit": Explicit}
+    families: dict[str, Any] = {"Radau": Radau, "IDA": IDA, "IDAS": IDAS, "DOP853": DOP853}
     if system.stiff:
-        del families["Explicit"]
+        del families["DOP853"]
     for name, kind in families.items():
         for rtol in rtols:
             options = {} if name == "Radau" else {"intervals": 1, "max_steps": MANY}
-            always = name == "Explicit" and rtol == rtols[-1]
+            always = name == "DOP853" and rtol == rtols[-1]
             integrator = kind(rtol=rtol, **options)
             settings.append(_Setting(name, f"rtol = {rtol:.0e}", integrator, always))
     return settings
@@ -162,7 +162,7 @@ def _ladder(report: Report, case: _Case, rtols: Sequence[float], halvings: int) 
         if setting.family in slow and not setting.always:
             rows.append([setting.family, setting.words, "-", "-", "-", "not run: see Method"])
             continue
-        attempt = differentiated(case.problem, setting.integrator, Direct())
+        attempt = differentiated(case.problem, setting.integrator, DirectDifferentiation())
         if attempt.seconds > _PATIENCE:
             slow.add(setting.family)
         rows.append([setting.family, setting.words, *_cells(case, attempt)])
@@ -228,8 +228,8 @@ and a complex step through the whole integration. Errors are relative; a compone
 counts by the size of its design variable. Times are processor seconds of one call, with the
 gradient; every function of a problem is Python, called at complex numbers for its derivatives.
 After a run of more than 5 s the tighter settings of an integrator are not run, but the tightest of
-`Explicit`; a run is given up
-when its integrator warns that 100,000 steps are to come. `Explicit` is left out of Robertson's
+`DOP853`; a run is given up
+when its integrator warns that 100,000 steps are to come. `DOP853` is left out of Robertson's
 reactions, whose fastest decay, of 1e-4 s, holds its steps down for 80 s.
 """
 

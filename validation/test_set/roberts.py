@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from ancfdae import Traits
+from ancfdae.extend import SystemProperties
 from validation.test_set.problem import Array, TestProblem
 
 __all__ = ["Roberts"]
@@ -28,7 +28,7 @@ class Roberts(TestProblem):
 
     n_q, n_lam, design_names = 3, 0, ("p1", "p2", "p3")
     values = (0.04, 1e4, 3e7)
-    traits = Traits(constant_mass=True, velocity_forces=True)
+    traits = SystemProperties(constant_mass=True, velocity_forces=True)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return |y|^2/2."""

@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from ancfdae import Traits
+from ancfdae.extend import SystemProperties
 from validation.test_set.problem import Array, TestProblem
 
 __all__ = ["Squeezer"]
@@ -66,7 +66,7 @@ class Squeezer(TestProblem):
 
     n_q, n_lam, design_names = 7, 6, ("mom", "c0", "m7")
     values = (0.033, 4530.0, 0.05498)
-    traits = Traits(constant_mass=False, velocity_forces=True)
+    traits = SystemProperties(constant_mass=False, velocity_forces=True)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return beta, the angle of the crank."""

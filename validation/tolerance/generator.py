@@ -14,45 +14,42 @@ import numpy as np
 
 from ancfdae import (
     CABLE_2D,
+    DOP853,
     AtTimes,
     Beam,
     Clamp,
-    Drive,
-    Explicit,
-    Harmonic,
+    InitialVelocity,
     Integral,
-    Integrator,
-    JointFriction,
-    Law,
     Material,
     Pin,
     PointForce,
     PointMass,
     PointOnLine,
     Radau,
-    Ramp,
-    Rectangle,
     RigidBody,
     RigidBox,
-    RigidMotion,
-    RunUp,
+    RotationalFriction,
+    RotationDriver,
     Scene,
-    SlideFriction,
     SmoothMaximum,
     Spherical,
     SpringDamper,
     Terminal,
-    Uniform,
-    UserLaw,
+    TranslationalFriction,
     assemble,
+)
+from ancfdae.extend import Integrator, Law
+from ancfdae.laws import ConstantAcceleration, Harmonic, RunUp, SmoothStep, UserLaw
+from ancfdae.observables import (
     custom,
     kinetic_energy,
-    maximum_stress,
+    maximum_von_mises,
     position,
     reaction,
     strain_energy,
     velocity,
 )
+from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import Observable
 from validation.external.scleronomic import Array
@@ -62,7 +59,7 @@ __all__ = ["FAMILIES", "Generated", "case"]
 
 _FALLING = (0.0, -9.81)
 # Objectives at instants read the polynomials between 200 of them: 64 leave 1e-3 of some gradients.
-_FINE = Explicit(1e-9, intervals=200)
+_FINE = DOP853(1e-9, intervals=200)
 # Steps of a run where waves are damped. Error control takes too few for integrals and derivatives
 # that are small beside the motion: 1e-2 of some at rtol = 1e-9, 2e-3 at 1e-12.
 _MANY = 1024
@@ -196,7 +193,7 @@ def _pendulum(rng: _Random) -> _Draft:
         before = bars[-1].at(0.5) if bars else None
         joints.append(Pin(slanted.at(-0.5), before, name=f"p{k}"))
         bars.append(slanted)
-    friction = [JointFriction(bars[0].at(-0.5), 0.0, 0.1, _log(rng, -1, 1), name="f")]
+    friction = [RotationalFriction(bars[0].at(-0.5), 0.0, 0.1, _log(rng, -1, 1), name="f")]
     loads = friction if rng.random() < 0.5 else []
     scene = Scene([], joints, _FALLING, loads=loads, bodies=bars)
     t_end = float(rng.uniform(2, 40)) if count == 1 else float(rng.uniform(0.5, 3))
@@ -242,12 +239,12 @@ def _kinked(rng: _Random) -> _Draft:
         RigidBody("b", (1.4, 0), shape=RigidBox(0.8, 0.1, 0.1), density=1000.0),
     ]
     lasts = _log(rng, -1.5, 0)
-    law = Ramp(0.0, 1.0, lasts, begin=float(rng.uniform(0, 0.5)))
+    law = SmoothStep(0.0, 1.0, lasts, begin=float(rng.uniform(0, 0.5)))
     joints: list[Any] = [Pin(bars[0].at(-0.5), name="p"), Pin(bars[0].at(0.5), bars[1].at(-0.4))]
     spring = SpringDamper(bars[1].at(0.4), 400.0, 5.0, 0.5, ground=(2.0, 0.8), name="s")
     loads: list[Any] = [spring]
     if rng.random() < 0.5:
-        joints.append(Drive(bars[0].at(-0.5), law, name="motor"))
+        joints.append(RotationDriver(bars[0].at(-0.5), law, name="motor"))
     else:
         loads.append(PointForce(bars[1].at(0.4), (0, 50.0), law=law, name="f"))
     scene = Scene([], joints, _FALLING, loads=loads, bodies=bars)
@@ -260,7 +257,9 @@ def _friction(rng: _Random) -> _Draft:
     """Return a mass that a spring pulls over a rough rail, sticking and slipping."""
     a = _box("a", (0.5, 0))
     pull = UserLaw(lambda t, speed: speed * t, (_log(rng, 0, 1.5),))
-    rough = SlideFriction(a.at(0), (1, 0), 3.0, _log(rng, -2.5, -0.5), 0.5, 4.0, 0.1, name="r")
+    rough = TranslationalFriction(
+        a.at(0), (1, 0), 3.0, _log(rng, -2.5, -0.5), 0.5, 4.0, 0.1, name="r"
+    )
     loads = [
         SpringDamper(a.at(0), _log(rng, 1.5, 2.7), 0.1, 0.5, ground=(0.0, 0.0), name="s"),
         PointForce(a.at(0), (1.0, 0.0), law=pull, name="f"),
@@ -284,7 +283,7 @@ def _rod(rng: _Random) -> _Draft:
     rod = Beam("rod", (0, 0), (length, 0), count, Rectangle(size, size), Material(1100, E, 0.35))
     held = Pin(rod.at_start, name="p") if rng.random() < 0.6 else Clamp(rod.at_start, name="p")
     turning = isinstance(held, Pin) and rng.random() < 0.5
-    start = [RigidMotion("rod", float(rng.uniform(1, 8)), (0, 0))] if turning else []
+    start = [InitialVelocity("rod", float(rng.uniform(1, 8)), (0, 0))] if turning else []
     scene = Scene([rod], [held], _FALLING, start=start)
     # Waves through the section are the fastest; 160 periods of them at most.
     fast = math.sqrt(E / 1100) * 4 / size
@@ -315,7 +314,7 @@ def _damped(rng: _Random) -> _Draft:
     objective = None
     if rng.random() < 0.3:
         sharp = 50 / (1e7 if stiff else 1e5)
-        objective = SmoothMaximum(maximum_stress("rod", sharp), sharp)
+        objective = SmoothMaximum(maximum_von_mises("rod", sharp), sharp)
     design = ("rod.height", "rod.youngs_modulus")
     return _Draft(
         scene, design, t_end, rod.at_end, others, Radau(t_end / _MANY), objective=objective
@@ -331,18 +330,22 @@ def _slider(rng: _Random) -> _Draft:
     rod = Beam("rod", (0.2, 0), (0.7, 0), 2, Rectangle(0.02, 0.02), material)
     speed = float(rng.uniform(5, 25))
     uniform = rng.random() < 0.5
-    law = Uniform(speed=speed) if uniform else RunUp(speed, float(rng.uniform(0.02, 0.1)))
+    law = (
+        ConstantAcceleration(speed=speed)
+        if uniform
+        else RunUp(speed, float(rng.uniform(0.02, 0.1)))
+    )
     joints = [
         Pin(crank.at(-0.1), name="p"),
-        Drive(crank.at(-0.1), law, name="motor"),
+        RotationDriver(crank.at(-0.1), law, name="motor"),
         Pin(crank.at(0.1), rod.at_start),
         PointOnLine(rod.at_end, direction=(1, 0)),
     ]
     bodies: list[Any] = [crank, PointMass(rod.at_end, 0.2, name="slider")]
-    start = [RigidMotion("crank", speed, (0, 0))] if uniform else []
+    start = [InitialVelocity("crank", speed, (0, 0))] if uniform else []
     scene = Scene([rod], joints, start=start, bodies=bodies, project_start=True)
     t_end = float(rng.uniform(0.004, 0.015)) if soft else float(rng.uniform(0.05, 0.1))
-    reference: Integrator = Explicit(1e-12, intervals=200) if soft else Radau(t_end / _MANY)
+    reference: Integrator = DOP853(1e-12, intervals=200) if soft else Radau(t_end / _MANY)
     others = [strain_energy("rod"), reaction("p", 0) ** 2]
     return _Draft(scene, ("rod.height", "slider.mass"), t_end, rod.at(0.5), others, reference)
 
@@ -365,7 +368,7 @@ def _spatial(rng: _Random) -> _Draft:
     material = Material(1100, _log(rng, 6, 7.5), 0.4)
     rod = Beam("rod", (0, 0, 0), (1, 0, 0), 1, Rectangle(0.06, 0.04), material)
     spin = tuple(float(x) for x in rng.uniform(0, 3, 3))
-    start = [RigidMotion("rod", spin, (0, 0, 0))]
+    start = [InitialVelocity("rod", spin, (0, 0, 0))]
     scene = Scene([rod], [Spherical(rod.at_start, name="p")], (0, 0, -9.81), start=start)
     others, t_end = [strain_energy("rod")], float(rng.uniform(0.04, 0.12))
     return _Draft(scene, ("rod.height", "rod.width"), t_end, rod.at_end, others)
@@ -379,7 +382,9 @@ def _shaken(rng: _Random) -> _Draft:
     rocker = RigidBody("rocker", (0.75, 0.25), shape=RigidBox(0.04, 0.5, 0.02), density=2700.0)
     joints = [
         Pin(crank.at(0, -0.1), name="p"),
-        Drive(crank.at(0, -0.1), Harmonic(float(rng.uniform(0.2, 1.0)), 15.0), name="motor"),
+        RotationDriver(
+            crank.at(0, -0.1), Harmonic(float(rng.uniform(0.2, 1.0)), 15.0), name="motor"
+        ),
         Pin(crank.at(0, 0.1), coupler.at_start),
         Pin(coupler.at_end, rocker.at(-0.05, 0.25)),
         Pin(rocker.at(0, -0.25)),

@@ -7,9 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from ancfdae import HHT, AncfdaeError, Explicit, Gradient, Integrator, Radau, gradient
+from ancfdae import DOP853, HHT, Radau, gradient
+from ancfdae.errors import AncfdaeError
+from ancfdae.extend import Integrator
 from ancfdae.numerics.timing import timed
 from ancfdae.plotting import Panel, Series
+from ancfdae.results import Gradient
 from validation.external.scleronomic import Array
 from validation.report import Agreement, Report
 from validation.tolerance.generator import FAMILIES, Generated
@@ -148,7 +151,7 @@ def _hindsight(case: Case, exact: Gradient) -> Iterator[_Run]:
         [HHT(T / 2**k, alpha) for k in range(4, 15)] for alpha in (-0.05, -0.3)
     ]
     kinds += [[Radau(T / 2**k) for k in range(3, 11)]]
-    kinds += [[Explicit(10.0**-k, max_steps=2500) for k in range(3, 11, 2)]]
+    kinds += [[DOP853(10.0**-k, max_steps=2500) for k in range(3, 11, 2)]]
     for kind in kinds:
         for setting in kind:
             call = partial(gradient, case.system, case.objective, T, setting)
@@ -157,7 +160,7 @@ def _hindsight(case: Case, exact: Gradient) -> Iterator[_Run]:
                     warnings.simplefilter("ignore")
                     seconds, found = timed(call, _TIMES, long=_SHORT)
             except (AncfdaeError, ArithmeticError):
-                if isinstance(setting, Explicit):  # Tighter tolerances take more steps.
+                if isinstance(setting, DOP853):  # Tighter tolerances take more steps.
                     break
                 continue
             error = _error(case, found, exact)
@@ -254,7 +257,7 @@ variables
 in the Euclidean norm, relative to that norm; values to the larger of themselves and that norm.
 
 *Best setting in hindsight* is the cheapest single run of HHT (hht_alpha -0.05 and -0.3), Radau or
-Explicit, from coarse to fine, whose true error is within the tolerance. It has no pilot runs, no
+DOP853, from coarse to fine, whose true error is within the tolerance. It has no pilot runs, no
 estimate of its error, and where waves are not resolved it is right by chance: a call must take
 several times as much there to know what it knows. Of times below 0.15 s the least of three counts,
 on both sides. Processor times on a shared machine: read ratios.

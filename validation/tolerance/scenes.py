@@ -8,51 +8,48 @@ import numpy.typing as npt
 
 from ancfdae import (
     CABLE_2D,
+    DOP853,
     AtTimes,
     Beam,
-    Circle,
     Clamp,
-    Drive,
-    Explicit,
-    FormulaSystem,
+    InitialVelocity,
     Integral,
-    Integrator,
     Material,
-    MechanicalSystem,
     Pin,
     PointForce,
     PointMass,
     PointOnLine,
     Radau,
-    Ramp,
-    Rectangle,
     Revolute,
     RigidBody,
     RigidBox,
     RigidCylinder,
-    RigidMotion,
+    RotationDriver,
     Scene,
     Spherical,
     SpringDamper,
     Terminal,
-    Tube,
-    Uniform,
     Weld,
     assemble,
+)
+from ancfdae.extend import FormulaSystem, Integrator, MechanicalSystem
+from ancfdae.laws import ConstantAcceleration, SmoothStep
+from ancfdae.observables import (
     bending_moment,
     custom,
-    drive_torque,
+    driver_torque,
     kinetic_energy,
     position,
     reaction,
 )
+from ancfdae.sections import Circle, Rectangle, Tube
 from ancfdae.sensitivity.objectives import Objective
 from validation.external.scleronomic import Array
 from validation.external.slider_crank import SliderCrank
 
 __all__ = ["CALIBRATION", "HELD_OUT", "Case"]
 
-_FINE = Explicit(1e-11)
+_FINE = DOP853(1e-11)
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ def _cantilever(material: Material, name: str, t_end: float, reference: Integrat
 def _spun() -> list[Case]:
     """Return a soft rod that turns about a pin."""
     rod = Beam("rod", (0, 0), (0.8, 0), 4, Rectangle(0.04, 0.04), _RUBBER)
-    start = [RigidMotion("rod", 6.0, (0, 0))]
+    start = [InitialVelocity("rod", 6.0, (0, 0))]
     scene = Scene([rod], [Pin(rod.at_start, name="pin")], _FALLING, start=start)
     design = ("rod.height", "rod.youngs_modulus")
     return [
@@ -138,7 +135,7 @@ def _four_bar(material: Material, name: str, t_end: float, reference: Integrator
     rocker = RigidBody("rocker", (0.75, 0.25), shape=RigidBox(0.04, 0.4, 0.02), density=2700.0)
     joints = [
         Pin(crank.at(0, -0.1)),
-        Drive(crank.at(0, -0.1), Ramp(0.0, 2.0, duration=t_end), name="motor"),
+        RotationDriver(crank.at(0, -0.1), SmoothStep(0.0, 2.0, duration=t_end), name="motor"),
         Pin(crank.at(0, 0.1), coupler.at_start),
         Pin(coupler.at_end, rocker.at(-0.05, 0.25)),
         Pin(rocker.at(0.05, -0.25), name="foot"),
@@ -150,7 +147,12 @@ def _four_bar(material: Material, name: str, t_end: float, reference: Integrator
     return [
         _case(f"{name}, middle", scene, design, AtTimes(middle**2, times), t_end, reference),
         _case(
-            f"{name}, torque", scene, design, Integral(drive_torque("motor") ** 2), t_end, reference
+            f"{name}, torque",
+            scene,
+            design,
+            Integral(driver_torque("motor") ** 2),
+            t_end,
+            reference,
         ),
     ]
 
@@ -171,13 +173,13 @@ def _two_links() -> list[Case]:
 
 def _calibration() -> list[Case]:
     return [
-        *_cantilever(_NYLON, "nylon cantilever", 0.1, Explicit(1e-9)),
-        *_cantilever(_STEEL, "steel cantilever", 0.01, Explicit(1e-8)),
+        *_cantilever(_NYLON, "nylon cantilever", 0.1, DOP853(1e-9)),
+        *_cantilever(_STEEL, "steel cantilever", 0.01, DOP853(1e-8)),
         *_cantilever(_DAMPED_STEEL, "damped steel cantilever", 0.2, Radau(0.2 / 1500)),
         *_spun(),
         *_rigid_pair(),
         *_four_bar(_DAMPED_NYLON, "damped four-bar", 1.0, Radau(1.0 / 1500)),
-        *_four_bar(_NYLON, "four-bar", 0.25, Explicit(1e-9)),
+        *_four_bar(_NYLON, "four-bar", 0.25, DOP853(1e-9)),
         *_two_links(),
     ]
 
@@ -225,10 +227,10 @@ def _blade() -> Case:
     """Return a thin alloy blade that a hub spins up."""
     hub = RigidBody("hub", (0, 0), shape=RigidCylinder(0.1, 0.05), density=2700.0)
     blade = Beam("blade", (0.1, 0), (1.1, 0), 4, Rectangle(0.01, 0.05), _ALLOY)
-    turn = Ramp(0.0, 3.0, duration=0.8)
+    turn = SmoothStep(0.0, 3.0, duration=0.8)
     joints = [
         Pin(hub.at(0, 0)),
-        Drive(hub.at(0, 0), turn, name="motor"),
+        RotationDriver(hub.at(0, 0), turn, name="motor"),
         Weld(blade.at_start, hub.at(0.1, 0)),
     ]
     scene = Scene([blade], joints, bodies=[hub])
@@ -243,16 +245,16 @@ def _slider(damped: bool, t_end: float, reference: Integrator) -> Case:
     rod = Beam("rod", (0.2, 0), (0.7, 0), 4, Rectangle(0.01, 0.02), material)
     joints = [
         Pin(crank.at(-0.1)),
-        Drive(crank.at(-0.1), Uniform(speed=20.0), name="motor"),
+        RotationDriver(crank.at(-0.1), ConstantAcceleration(speed=20.0), name="motor"),
         Pin(crank.at(0.1), rod.at_start),
         PointOnLine(rod.at_end, direction=(1, 0)),
     ]
     bodies: list[RigidBody | PointMass] = [crank, PointMass(rod.at_end, 0.2, name="slider")]
-    start = [RigidMotion("crank", 20.0, (0, 0))]
+    start = [InitialVelocity("crank", 20.0, (0, 0))]
     scene = Scene([rod], joints, start=start, bodies=bodies, project_start=True)
     objective: Objective = Terminal(position(rod.at(0.5), 1))
     if damped:
-        objective = Integral(drive_torque("motor") ** 2)
+        objective = Integral(driver_torque("motor") ** 2)
     name = "slider-crank of damped steel" if damped else "slider-crank of rubber"
     return _case(name, scene, ("rod.height", "slider.mass"), objective, t_end, reference)
 
@@ -262,11 +264,11 @@ def _arm() -> Case:
     tube = Tube(radius=0.02, thickness=0.002)
     upper = Beam("upper", (0, 0, 0), (0, 0, 0.6), 2, tube, _ALLOY)
     fore = Beam("fore", (0, 0, 0.6), (0.5, 0, 0.6), 2, tube, _ALLOY)
-    bend = Ramp(0.0, 0.8, duration=0.4)
+    bend = SmoothStep(0.0, 0.8, duration=0.4)
     joints = [
         Clamp(upper.at_start),
         Revolute(fore.at_start, axis=(0, 1, 0), other=upper.at_end, name="elbow"),
-        Drive(fore.at_start, bend, axis=(0, 1, 0), other=upper.at_end, name="motor"),
+        RotationDriver(fore.at_start, bend, axis=(0, 1, 0), other=upper.at_end, name="motor"),
     ]
     payload = PointMass(fore.at_end, 0.4, name="payload")
     scene = Scene([upper, fore], joints, (0, 0, -9.81), bodies=[payload])
@@ -283,7 +285,7 @@ def _cable(damped: bool) -> Case:
     objective = (
         Integral(position(rope.at_end, 1) ** 2) if damped else Terminal(position(rope.at_end, 1))
     )
-    reference = Radau(0.3 / 1500) if damped else Explicit(1e-9)
+    reference = Radau(0.3 / 1500) if damped else DOP853(1e-9)
     name = "falling rope, damped" if damped else "falling rope"
     return _case(name, scene, ("rope.radius", "rope.density"), objective, 0.3, reference)
 
@@ -291,10 +293,10 @@ def _cable(damped: bool) -> Case:
 def _spatial() -> Case:
     """Return a soft rod in space that turns about a spherical joint."""
     rod = Beam("rod", (0, 0, 0), (1, 0, 0), 3, Rectangle(0.06, 0.04), _RUBBER)
-    start = [RigidMotion("rod", (0.0, 1.0, 2.0), (0, 0, 0))]
+    start = [InitialVelocity("rod", (0.0, 1.0, 2.0), (0, 0, 0))]
     scene = Scene([rod], [Spherical(rod.at_start)], (0, 0, -9.81), start=start)
     objective = Terminal(position(rod.at_end, 2))
-    return _case("rod in space", scene, ("rod.height", "rod.width"), objective, 0.3, Explicit(1e-9))
+    return _case("rod in space", scene, ("rod.height", "rod.width"), objective, 0.3, DOP853(1e-9))
 
 
 def _oscillator() -> Case:
@@ -327,11 +329,11 @@ def _loaded() -> Case:
 
 
 def _held_out() -> list[Case]:
-    few = Explicit(1e-11, intervals=4)
+    few = DOP853(1e-11, intervals=4)
     return [
         _blade(),
         _slider(True, 0.2, Radau(0.2 / 1500)),
-        _slider(False, 0.1, Explicit(1e-9)),
+        _slider(False, 0.1, DOP853(1e-9)),
         _arm(),
         _cable(True),
         _cable(False),

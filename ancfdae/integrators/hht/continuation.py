@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import Verdict
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht.equations import Coefficients, Node, predict_increment, rescaled
 from ancfdae.integrators.hht.newton import SolvedStep, Step, StepSolver
 from ancfdae.integrators.step_control.contracts import Failure

@@ -45,7 +45,8 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import Linearisation, MechanicalSystem
-from ancfdae.errors import InvalidInput, require_finite
+from ancfdae.errors.checks import require_finite
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import add_scaled, balance
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.fronts import Terms
@@ -83,7 +84,7 @@ def require_alpha(where: str, alpha: float) -> None:
     require_finite(where, alpha)
     if not -1 / 3 <= alpha <= 0:
         repair = "Use -0.05 for little numerical damping, -0.3 to damp high frequencies strongly."
-        raise InvalidInput(where, "must lie in [-1/3, 0]", alpha, repair)
+        raise InvalidInputError(where, "must lie in [-1/3, 0]", alpha, repair)
 
 
 @final

@@ -27,7 +27,8 @@ from typing import TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import Linearisation, MechanicalSystem
-from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht.compiled import CompiledPasses, Packet
 from ancfdae.integrators.hht.equations import (
     Coefficients,

@@ -8,10 +8,8 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import (
-    StabilityWarning,
-    Verdict,
-)
+from ancfdae.errors.kinds import StabilityWarning
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.equations import (
     Coefficients,
@@ -26,8 +24,8 @@ from ancfdae.integrators.hht.small_steps import Nodes, node_after
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import HHTStepper
 from ancfdae.integrators.integrator import DefectIntegrator, PartwiseIntegrator, Seeds
-from ancfdae.integrators.problem import Problem, Scales
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.problem import InitialValueProblem, Scales
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control import StepControl
 from ancfdae.integrators.step_control.tolerance import estimated_errors
 from ancfdae.integrators.stepped import SteppedIntegrator
@@ -44,7 +42,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     Parameters
     ----------
     steps : StepControl or float
-        `FixedSteps`, `ControlledSteps` or `GivenSteps`; a number is the step of `FixedSteps`.
+        `FixedSteps`, `AdaptiveSteps` or `PrescribedSteps`; a number is the step of `FixedSteps`.
     hht_alpha : float
         Numerical damping, in [-1/3, 0]. Second order throughout; -1/3 damps frequencies above
         1/h most. At 0 the multipliers oscillate and do not converge, and a warning is given.
@@ -57,7 +55,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     step : float, optional
         Short for ``steps=FixedSteps(step)``; s.
     rtol : float, optional
-        Relative error per step, dimensionless; short for ``steps=ControlledSteps(rtol)``.
+        Relative error per step, dimensionless; short for ``steps=AdaptiveSteps(rtol)``.
     """
 
     order: ClassVar[int | None] = 2
@@ -89,7 +87,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
             )
 
     def _stepper(
-        self, problem: Problem, t_end: float, sizes_b: Array, recorder: Recorder
+        self, problem: InitialValueProblem, t_end: float, sizes_b: Array, recorder: SolutionRecorder
     ) -> HHTStepper:
         newton = self.newton_tolerance, self.max_iterations
         tolerance = self.steps.tolerance(t_end, problem.scales.q, sizes_b)
@@ -99,7 +97,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         return node_after(run, len(run.t) - 1, self.hht_alpha), None
 
     def _derivatives(
-        self, problem: Problem, run: Solution, progress: bool
+        self, problem: InitialValueProblem, run: Solution, progress: bool
     ) -> tuple[list[Array], Verdict]:
         steps, derivative = self.steps_of(run), problem.derivative
         assert derivative is not None
@@ -133,7 +131,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         t = self._known_instants(t_end)
         newton = self.newton_tolerance, self.max_iterations
         steps = Steps(self.steps.sizes(t), self.hht_alpha)
-        return Replay(Problem.of(system, t_end), steps, t, newton)
+        return Replay(InitialValueProblem.of(system, t_end), steps, t, newton)
 
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
@@ -149,7 +147,10 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     ) -> tuple[RecurrenceStart, Nodes]:
         """Return the start of the recurrence and the states of a run, for a pass over it."""
         # The length of a run of one instant scales nothing.
-        steps, problem = self.steps_of(solution), Problem.of(system, float(solution.t[-1]) or 1.0)
+        steps, problem = (
+            self.steps_of(solution),
+            InitialValueProblem.of(system, float(solution.t[-1]) or 1.0),
+        )
         first = RecurrenceStart.of(problem, steps.of(1))
         return first, Nodes(problem, solution, steps, first.node)
 

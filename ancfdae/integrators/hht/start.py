@@ -34,12 +34,12 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.equations import Direction, MechanicalSystem, reaction
+from ancfdae.equations import MechanicalSystem, StateDirection, reaction
 from ancfdae.equations.held import held_pull_back, held_q, held_total, jerk_side
 from ancfdae.equations.saddle_points import solve, solve_transposed
 from ancfdae.equations.system import residual_along
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity, constraint_error
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.start import Covectors, InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization
@@ -90,7 +90,7 @@ class RecurrenceStart:
     damped: Factorization
 
     @staticmethod
-    def of(problem: Problem, c: Coefficients) -> RecurrenceStart:
+    def of(problem: InitialValueProblem, c: Coefficients) -> RecurrenceStart:
         """Solve the equations of the module description."""
         system, matrices, x = problem.system, problem.matrices, problem.initial
         s, scale = -c.alpha * c.h, constraint_error(c)
@@ -141,7 +141,7 @@ class RecurrenceStart:
         system, x, j = self.system, self.initial, jerk.jerk
         t, q, v, q_b, v_b = x.t, x.q, x.v, derivative.q_b, derivative.v_b
         states_b = q_b, v_b, derivative.a_b, derivative.lam_b
-        along = Direction(1.0, v, jerk.a + self.s * j)
+        along = StateDirection(1.0, v, jerk.a + self.s * j)
         right = -system.along_total(t, (q, v, x.a, x.lam), along, states_b, (v_b, a_b))
         right = right - held_total(system, t, q, j, jerk.lam_rate, q_b)
         side = system.constraint_total(t, (q, v, jerk.a, j), (q_b, v_b, a_b, np.zeros_like(q_b)))
@@ -187,7 +187,7 @@ class RecurrenceStart:
         (t, q, v, a, lam), j = x, jerk.jerk
         K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
         m, z = solve_transposed(self.damped, on_jerk, np.zeros_like(lam))
-        states, along = (q, v, a, lam), Direction(1.0, v, jerk.a + self.s * j)
+        states, along = (q, v, a, lam), StateDirection(1.0, v, jerk.a + self.s * j)
         f_q, f_v, on_b = system.along_pull_back(t, states, along, m)
         # The direction (v, a) moves with the state.
         local = system.linearise(np.array([t]), q[None], v[None], a[None], lam[None])
@@ -211,7 +211,7 @@ def _force_rates(system: MechanicalSystem, x: InitialState, a: Array) -> Array:
 
     (dM/dt) a = (M a)_q v takes that of the state.
     """
-    return -residual_along(system, x.t, (x.q, x.v, x.a, x.lam), Direction(1.0, x.v, a))
+    return -residual_along(system, x.t, (x.q, x.v, x.a, x.lam), StateDirection(1.0, x.v, a))
 
 
 def _damping(system: MechanicalSystem, x: InitialState) -> Array:

@@ -5,5 +5,5 @@ offers for it, and `march` brings both to the end.
 """
 
 from ancfdae.integrators.step_control.contracts import StepControl
-from ancfdae.integrators.step_control.controlled import ControlledSteps
-from ancfdae.integrators.step_control.planned import FixedSteps, GivenSteps
+from ancfdae.integrators.step_control.controlled import AdaptiveSteps
+from ancfdae.integrators.step_control.planned import FixedSteps, PrescribedSteps

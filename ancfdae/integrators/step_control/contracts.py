@@ -13,9 +13,10 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import Outcome, SingularMatrix, Verdict
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.integrators.prescribed_motion import half_a_turn_off, lock
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.integrators.watch import Watch
 from ancfdae.numerics.arrays import Array
@@ -170,7 +171,7 @@ _NOWHERE = Reached(0, 0.0, 0.0, None)
 def march(
     method: OneStepMethod[Any],
     controller: Controller,
-    recorder: Recorder,
+    recorder: SolutionRecorder,
     t_end: float,
     progress: bool,
     reached: Reached = _NOWHERE,
@@ -206,14 +207,14 @@ def march(
     if verdict in _STUCK:
         t, q, _ = recorder.last(1)
         remedy = f"{lock(method.system, float(t[0]), q[0], t_end)} {remedy}".strip()
-    outcome = Outcome(verdict, recorder.time, recorder.steps, correction, advice=remedy)
+    outcome = RunOutcome(verdict, recorder.time, recorder.steps, correction, advice=remedy)
     return recorder.solution(outcome), reached
 
 
 def _next(
     method: OneStepMethod[Any],
     controller: Controller,
-    recorder: Recorder,
+    recorder: SolutionRecorder,
     path: deque[Reached],
 ) -> Reached | Failure:
     """Try a step; return where the run stands then, or how it ends there.

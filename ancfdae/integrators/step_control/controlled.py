@@ -26,7 +26,8 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from ancfdae.errors import Verdict, require_count, require_kind, require_positive
+from ancfdae.errors.checks import require_count, require_kind, require_positive
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import require_rtol
 from ancfdae.integrators.pace import Pace
 from ancfdae.integrators.step_control.contracts import (
@@ -35,7 +36,7 @@ from ancfdae.integrators.step_control.contracts import (
     OneStepMethod,
     StepControl,
 )
-from ancfdae.integrators.step_control.planned import GivenSteps, require_square
+from ancfdae.integrators.step_control.planned import PrescribedSteps, require_square
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import next_end
@@ -70,7 +71,7 @@ _NUMBERS = 8
 
 @final
 @dataclass(frozen=True)
-class ControlledSteps(StepControl):
+class AdaptiveSteps(StepControl):
     """Steps under error control.
 
     Parameters
@@ -101,16 +102,16 @@ class ControlledSteps(StepControl):
 
     def __post_init__(self) -> None:
         # Python's numbers: one of NumPy's of single precision would spread its precision.
-        require_rtol("ControlledSteps.rtol", self.rtol, _LEAST_RTOL)
+        require_rtol("AdaptiveSteps.rtol", self.rtol, _LEAST_RTOL)
         object.__setattr__(self, "rtol", float(self.rtol))
         if self.atol is not None:
-            require_positive("ControlledSteps.atol", self.atol)
+            require_positive("AdaptiveSteps.atol", self.atol)
             object.__setattr__(self, "atol", float(self.atol))
-        require_count("ControlledSteps.max_steps", self.max_steps, "1000000 is plenty.")
-        where = "ControlledSteps.sensitivities"
+        require_count("AdaptiveSteps.max_steps", self.max_steps, "1000000 is plenty.")
+        where = "AdaptiveSteps.sensitivities"
         require_kind(where, self.sensitivities, (bool,), "True or False.")
 
-    def rough(self) -> ControlledSteps:
+    def rough(self) -> AdaptiveSteps:
         """Return the control of the run from which the sizes of the derivatives are read."""
         return replace(self, rtol=max(self.rtol, _ROUGH), atol=None, sensitivities=False)
 
@@ -145,11 +146,13 @@ class ControlledSteps(StepControl):
 
     def frozen(self, t: Array) -> StepControl:
         """Return the instants; of a run that never left its start, control of the motion."""
-        return GivenSteps(tuple(t.tolist())) if len(t) > 1 else replace(self, sensitivities=False)
+        return (
+            PrescribedSteps(tuple(t.tolist())) if len(t) > 1 else replace(self, sensitivities=False)
+        )
 
     def refined(self, t: Array) -> StepControl:
         """Return steps that halve each step of a run with times t."""
-        return GivenSteps(tuple(t.tolist())).refined(t)
+        return PrescribedSteps(tuple(t.tolist())).refined(t)
 
 
 @final

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import Verdict
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.problem import Scales
 from ancfdae.numerics.arrays import Array
 

@@ -8,7 +8,9 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, Verdict, require_array, require_positive
+from ancfdae.errors.checks import require_array, require_positive
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.step_control.contracts import (
     Controller,
     OneStepMethod,
@@ -38,7 +40,7 @@ class _KnownSteps(StepControl):
 
     @abc.abstractmethod
     def instants(self, t_end: float) -> Array:
-        """Return the times of a run to `t_end`, s; InvalidInput if no step ends there."""
+        """Return the times of a run to `t_end`, s; InvalidInputError if no step ends there."""
 
     @final
     def controller(
@@ -57,7 +59,7 @@ class _KnownSteps(StepControl):
 @final
 @dataclass(frozen=True)
 class FixedSteps(_KnownSteps):
-    """Steps of one size (s); InvalidInput if it is not positive, or its square is no number.
+    """Steps of one size (s); InvalidInputError if it is not positive, or its square is no number.
 
     Where the end time is no whole number of them, all are shorter by the same factor. (One shorter
     last step would cost the multipliers of HHT-I3 their order, docs/theory/13-errors.md.)
@@ -78,7 +80,7 @@ class FixedSteps(_KnownSteps):
         if not steps < _COUNTABLE:
             rule, got = f"must be within {_COUNTABLE:.0e} steps", f"{t_end:.6g}"
             repair = f"Use a step above {self.step:.6g}."
-            raise InvalidInput("t_end", rule, got, repair)
+            raise InvalidInputError("t_end", rule, got, repair)
         count = max(1, math.ceil(steps * (1 - _WHOLE)))
         require_square("t_end", t_end / count)
         return count
@@ -109,51 +111,52 @@ class FixedSteps(_KnownSteps):
 
 @final
 @dataclass(frozen=True)
-class GivenSteps(_KnownSteps):
+class PrescribedSteps(_KnownSteps):
     """Steps between given instants, such as those of another run.
 
-    They increase from 0 on (s); the last one is the end of the run. InvalidInput if they do not.
+    They increase from 0 on (s); the last one is the end of the run. InvalidInputError if they do
+    not.
     """
 
     times: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        where, t = "GivenSteps.times", require_array("GivenSteps.times", self.times)
+        where, t = "PrescribedSteps.times", require_array("PrescribedSteps.times", self.times)
         repair = "Take the instants of a solution, or np.linspace(0, t_end, n)."
         if t.ndim != 1 or len(t) < 2:
             got = f"{len(t)} instant(s)" if t.ndim == 1 else f"an array of shape {t.shape}"
-            raise InvalidInput(where, "must be two or more instants", got, repair)
+            raise InvalidInputError(where, "must be two or more instants", got, repair)
         if t[0] != 0.0:
-            raise InvalidInput(where, "must begin at 0, as every run does", t[0], repair)
+            raise InvalidInputError(where, "must begin at 0, as every run does", t[0], repair)
         falls = np.flatnonzero(np.diff(t) <= 0)
         if len(falls):
             k = int(falls[0]) + 1
             got = f"times[{k}] = {t[k]:.6g} after times[{k - 1}] = {t[k - 1]:.6g}"
-            raise InvalidInput(where, "must increase", got, "Sort them, each instant once.")
-        require_square("steps of GivenSteps.times", float(np.min(np.diff(t))))
+            raise InvalidInputError(where, "must increase", got, "Sort them, each instant once.")
+        require_square("steps of PrescribedSteps.times", float(np.min(np.diff(t))))
         object.__setattr__(self, "times", tuple(t.tolist()))
 
     def __repr__(self) -> str:
         if len(self.times) <= _SHOWN:
-            return f"GivenSteps(times={self.times})"
+            return f"PrescribedSteps(times={self.times})"
         first = ", ".join(map(repr, self.times[:3]))
-        return f"GivenSteps(times=({first}, ..., {self.times[-1]!r}))"
+        return f"PrescribedSteps(times=({first}, ..., {self.times[-1]!r}))"
 
     def count(self, t_end: float) -> int:
         """Return the number of steps; the end must be the last instant."""
         require_positive("t_end", t_end)
         last = self.times[-1]
         if not math.isclose(last, t_end, rel_tol=_WHOLE):
-            raise InvalidInput(
+            raise InvalidInputError(
                 "t_end",
-                f"must be where the given instants end, GivenSteps.times[-1] = {last:.6g}",
+                f"must be where the given instants end, PrescribedSteps.times[-1] = {last:.6g}",
                 t_end,
                 f"Run to t_end = {last:.6g}, or give instants up to {t_end:.6g}.",
             )
         return len(self.times) - 1
 
     def instants(self, t_end: float) -> Array:
-        """Return the given times, shape (n + 1,), s; InvalidInput if the run ends elsewhere."""
+        """Return the given times, shape (n + 1,), s; InvalidInputError if the run ends elsewhere."""
         self.count(t_end)
         return np.array(self.times)
 
@@ -164,7 +167,7 @@ class GivenSteps(_KnownSteps):
     def refined(self, t: Array) -> StepControl:
         """Return steps that halve each step of a run with times t."""
         halves = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])]))
-        return GivenSteps(tuple(halves.tolist()))
+        return PrescribedSteps(tuple(halves.tolist()))
 
 
 @final
@@ -199,4 +202,4 @@ def require_square(where: str, value: float) -> None:
     """Refuse times whose square, or its inverse, is no number of full precision."""
     if not sys.float_info.min < value * value < math.inf:
         repair = "Choose units of time in which the run takes 1e-6 to 1e6."
-        raise InvalidInput(where, "must have a square that is a number", value, repair)
+        raise InvalidInputError(where, "must have a square that is a number", value, repair)

@@ -24,7 +24,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.equations import EstimatedErrors, Sensitivities
+from ancfdae.equations import ErrorEstimates, Sensitivities
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.step_control.derivative_sizes import derivative_sizes, mean_squares
 from ancfdae.numerics.arrays import Array
@@ -65,7 +65,7 @@ class Tolerance:
 
 def estimated_errors(
     scales: Scales, scale: Array, rise: Array, sensitivities: Sensitivities | None
-) -> EstimatedErrors:
+) -> ErrorEstimates:
     """Add up the errors of all n steps of a run, relative to Q_i and Q_i S_j.
 
     They are the scale, (n,), times the rises of the accelerations, (n, n_q), and of a_b of the
@@ -75,12 +75,12 @@ def estimated_errors(
     with np.errstate(over="ignore", invalid="ignore"):
         motion = float(_added_up(scale, rise, scales.q))
         if sensitivities is None:
-            return EstimatedErrors(motion)
+            return ErrorEstimates(motion)
         sums = _FED * _added_up(scale, np.diff(sensitivities.a_b, axis=0), scales.q)
         sizes_b = derivative_sizes(scales, sensitivities.q_b)
         relative = np.divide(sums, sizes_b, out=np.full_like(sums, np.nan), where=sizes_b > 0)
     relative = np.where(np.isfinite(sizes_b), relative, np.inf)
-    return EstimatedErrors(motion, tuple(float(x) for x in relative))
+    return ErrorEstimates(motion, tuple(float(x) for x in relative))
 
 
 def _added_up(scale: Array, rises: Array, sizes: Array) -> Array:

@@ -14,7 +14,8 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import AncfdaeError, InvalidInput, MissingPackage, Verdict
+from ancfdae.errors.kinds import AncfdaeError, InvalidInputError, MissingPackageError
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.high_order import NotFinite
 from ancfdae.integrators.sundials.index_reduced import IndexReduced
 from ancfdae.kernels import finite
@@ -42,15 +43,15 @@ class Bindings:
 
     @staticmethod
     def load() -> Bindings:
-        """Return the modules of sundials4py; raise MissingPackage if it is not installed."""
+        """Return the modules of sundials4py; raise MissingPackageError if it is not installed."""
         try:
             core = importlib.import_module("sundials4py.core")
             idas = importlib.import_module("sundials4py.idas")
         except ImportError as error:
             version = ".".join(str(part) for part in sys.version_info[:2])
-            raise MissingPackage(
+            raise MissingPackageError(
                 f"IDAS: needs the package sundials4py; got Python {version} without it. Its wheels "
-                "need Python 3.12 or newer: python3.12 -m pip install sundials4py. IDA, Explicit "
+                "need Python 3.12 or newer: python3.12 -m pip install sundials4py. IDA, DOP853 "
                 "and HHT work without it."
             ) from error
         return Bindings(core, idas)
@@ -132,7 +133,7 @@ class IdasEquations:
         core, idas, check = bindings.core, bindings.idas, bindings.check
         self._bindings, self._form, self.guard, self.last = bindings, form, Guard(), 0.0
         if form.n > _MOST_UNKNOWNS:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "IDAS",
                 f"solves densely, up to {_MOST_UNKNOWNS} unknowns",
                 form.n,

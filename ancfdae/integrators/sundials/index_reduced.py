@@ -32,12 +32,12 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.held import force_total, held_q, held_total
-from ancfdae.errors import require_kind
+from ancfdae.errors.checks import require_kind
 from ancfdae.integrators.high_order import HighOrder
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.patterns import SparsityPattern
 
 # Below round-off of a double, with what an integrator of order five needs on top.
 _LEAST_RTOL = 1e-13
@@ -333,7 +333,7 @@ class ColumnStorage:
         rows = np.concatenate([r for r, _ in blocks])
         columns = np.concatenate([c for _, c in blocks])
         # A pattern sorts by rows; that of the transposed matrix by columns of the matrix.
-        self._pattern = Pattern((n * (m + 1), n * (m + 1)), columns, rows)
+        self._pattern = SparsityPattern((n * (m + 1), n * (m + 1)), columns, rows)
         self._index = self._pattern.index(columns, rows)
 
     def sparsity(self) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@ from ancfdae.model.bodies.beam import Beam
 from ancfdae.model.bodies.body import BeamBody, ReferenceShape
 from ancfdae.model.bodies.curved_beam import CurvedBeam
 from ancfdae.model.bodies.point import (
-    Point,
+    MaterialPoint,
     locate,
     require_fraction,
     require_in_section,

@@ -9,15 +9,11 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import (
-    InvalidInput,
-    require_count,
-    require_positive,
-    require_vector,
-)
+from ancfdae.errors.checks import require_count, require_positive, require_vector
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies.body import BeamBody, ReferenceShape
-from ancfdae.model.bodies.point import Point
-from ancfdae.model.elements import BeamElement, StrainEnergy
+from ancfdae.model.bodies.point import MaterialPoint
+from ancfdae.model.elements import BeamElement, StrainEnergyFunction
 from ancfdae.model.material import Material
 from ancfdae.model.sections.section import Section
 from ancfdae.numerics.arrays import Array
@@ -52,7 +48,7 @@ class Beam(BeamBody):
     element : BeamElement, optional
         By default the beam of the dimension, BEAM_2D or BEAM_3D; CABLE_2D and CABLE_3D
         have no shear, no torsion and no deformation of the section.
-    energy : StrainEnergy, optional
+    energy : StrainEnergyFunction, optional
         By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
     turn : float or sequence of float, optional
         Rotation of the whole beam about its start, a number in the plane and in space a vector
@@ -75,36 +71,36 @@ class Beam(BeamBody):
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If the ends coincide, the number of elements is not a positive integer, or the height
         axis is parallel to the beam.
     """
 
     name: str
-    start: Sequence[float] | Point
+    start: Sequence[float] | MaterialPoint
     end: Sequence[float]
     elements: int
     section: Section | Sequence[Section]
     material: Material | Sequence[Material]
     height_axis: Sequence[float] | None = None
     element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
-    energy: StrainEnergy | None = None
+    energy: StrainEnergyFunction | None = None
     turn: float | Sequence[float] = 0.0
     rigid: bool = False
     kinks: Sequence[float] = ()
     initial_strain: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the fields; raise InvalidInput."""
+        """Check the fields; raise InvalidInputError."""
         where = f"beam {self.name!r}"
-        if isinstance(self.start, Point):
+        if isinstance(self.start, MaterialPoint):
             require_vector(f"{where}, end", self.end)
         else:
             require_vector(f"{where}, start", self.start)
             require_vector(f"{where}, end", self.end, (len(tuple(self.start)),))
         require_count(f"{where}, elements", self.elements, _SOME, _MOST_ELEMENTS)
         if not np.any(self._span):
-            raise InvalidInput(
+            raise InvalidInputError(
                 where,
                 "start and end must differ",
                 tuple(self.end),
@@ -124,7 +120,7 @@ class Beam(BeamBody):
         return len(tuple(self.end))
 
     @property
-    def place(self) -> Sequence[float] | Point:
+    def place(self) -> Sequence[float] | MaterialPoint:
         """Start of the centre line, shape (d,); m."""
         return self.start
 
@@ -165,7 +161,7 @@ class Beam(BeamBody):
         ):
             rule = "an element has one section and one material"
             repair = f"Use a multiple of {self.element_count} elements."
-            raise InvalidInput(f"beam {self.name!r}, elements", rule, count, repair)
+            raise InvalidInputError(f"beam {self.name!r}, elements", rule, count, repair)
         if count == self.element_count:
             return self
         return replace(
@@ -178,7 +174,11 @@ class Beam(BeamBody):
     @property
     def _origin(self) -> Array:
         """Position from which `end` counts: the origin, or the point of a body at `start`."""
-        return np.zeros(self.dimension) if isinstance(self.start, Point) else np.array(self.start)
+        return (
+            np.zeros(self.dimension)
+            if isinstance(self.start, MaterialPoint)
+            else np.array(self.start)
+        )
 
     @property
     def _span(self) -> Array:
@@ -189,7 +189,7 @@ class Beam(BeamBody):
         axis = axis / np.linalg.norm(axis)
         if self.dimension == 2:
             if self.height_axis is not None:
-                raise InvalidInput(
+                raise InvalidInputError(
                     f"beam {self.name!r}, height_axis",
                     "must be left out for a planar beam",
                     tuple(self.height_axis),
@@ -205,7 +205,7 @@ class Beam(BeamBody):
             across = given - (given @ axis) * axis
             # 1e-8: below the square root of round-off the direction left over is noise.
             if np.linalg.norm(across) <= 1e-8 * np.linalg.norm(given):
-                raise InvalidInput(
+                raise InvalidInputError(
                     f"beam {self.name!r}, height_axis",
                     "must not be parallel to the beam",
                     tuple(self.height_axis),

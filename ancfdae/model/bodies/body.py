@@ -9,23 +9,17 @@ from typing import TypeVar, final
 
 import numpy as np
 
-from ancfdae.errors import (
-    InvalidInput,
-    UnknownName,
-    require_finite,
-    require_kind,
-    require_name,
-    require_sequence,
-)
+from ancfdae.errors.checks import require_finite, require_kind, require_name, require_sequence
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.model.bodies.placed import Placed
-from ancfdae.model.bodies.point import Point, locate, require_fraction
+from ancfdae.model.bodies.point import MaterialPoint, locate, require_fraction
 from ancfdae.model.elements import (
     ALL_ELEMENTS,
     BeamElement,
     ElementParameter,
     ElementType,
     Quantity,
-    StrainEnergy,
+    StrainEnergyFunction,
     default_element,
 )
 from ancfdae.model.material import Material
@@ -68,7 +62,9 @@ class BeamBody(Placed):
     """Base class of straight and curved beams; name and turn as in `Placed`."""
 
     element: BeamElement  # the element that models it
-    energy: StrainEnergy | None  # how it resists strain; None for elements with a law of their own
+    energy: (
+        StrainEnergyFunction | None
+    )  # how it resists strain; None for elements with a law of their own
     # One for the beam or one per element, which may differ in their sizes.
     section: Section | Sequence[Section]
     material: Material | Sequence[Material]  # one for the beam or one per element
@@ -86,7 +82,7 @@ class BeamBody(Placed):
     def reference(self) -> ReferenceShape:
         """Return the reference configuration: nodes, directions and lengths of elements."""
 
-    def at_origin(self, point: Point) -> Array:
+    def at_origin(self, point: MaterialPoint) -> Array:
         """Return the place of a point from the vectors at both ends of its element."""
         shape, n_s = self.reference(), self.element.n_s
         fraction = require_fraction(str(point), point.fraction)
@@ -104,34 +100,36 @@ class BeamBody(Placed):
     def with_elements(self, count: int) -> BeamBody:
         """Return the same beam with another number of elements.
 
-        InvalidInput if an element of the new mesh had two sections or materials, or nodes are
+        InvalidInputError if an element of the new mesh had two sections or materials, or nodes are
         given.
         """
         rule, repair = "its nodes are given one by one", "Declare it with other nodes."
-        raise InvalidInput(f"beam {self.name!r}, elements", rule, count, repair)
+        raise InvalidInputError(f"beam {self.name!r}, elements", rule, count, repair)
 
     def directions(self) -> Array:
         """Return the axes of the beam as a rigid body: those at its start, as rows."""
         return orthonormal(self.reference().slopes[0])
 
     @property
-    def at_start(self) -> Point:
+    def at_start(self) -> MaterialPoint:
         """The point at the start of the centre line."""
-        return Point(self.name, 0.0)
+        return MaterialPoint(self.name, 0.0)
 
     @property
-    def at_end(self) -> Point:
+    def at_end(self) -> MaterialPoint:
         """The point at the end of the centre line."""
-        return Point(self.name, 1.0)
+        return MaterialPoint(self.name, 1.0)
 
-    def at(self, fraction: float, y: float = 0.0, z: float = 0.0, before: bool = False) -> Point:
+    def at(
+        self, fraction: float, y: float = 0.0, z: float = 0.0, before: bool = False
+    ) -> MaterialPoint:
         """Return the point at an arc-length fraction, offset in the section by y and z.
 
         At an inner node it belongs to the element that begins there, or with `before` to the one
         that ends there.
         """
         require_finite(f"point of {self.name!r}", fraction)
-        return Point(self.name, fraction, y, z, before=before)
+        return MaterialPoint(self.name, fraction, y, z, before=before)
 
     def inner_nodes(self, fractions: Iterable[float]) -> set[int]:
         """Return the numbers of the inner nodes at some of the fractions."""
@@ -182,9 +180,9 @@ class BeamBody(Placed):
     def with_values(self, changes: Iterable[tuple[str, int | None, float]]) -> BeamBody:
         """Return the same beam with (parameter, element, value) changed together.
 
-        The element is None where the parameter changes everywhere. InvalidInput if a value is not
-        admissible for its parameter, sizes of a section do not fit together or an element does not
-        exist; UnknownName if the beam has no parameter of that name.
+        The element is None where the parameter changes everywhere. InvalidInputError if a value is
+        not admissible for its parameter, sizes of a section do not fit together or an element does
+        not exist; UnknownNameError if the beam has no parameter of that name.
         """
         names, placement = self.parameter_names(), self.placement()
         changes = tuple(changes)
@@ -216,19 +214,19 @@ class BeamBody(Placed):
         names, placement = self.parameter_names(), self.placement()
         if parameter not in names and parameter not in placement:
             known = (f"{self.name}.{name}" for name in (*names, *placement))
-            raise UnknownName("design target", f"{self.name}.{parameter}", known)
+            raise UnknownNameError("design target", f"{self.name}.{parameter}", known)
         if element is None:
             return
         where = f"design target {self.name}.{parameter}[{element}]"
         if not 0 <= element < self.element_count:
-            raise InvalidInput(
+            raise InvalidInputError(
                 where,
                 f"the beam has elements 0 to {self.element_count - 1}",
                 element,
                 "Name an element that exists.",
             )
         if names.get(parameter) in (None, ElementParameter.LENGTH, ElementParameter.INITIAL_STRAIN):
-            raise InvalidInput(
+            raise InvalidInputError(
                 where,
                 f"{parameter} is a property of the whole beam",
                 f"[{element}]",
@@ -254,7 +252,7 @@ class BeamBody(Placed):
             object.__setattr__(self, "element", given)
         names = ", ".join(each.name for each in ALL_ELEMENTS if each.d == self.dimension)
         if not isinstance(given, BeamElement) or given.d != self.dimension:
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"beam {self.name!r}, element",
                 f"must be one of {self.dimension} dimensions",
                 repr(given),
@@ -274,10 +272,10 @@ class BeamBody(Placed):
         require_finite(where, self.initial_strain, repair)
         if abs(self.initial_strain) >= 0.5:
             rule = "must lie between -1/2 and 1/2: the length free of stress must be positive"
-            raise InvalidInput(where, rule, self.initial_strain, repair)
+            raise InvalidInputError(where, rule, self.initial_strain, repair)
         if self.rigid and self.initial_strain != 0:
             rule = "a rigid beam has no strain"
-            raise InvalidInput(where, rule, self.initial_strain, "Leave it or rigid=True out.")
+            raise InvalidInputError(where, rule, self.initial_strain, "Leave it or rigid=True out.")
 
     def _check_kinks(self) -> None:
         where = f"beam {self.name!r}, kinks"
@@ -288,11 +286,13 @@ class BeamBody(Placed):
             if not self.inner_nodes([fraction]):
                 rule = "must lie at nodes between elements"
                 repair = "Choose the number of elements so that there is a node at each kink."
-                raise InvalidInput(where, rule, fraction, repair)
+                raise InvalidInputError(where, rule, fraction, repair)
         if kinks and not self.element.can_kink:
             name = self.element.name
             rule = f"must be empty for {name}, whose slope along the beam resists bending"
-            raise InvalidInput(where, rule, kinks, "Join two beams instead, by a Pin or a Weld.")
+            raise InvalidInputError(
+                where, rule, kinks, "Join two beams instead, by a Pin or a Weld."
+            )
         object.__setattr__(self, "kinks", kinks)
 
     def _check_part(self, part: object, kind: type) -> None:
@@ -300,7 +300,7 @@ class BeamBody(Placed):
             return
         listed = part if isinstance(part, Sequence) else ()
         if len(listed) != self.element_count or not all(isinstance(x, kind) for x in listed):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"beam {self.name!r}",
                 f"needs one {kind.__name__} or a sequence of {self.element_count}, one per element",
                 repr(part),
@@ -310,7 +310,7 @@ class BeamBody(Placed):
     def _check_sections(self) -> None:
         forms = {section.form() for section in self._per_element()[0]}
         if len(forms) > 1:
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"beam {self.name!r}, section",
                 "the sections of a beam must differ in their sizes only",
                 repr(self.section),
@@ -327,12 +327,12 @@ class BeamBody(Placed):
             return
         if default is None:
             rule = f"must be left out for {self.element.name}, which has its own strain energy"
-            raise InvalidInput(where, rule, repr(given))
-        require_kind(where, given, (StrainEnergy,), "For example EnhancedContinuum().")
-        assert isinstance(given, StrainEnergy)
+            raise InvalidInputError(where, rule, repr(given))
+        require_kind(where, given, (StrainEnergyFunction,), "For example EnhancedContinuum().")
+        assert isinstance(given, StrainEnergyFunction)
         if self.dimension not in given.dimensions:
             rule = f"must be an energy for {self.dimension} dimensions"
-            raise InvalidInput(where, rule, repr(given), "Use EnhancedContinuum().")
+            raise InvalidInputError(where, rule, repr(given), "Use EnhancedContinuum().")
 
 
 _Numbered = TypeVar("_Numbered", Section, Material)

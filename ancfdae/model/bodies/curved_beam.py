@@ -8,13 +8,10 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import (
-    InvalidInput,
-    require_array,
-    require_positive,
-)
+from ancfdae.errors.checks import require_array, require_positive
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies.body import BeamBody, ReferenceShape
-from ancfdae.model.elements import BeamElement, StrainEnergy
+from ancfdae.model.elements import BeamElement, StrainEnergyFunction
 from ancfdae.model.elements.hermite import end_weight_xi, slope_weights_xi
 from ancfdae.model.material import Material
 from ancfdae.model.sections.section import Section
@@ -45,7 +42,7 @@ class CurvedBeam(BeamBody):
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If shapes disagree, nodes coincide or a frame is not right-handed.
     """
 
@@ -55,7 +52,7 @@ class CurvedBeam(BeamBody):
     section: Section | Sequence[Section]
     material: Material | Sequence[Material]
     element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
-    energy: StrainEnergy | None = None
+    energy: StrainEnergyFunction | None = None
     turn: float | Sequence[float] = 0.0
     rigid: bool = False
     kinks: Sequence[float] = ()
@@ -65,7 +62,7 @@ class CurvedBeam(BeamBody):
         where = f"beam {self.name!r}"
         positions = require_array(f"{where}, positions", self.positions)
         if positions.ndim != 2 or positions.shape[0] < 2 or positions.shape[1] not in (2, 3):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"{where}, positions",
                 "must have shape (n + 1, 2) or (n + 1, 3) with n >= 1",
                 positions.shape,
@@ -74,14 +71,14 @@ class CurvedBeam(BeamBody):
         frame_shape = (*positions.shape, positions.shape[1])
         frames = require_array(f"{where}, frames", self.frames, frame_shape)
         if not np.all(np.any(np.diff(positions, axis=0) != 0.0, axis=1)):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"{where}, positions",
                 "neighbouring nodes must differ",
                 "an element of length zero",
                 "Remove the repeated node.",
             )
         if not np.all(np.linalg.det(frames) > 0):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"{where}, frames",
                 "must be right-handed",
                 f"smallest determinant {np.min(np.linalg.det(frames)):.3g}",

@@ -7,8 +7,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from ancfdae.errors import require_axial
-from ancfdae.model.bodies.point import Point
+from ancfdae.errors.checks import require_axial
+from ancfdae.model.bodies.point import MaterialPoint
 from ancfdae.numerics.arrays import Array
 
 
@@ -27,7 +27,7 @@ class Placed(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def place(self) -> Sequence[float] | Point:
+    def place(self) -> Sequence[float] | MaterialPoint:
         """Where its first point stands: a place, or a point of another beam."""
 
     @abc.abstractmethod
@@ -35,21 +35,21 @@ class Placed(abc.ABC):
         """Return the same body, moved to another place."""
 
     @abc.abstractmethod
-    def at_origin(self, point: Point) -> Array:
+    def at_origin(self, point: MaterialPoint) -> Array:
         """Return the place of a point of the body where it stands at the origin, not turned."""
 
     @property
-    def attached(self) -> Point | None:
+    def attached(self) -> MaterialPoint | None:
         """The point of another body that it starts at, None if it stands at a place."""
         place = self.place
-        return place if isinstance(place, Point) else None
+        return place if isinstance(place, MaterialPoint) else None
 
     def placement(self) -> dict[str, float]:
         """Return the numbers that say where the body stands, by the names of their targets."""
         turns = np.atleast_1d(np.asarray(self.turn, float)).tolist()
         names = ["turn"] if self.dimension == 2 else [f"turn_{axis}" for axis in "xyz"]
         numbers = dict(zip(names, turns, strict=True))
-        if not isinstance(self.place, Point):
+        if not isinstance(self.place, MaterialPoint):
             places = zip("xyz", self.place, strict=False)
             numbers |= {f"{self.place_word}_{axis}": float(x) for axis, x in places}
         return numbers

@@ -5,19 +5,14 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import (
-    InvalidInput,
-    require_finite,
-    require_flag,
-    require_kind,
-    require_text,
-)
+from ancfdae.errors.checks import require_finite, require_flag, require_kind, require_text
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 
 
 @final
 @dataclass(frozen=True)
-class Point:
+class MaterialPoint:
     """A material point of a beam or a rigid body.
 
     Parameters
@@ -37,7 +32,7 @@ class Point:
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If the fraction lies outside [0, 1], a number is not finite or both x and the fraction are
         given.
     """
@@ -57,14 +52,16 @@ class Point:
             require_finite(where, value)
         if self.before and not self.fraction:
             rule = "must be False at the start of a beam and in a body: nothing lies before"
-            raise InvalidInput(f"{where}, before", rule, f"True at fraction {self.fraction}")
+            raise InvalidInputError(f"{where}, before", rule, f"True at fraction {self.fraction}")
         if self.fraction is None:
             return
         require_finite(where, self.fraction)
         if self.x != 0:
             rule = "needs either a fraction along a beam or an x in a body"
             got = f"both: {self.fraction}, {self.x}"
-            raise InvalidInput(where, rule, got, "Write beam.at(fraction, y), or body.at(x, y).")
+            raise InvalidInputError(
+                where, rule, got, "Write beam.at(fraction, y), or body.at(x, y)."
+            )
         require_fraction(where, self.fraction)
 
     def numbers(self) -> dict[str, float]:
@@ -80,17 +77,19 @@ class Point:
 
 
 def require_point(where: str, point: object, dimension: int = 3) -> None:
-    """Raise InvalidInput unless `point` is a `Point`, in the plane z = 0 if the scene is planar."""
-    require_kind(where, point, (Point,), "Write beam.at_end, beam.at(fraction) or body.at(x, y).")
-    assert isinstance(point, Point)
+    """Raise InvalidInputError unless `point` is a `MaterialPoint`, in the plane z = 0 if the scene is planar."""
+    require_kind(
+        where, point, (MaterialPoint,), "Write beam.at_end, beam.at(fraction) or body.at(x, y)."
+    )
+    assert isinstance(point, MaterialPoint)
     if dimension == 2 and point.z != 0.0:
-        raise InvalidInput(where, "z must be 0 in a planar scene", f"z = {point.z}")
+        raise InvalidInputError(where, "z must be 0 in a planar scene", f"z = {point.z}")
 
 
 def require_fraction(where: str, fraction: float | None) -> float:
-    """Return a fraction along a beam; InvalidInput if it is None or outside [0, 1]."""
+    """Return a fraction along a beam; InvalidInputError if it is None or outside [0, 1]."""
     if fraction is None or not 0.0 <= fraction <= 1.0:
-        raise InvalidInput(
+        raise InvalidInputError(
             where,
             "the fraction along the beam must lie in [0, 1]",
             fraction,
@@ -118,11 +117,11 @@ def locate(nodes: Array, fraction: float, before: bool = False) -> tuple[int, fl
     return (element - 1, 1.0) if before and xi == 0.0 and element else (element, xi)
 
 
-def require_in_section(where: str, point: Point, half: tuple[float, float]) -> None:
+def require_in_section(where: str, point: MaterialPoint, half: tuple[float, float]) -> None:
     """Refuse a point off the section, half of whose height and width are given."""
     # Widened by round-off, so that the surface belongs to the beam.
     if abs(point.y) > half[0] * (1 + 1e-12) or abs(point.z) > half[1] * (1 + 1e-12):
-        raise InvalidInput(
+        raise InvalidInputError(
             where,
             f"the point must lie in the section (|y| <= {half[0]:.6g}, |z| <= {half[1]:.6g})",
             f"y = {point.y}, z = {point.z} at fraction {point.fraction}",

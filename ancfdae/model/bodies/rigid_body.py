@@ -9,8 +9,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import (
-    InvalidInput,
+from ancfdae.errors.checks import (
     require_array,
     require_finite,
     require_kind,
@@ -18,8 +17,9 @@ from ancfdae.errors import (
     require_positive,
     require_vector,
 )
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies.placed import Placed
-from ancfdae.model.bodies.point import Point
+from ancfdae.model.bodies.point import MaterialPoint
 from ancfdae.model.design import Designable
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.rotations import orthonormal
@@ -43,7 +43,7 @@ class BodyShape(Designable, abc.ABC):
 
 
 def require_shape(where: str, value: object) -> None:
-    """Raise InvalidInput unless `value` is a `BodyShape`."""
+    """Raise InvalidInputError unless `value` is a `BodyShape`."""
     require_kind(where, value, (BodyShape,), "For example RigidBox(0.2, 0.1, 0.05).")
 
 
@@ -141,7 +141,7 @@ class RigidBody(Placed, Designable):
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If vectors have the wrong size, mass or shape are missing or both given, the inertia is that
         of no body of some thickness, or the frame is not right-handed and orthonormal.
     """
@@ -192,18 +192,18 @@ class RigidBody(Placed, Designable):
         return replace(self, position=tuple(place))
 
     @property
-    def origin(self) -> Point:
-        """The reference point of the body, as a `Point` for joints and loads."""
-        return Point(self.name)
+    def origin(self) -> MaterialPoint:
+        """The reference point of the body, as a `MaterialPoint` for joints and loads."""
+        return MaterialPoint(self.name)
 
     @property
-    def centre_of_mass(self) -> Point:
+    def centre_of_mass(self) -> MaterialPoint:
         """The centre of mass, where it is at these values."""
         return self.at(*map(float, self.centre))  # type: ignore[arg-type]  # never None here
 
-    def at(self, x: float, y: float = 0.0, z: float = 0.0) -> Point:
+    def at(self, x: float, y: float = 0.0, z: float = 0.0) -> MaterialPoint:
         """Return the point at a place in the axes of the body; m."""
-        return Point(self.name, x=x, y=y, z=z)
+        return MaterialPoint(self.name, x=x, y=y, z=z)
 
     def directions(self) -> Array:
         """Return the axes of the body in the reference configuration as rows, shape (d, d)."""
@@ -211,7 +211,7 @@ class RigidBody(Placed, Designable):
             return np.eye(self.dimension)
         return orthonormal(np.asarray(self.frame, dtype=float))
 
-    def at_origin(self, point: Point) -> Array:
+    def at_origin(self, point: MaterialPoint) -> Array:
         """Return the place of a point along the axes."""
         return np.array([point.x, point.y, point.z])[: self.dimension] @ self.directions()
 
@@ -238,7 +238,7 @@ class RigidBody(Placed, Designable):
         names = ("mass", "inertia", "shape", "density")
         given = [name for name in names if getattr(self, name) is not None]
         if given not in (["mass", "inertia"], ["shape", "density"]):
-            raise InvalidInput(
+            raise InvalidInputError(
                 where,
                 "needs either mass and inertia, or a shape and its density",
                 ", ".join(given) or "none of them",
@@ -247,7 +247,7 @@ class RigidBody(Placed, Designable):
         if self.inertia is None:
             return
         if (np.ndim(self.inertia) == 0) != (self.dimension == 2):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"{where}, inertia",
                 "must be a number in the plane and have 3 or 6 components in space",
                 self.inertia,
@@ -260,7 +260,7 @@ class RigidBody(Placed, Designable):
             if self.dimension == 3:
                 rule = "each principal moment must be less than the sum of the other two"
             repair = "Give the moments of a body of some thickness."
-            raise InvalidInput(f"{where}, inertia", rule, self.inertia, repair)
+            raise InvalidInputError(f"{where}, inertia", rule, self.inertia, repair)
 
     def _check_frame(self, where: str) -> None:
         if self.frame is None:
@@ -268,7 +268,7 @@ class RigidBody(Placed, Designable):
         d = self.dimension
         rows = require_array(f"{where}, frame", self.frame, (d, d))
         if np.max(np.abs(rows @ rows.T - np.eye(d))) > _SQUARE or np.linalg.det(rows) < 0:
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"{where}, frame",
                 "must have perpendicular rows of unit length that are right-handed",
                 rows.tolist(),

@@ -13,7 +13,7 @@ from ancfdae.model.elements.energy import (
     EnhancedContinuum,
     PlaneStress,
     SaintVenantKirchhoff,
-    StrainEnergy,
+    StrainEnergyFunction,
 )
 
 #: Every element.

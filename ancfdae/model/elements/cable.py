@@ -19,13 +19,13 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.elements.cable_forces import CableSectionLaw, CableStressLaw
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
+    ElementIntegrals,
     ElementParameter,
-    Integrals,
     Quantity,
     SectionLaw,
     SectionPlace,
@@ -60,7 +60,7 @@ class Cable(BeamElement):
         """Refuse sections that bend more easily one way than another, in space."""
         (yy, yz), (_, zz) = section.second_moments()
         if self.d == 3 and max(abs(yy - zz), 2 * abs(yz)) > _ROUND * (yy + zz):
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"{where}, section",
                 "must bend as easily about every axis: a cable in space has no axes across it",
                 repr(section),
@@ -76,10 +76,10 @@ class Cable(BeamElement):
         chord, first, second = tangent_weights(np.array(xi))
         return np.array([-chord, first, chord, second]), np.array([-1, 0, -1, 0])
 
-    def integrals(self, batch: Batch, owners: Array) -> Integrals:
+    def integrals(self, batch: Batch, owners: Array) -> ElementIntegrals:
         """Integrals times E A, rho A and E I."""
         if not batch.kind.straight:
-            raise InvalidInput(
+            raise InvalidInputError(
                 str(owners[0]),
                 "a cable must be straight in its reference configuration",
                 "a curved one",
@@ -97,7 +97,7 @@ class Cable(BeamElement):
 
 
 @final
-class _CableIntegrals(Integrals):
+class _CableIntegrals(ElementIntegrals):
     """A and m of unit moduli, times those of each element, and the flexural stiffness."""
 
     def __init__(self, batch: Batch) -> None:

@@ -19,8 +19,9 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_text
-from ancfdae.model.elements.energy import StrainEnergy
+from ancfdae.errors.checks import require_text
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.elements.energy import StrainEnergyFunction
 from ancfdae.model.sections.section import Section
 from ancfdae.numerics.arrays import STEP, Array
 
@@ -61,7 +62,7 @@ class ElementType:
     """Type of an element: what is equal in a batch, whose elements differ in numbers only."""
 
     section: Section  # one of theirs; its sizes do not count
-    energy: StrainEnergy | None  # None for elements with a law of their own
+    energy: StrainEnergyFunction | None  # None for elements with a law of their own
     # Whether dr_o/dx is the same at every point of an element, so that a low-order rule is exact.
     straight: bool
 
@@ -92,7 +93,7 @@ class Batch:
         return int(self.Y_unit.shape[2])
 
     @property
-    def energy(self) -> StrainEnergy:
+    def energy(self) -> StrainEnergyFunction:
         """The energy of elements that have one."""
         assert self.kind.energy is not None
         return self.kind.energy
@@ -113,7 +114,7 @@ class Batch:
 
     @property
     def stiffness(self) -> tuple[Array, ...]:
-        """Elastic moduli by E and nu; see `StrainEnergy.stiffness`."""
+        """Elastic moduli by E and nu; see `StrainEnergyFunction.stiffness`."""
         return self.energy.stiffness(self.d, *self.moduli)
 
     @property
@@ -180,7 +181,7 @@ class Invariants:
     partials: dict[ElementParameter, InvariantPartial]
 
 
-class Integrals(abc.ABC):
+class ElementIntegrals(abc.ABC):
     """Invariants divided by a power of the element length l, given for each entry by `powers`."""
 
     # A, m, and the flexural stiffness E I, (n, 1), of elements that bend as cables do.
@@ -291,14 +292,14 @@ class BeamElement(abc.ABC):
         if self.quantities[:2] != (Quantity.POSITION, Quantity.SLOPE_X):
             rule = "must begin with a position and the slope along the beam"
             repair = "Begin with Quantity.POSITION, Quantity.SLOPE_X."
-            raise InvalidInput(f"{where}, quantities", rule, self.quantities, repair)
+            raise InvalidInputError(f"{where}, quantities", rule, self.quantities, repair)
         for quantity in self.quantities:
             given: object = self.vector_weights(quantity, 0.5, 0.0, 0.0)
             shapes = [np.shape(x) for x in given] if isinstance(given, tuple) else repr(given)
             if shapes != 2 * [(self.n_a,)]:
                 rule = f"must be weights and powers of the length, ({self.n_a},) each"
                 repair = "Give one for each vector of both nodes."
-                raise InvalidInput(f"{where}, vector_weights", rule, shapes, repair)
+                raise InvalidInputError(f"{where}, vector_weights", rule, shapes, repair)
 
     def check_section(self, where: str, section: Section) -> None:
         """Refuse a section that the element cannot stand for."""
@@ -307,11 +308,11 @@ class BeamElement(abc.ABC):
     def require(self, where: str, quantity: Quantity, y: float, z: float) -> None:
         """Refuse a vector that a point, offset in the section by y and z, does not have."""
         if Quantity.SLOPE_Y not in self.quantities and (y != 0 or z != 0):
-            raise InvalidInput(
+            raise InvalidInputError(
                 where, "y and z must be 0: the element has no section", f"y = {y}, z = {z}"
             )
         if quantity not in self.quantities:
-            raise InvalidInput(
+            raise InvalidInputError(
                 where,
                 f"the element must have the vector {quantity.name}",
                 f"an element of {', '.join(each.name for each in self.quantities)}",
@@ -331,11 +332,11 @@ class BeamElement(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def default_energy(self) -> StrainEnergy | None:
+    def default_energy(self) -> StrainEnergyFunction | None:
         """Energy of beams that declare none; None if the element has a law of its own."""
 
     @abc.abstractmethod
-    def integrals(self, batch: Batch, owners: Array) -> Integrals:
+    def integrals(self, batch: Batch, owners: Array) -> ElementIntegrals:
         """Integrate the invariants of some elements; `owners` as in `invariants.prepare`."""
 
     @abc.abstractmethod

@@ -10,7 +10,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from ancfdae.errors import require_kind
+from ancfdae.errors.checks import require_kind
 from ancfdae.numerics.arrays import Array
 
 # Where 1 - 2 nu is smaller, sections of a beam need less than the full stiffness of the volume.
@@ -18,7 +18,7 @@ _COMPRESSIBLE = 0.02
 
 
 @dataclass(frozen=True)
-class StrainEnergy(abc.ABC):
+class StrainEnergyFunction(abc.ABC):
     """Strain energy of a beam as a function of its strains.
 
     Parameters
@@ -59,12 +59,12 @@ class StrainEnergy(abc.ABC):
 
 @final
 @dataclass(frozen=True)
-class SaintVenantKirchhoff(StrainEnergy):
+class SaintVenantKirchhoff(StrainEnergyFunction):
     """Full three-dimensional elasticity; plane strain in the plane (the source paper's).
 
     Sections stay flat, but Poisson's effect requires them to be curved in bending: a beam of
     Poisson's ratio 0.3 bends 1.35 times too stiffly however many elements it has. Right at nu = 0.
-    Parameters are those of `StrainEnergy`.
+    Parameters are those of `StrainEnergyFunction`.
     """
 
     def stress_across(self, d: int, nu: Array) -> Array:
@@ -78,11 +78,11 @@ class SaintVenantKirchhoff(StrainEnergy):
 
 @final
 @dataclass(frozen=True)
-class PlaneStress(StrainEnergy):
+class PlaneStress(StrainEnergyFunction):
     """Plane stress, for planar beams that are free to contract across the plane.
 
     Bends 1/(1 - nu^2) times too stiffly, 1.10 at nu = 0.3, for the reason that holds for
-    `SaintVenantKirchhoff`. Parameters are those of `StrainEnergy`.
+    `SaintVenantKirchhoff`. Parameters are those of `StrainEnergyFunction`.
     """
 
     dimensions = (2,)
@@ -94,7 +94,7 @@ class PlaneStress(StrainEnergy):
 
 @final
 @dataclass(frozen=True)
-class EnhancedContinuum(StrainEnergy):
+class EnhancedContinuum(StrainEnergyFunction):
     """The split of Gerstmayr, Matikainen and Mikkola (2008), with section properties; the default.
 
     Poisson's effect counts on the axis only, where sections can follow it, so that beams bend with
@@ -106,7 +106,7 @@ class EnhancedContinuum(StrainEnergy):
     Parameters
     ----------
     assumed_strains : bool
-        As in `StrainEnergy`; here true by default.
+        As in `StrainEnergyFunction`; here true by default.
     """
 
     assumed_strains: bool = True

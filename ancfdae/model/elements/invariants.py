@@ -15,13 +15,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ancfdae.errors import require_kind
+from ancfdae.errors.checks import require_kind
 from ancfdae.kernels import gram
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
+    ElementIntegrals,
     ElementParameter,
-    Integrals,
     InvariantPartial,
     Invariants,
 )
@@ -42,7 +42,7 @@ def prepare(
 ) -> Invariants:
     """Integrate the invariants of a batch, and the derivatives in the parameters wanted.
 
-    InvalidInput, with what each element belongs to, if the reference configuration folds (det
+    InvalidInputError, with what each element belongs to, if the reference configuration folds (det
     dr_o/dx <= 0 somewhere).
     """
     wanted, n = tuple(wanted), len(batch.parameters)
@@ -62,7 +62,7 @@ def _invariants(
         f"integrals of the element {element.name}",
         "Return an object of the class `Integrals`.",
     )
-    require_kind(where, integrals, (Integrals,), repair)
+    require_kind(where, integrals, (ElementIntegrals,), repair)
     lengths = [batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
     whole = [x * size for x, size in zip(integrals.values, sizes, strict=True)]

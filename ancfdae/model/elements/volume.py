@@ -10,7 +10,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.elements.element import Batch, ElementParameter, Quantity
 from ancfdae.model.elements.fibre_strains import Fibres, Frames
 from ancfdae.model.elements.hermite import shape_weights
@@ -95,7 +95,7 @@ class Region:
     These are places xi along the axis with their weights, (n_xi,) each. `beta`, (n_xi, n_s, n_g),
     are strains of the section in the Gram matrix of the scaled node vectors; `R`, (n, n_xi or 1,
     n_f, n_v, n_s), those at the fibres in these, one for all places of straight elements; `volume`
-    is (n, n_xi or 1, n_f). InvalidInput names the owner of an element, (n,), whose reference
+    is (n, n_xi or 1, n_f). InvalidInputError names the owner of an element, (n,), whose reference
     configuration folds (det dr_o/dx <= 0 somewhere).
     """
 
@@ -203,7 +203,7 @@ def _refuse_folds(stretch: Array, owners: Array) -> None:
     worst = np.min(stretch.real, axis=(1, 2))
     if not np.all(worst > 0):
         k = int(np.argmin(worst))
-        raise InvalidInput(
+        raise InvalidInputError(
             str(owners[k]),
             "dr_o/dx of the reference configuration must have a positive determinant everywhere",
             f"{float(worst[k]):.3g} at the worst point",

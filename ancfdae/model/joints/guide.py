@@ -3,18 +3,18 @@
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.model.bodies import Point
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.frames import carrier_of, hold_place, place_shapes, sections, square, unit
-from ancfdae.model.joints.joint import SECTION, Equations, Travelling, empty_coefficients
+from ancfdae.model.joints.joint import SECTION, JointEquations, Travelling, empty_equations
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
 
 @final
 @dataclass(frozen=True)
-class Guide(Travelling):
+class TranslationDriver(Travelling):
     """Move a point along a direction by a law of time.
 
     direction . (r(point) - r(other)) = x(t) more than in the reference configuration, the ground
@@ -24,15 +24,15 @@ class Guide(Travelling):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     direction : sequence of float
         Not zero; its length does not count.
     travel : Law
-    other : Point, optional
+    other : MaterialPoint, optional
         Point of another beam, whose section carries the direction; without it it is fixed.
     """
 
-    other: Point | None = None
+    other: MaterialPoint | None = None
 
     kind = "guide"
     sign = Sign("guide", r"$\leftrightarrow$", filled=True, size=15.0)
@@ -45,19 +45,19 @@ class Guide(Travelling):
         first, second, *slopes = super().vectors(elements)
         return (first, second, *slopes[elements.d :])
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Direction . (r - r') as in the reference."""
         e = unit(self.split(p)[0])
         others = sections(self.points[1:], reference)
         carrier = carrier_of(others)
-        c = empty_coefficients(1, p, reference, square(carrier, unless_it_holds=e))
+        c = empty_equations(1, p, reference, square(carrier, unless_it_holds=e))
         hold_place(c, 0, carrier, e, e @ (reference[0] - reference[1] if others else reference[0]))
         place_shapes(c, others)
         return c
 
-    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+    def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
         """Return the coefficients that go with the law: an offset along the direction."""
         c = self.coefficients(p, reference)
-        travel = empty_coefficients(len(c.offset), p, reference)
+        travel = empty_equations(len(c.offset), p, reference)
         travel.offset[0] = 1.0
         return (travel,)

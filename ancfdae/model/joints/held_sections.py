@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.errors import require_vector
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_vector
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.frames import (
@@ -18,10 +18,10 @@ from ancfdae.model.joints.frames import (
 )
 from ancfdae.model.joints.joint import (
     SECTION,
-    Equations,
     Joint,
+    JointEquations,
     Travelling,
-    empty_coefficients,
+    empty_equations,
     place_coincidence,
 )
 from ancfdae.model.parts import Elements, Vectors
@@ -44,13 +44,13 @@ class Clamp(Joint):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     ground : sequence of float, optional
         Position on the ground, with design targets ``ground_x`` ...; by default where the point is
         in the reference configuration.
     """
 
-    point: Point
+    point: MaterialPoint
     ground: Sequence[float] | None = None
 
     kind = "clamp"
@@ -65,11 +65,11 @@ class Clamp(Joint):
         slopes = quantities[2:] or quantities[1:]
         return tuple((self.point, q) for q in (Quantity.POSITION, *slopes))
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Coincidence, and one equation for every turn."""
         d, slopes = reference.shape[1], reference[1:]
         shapes = flat_angle(self.point) if len(slopes) == 2 else ()
-        c = empty_coefficients(d + (3 if shapes else d - 1), p, reference, shapes)
+        c = empty_equations(d + (3 if shapes else d - 1), p, reference, shapes)
         place_coincidence(c, 1, reference, *self.split(p))
         fix_turn(c, d, slopes, 1)
         return c
@@ -89,12 +89,12 @@ class Weld(Joint):
 
     Parameters
     ----------
-    point, other : Point
+    point, other : MaterialPoint
         At the same place in the reference configuration.
     """
 
-    point: Point
-    other: Point
+    point: MaterialPoint
+    other: MaterialPoint
 
     kind = "weld"
     sign = Sign("weld", "X", filled=True)
@@ -106,11 +106,11 @@ class Weld(Joint):
         """Return true: places coincide, wherever they are."""
         return True
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Coincidence, and one equation for every turn."""
         d, (section, other) = reference.shape[1], sections(self.points, reference)
         rows = 3 if d == 2 else 6
-        c = empty_coefficients(rows, p, reference, section.flat() + other.flat())
+        c = empty_equations(rows, p, reference, section.flat() + other.flat())
         place_coincidence(c, 2, reference, None)
         hold_turn(c, slice(d, rows), section, other)
         place_shapes(c, (section, other))
@@ -119,17 +119,17 @@ class Weld(Joint):
 
 @final
 @dataclass(frozen=True)
-class MovingBase(Travelling):
+class MovingSupport(Travelling):
     """Hold a section as a `Clamp` does, on a base that moves along a direction by a law of time.
 
     r(point) = r_o(point) + e x(t), e being the direction at unit length. A base that turns is a
-    `Revolute`, in the plane a `Pin`, with a `Drive`; one that moves in a plane and turns a
-    `PlanarJoint` with two of `Guide` and a `Drive`. Design targets: ``direction_x`` ... and the
-    parameters of the law.
+    `Revolute`, in the plane a `Pin`, with a `RotationDriver`; one that moves in a plane and turns a
+    `PlanarJoint` with two of `TranslationDriver` and a `RotationDriver`. Design targets:
+    ``direction_x`` ... and the parameters of the law.
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     direction : sequence of float
         Not zero; its length does not count.
     travel : Law
@@ -143,13 +143,13 @@ class MovingBase(Travelling):
         """Return the vectors of a `Clamp` at the point."""
         return Clamp(self.point).vectors(elements)
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Return the coefficients of a `Clamp` at the point."""
         return Clamp(self.point).coefficients(p[:0], reference)
 
-    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+    def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
         """Return the coefficients that go with the law: the direction of the travel."""
         still = self.coefficients(p, reference)
-        c = empty_coefficients(len(still.offset), p, reference)
+        c = empty_equations(len(still.offset), p, reference)
         c.offset[: reference.shape[1]] = unit(self.split(p)[0])
         return (c,)

@@ -6,11 +6,11 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import require_direction, require_positive, require_vector
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_direction, require_positive, require_vector
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign, Stroke
 from ancfdae.model.joints.frames import across
-from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients, place_coincidence
+from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations, place_coincidence
 from ancfdae.numerics.arrays import Array
 
 
@@ -24,16 +24,16 @@ class Pin(Joint):
 
     Parameters
     ----------
-    point : Point
-    other : Point, optional
+    point : MaterialPoint
+    other : MaterialPoint, optional
         Point of another beam; without it the joint holds to ground.
     ground : sequence of float, optional
         Position on the ground; by default where the point is in the reference configuration, also
         where other design variables move it, until a target such as ``ground_x`` writes it.
     """
 
-    point: Point
-    other: Point | None = None
+    point: MaterialPoint
+    other: MaterialPoint | None = None
     ground: Sequence[float] | None = None
 
     kind = "pin"
@@ -46,10 +46,10 @@ class Pin(Joint):
         """To ground the place of the point matters as well."""
         return self.other is not None
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """r(point) - r(other), or r(point) - ground."""
         n, d = reference.shape
-        c = empty_coefficients(d, p, reference)
+        c = empty_equations(d, p, reference)
         place_coincidence(c, n, reference, *self.split(p))
         return c
 
@@ -68,17 +68,17 @@ class Distance(Joint):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     length : float
         Length L of the link; positive.
-    other : Point, optional
+    other : MaterialPoint, optional
     ground : sequence of float, optional
         Position on the ground; just one of `other` and `ground` must be given.
     """
 
-    point: Point
+    point: MaterialPoint
     length: float
-    other: Point | None = None
+    other: MaterialPoint | None = None
     ground: Sequence[float] | None = None
 
     kind = "link"
@@ -87,9 +87,9 @@ class Distance(Joint):
     design_fields = (("length", require_positive), ("ground", require_vector))
     needs_other_end = True
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """(|U_0 - U_1|^2 / L - L) / 2."""
-        n, c = len(reference), empty_coefficients(1, p, reference)
+        n, c = len(reference), empty_equations(1, p, reference)
         L, ground = self.split(p)
         c.bilinear[0] = np.array([[1, -1], [-1, 1]])[:n, :n] / L
         c.offset[0] = L / 2
@@ -112,14 +112,14 @@ class PointOnLine(Joint):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     direction : sequence of float
         Direction of the line, not zero; its length has no effect (dimensionless).
     through : sequence of float, optional
         A point of the line; by default where `point` is in the reference configuration.
     """
 
-    point: Point
+    point: MaterialPoint
     direction: Sequence[float]
     through: Sequence[float] | None = None
 
@@ -128,9 +128,9 @@ class PointOnLine(Joint):
     way_field = "direction"
     design_fields = (("direction", require_direction), ("through", require_vector))
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Return the coefficients of n_j . (r - through) = 0, one row per direction across."""
-        c = empty_coefficients(reference.shape[1] - 1, p, reference)
+        c = empty_equations(reference.shape[1] - 1, p, reference)
         direction, through = self.split(p)
         c.linear[:, 0] = across(direction)
         c.offset[:] = c.linear[:, 0] @ (reference[0] if through is None else through)

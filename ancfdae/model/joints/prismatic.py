@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.errors import require_direction
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_direction
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import (
     across,
@@ -17,7 +17,7 @@ from ancfdae.model.joints.frames import (
     sections,
     square,
 )
-from ancfdae.model.joints.joint import SECTION, Equations, Joint, empty_coefficients
+from ancfdae.model.joints.joint import SECTION, Joint, JointEquations, empty_equations
 from ancfdae.numerics.arrays import Array
 
 
@@ -34,17 +34,17 @@ class Prismatic(Joint):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     axis : sequence of float
         Direction in the reference configuration; not zero.
-    other : Point, optional
+    other : MaterialPoint, optional
         Point of another beam, whose section carries the axis along; without it the axis is fixed
         to ground.
     """
 
-    point: Point
+    point: MaterialPoint
     axis: Sequence[float]
-    other: Point | None = None
+    other: MaterialPoint | None = None
 
     kind = "prismatic"
     sign = Sign("prismatic joint", "d")
@@ -52,14 +52,14 @@ class Prismatic(Joint):
     way_field = "axis"
     design_fields = (("axis", require_direction),)
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Equations across the axis, and one for every turn."""
         (axis,), d = self.split(p), reference.shape[1]
         section, *others = sections(self.points, reference)
         carrier, places = carrier_of(others), reference[: len(self.points)]
         apart = places[0] - places[1] if others else places[0]
         rows = 2 if d == 2 else 5
-        c = empty_coefficients(rows, p, reference, section.flat() + square(carrier))
+        c = empty_equations(rows, p, reference, section.flat() + square(carrier))
         for row, e in enumerate(across(axis)):
             hold_place(c, row, carrier, e, e @ apart)
         if others:

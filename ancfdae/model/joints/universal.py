@@ -6,15 +6,16 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_direction, require_vector
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_direction, require_vector
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import carrier_of, place_shapes, sections, square, unit
 from ancfdae.model.joints.joint import (
     SECTION,
-    Equations,
     Joint,
-    empty_coefficients,
+    JointEquations,
+    empty_equations,
     place_coincidence,
 )
 from ancfdae.numerics.arrays import Array
@@ -34,21 +35,21 @@ class Universal(Joint):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     axis : sequence of float
         Axis of the cross that the section of the point carries, in the reference; not zero.
     cross : sequence of float
         Axis of the cross that `other` or the ground carries, in the reference; not zero.
-    other : Point, optional
+    other : MaterialPoint, optional
     ground : sequence of float, optional
         Position on the ground, not with `other`, with design targets ``ground_x`` ...; by default
         where the point is in the reference configuration.
     """
 
-    point: Point
+    point: MaterialPoint
     axis: Sequence[float]
     cross: Sequence[float]
-    other: Point | None = None
+    other: MaterialPoint | None = None
     ground: Sequence[float] | None = None
 
     kind = "universal"
@@ -68,7 +69,7 @@ class Universal(Joint):
         super().__post_init__()
         axis, cross = (np.asarray(direction, float) for direction in (self.axis, self.cross))
         if len(axis) == len(cross) and abs(unit(axis) @ unit(cross)) > 1 - _PARALLEL:
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"joint {self.name!r}, cross",
                 "must not be parallel to the axis",
                 self.cross,
@@ -80,14 +81,14 @@ class Universal(Joint):
         """To ground the place of the point matters as well."""
         return self.other is not None
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Coincidence, and F axis . F' cross as in the reference."""
         *directions, ground = self.split(p)
         axis, cross = map(unit, directions)
         both = sections(self.points, reference)
         carrier = carrier_of(both[1:])
         shapes = square(both[0], unless_it_holds=axis) + square(carrier, unless_it_holds=cross)
-        c = empty_coefficients(4, p, reference, shapes)
+        c = empty_equations(4, p, reference, shapes)
         place_coincidence(c, len(both), reference, ground)
         carrier.meet(c, 3, both[0].carried(axis), cross)
         c.offset[3] = np.sum(axis * cross)

@@ -5,7 +5,7 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import require_kind
+from ancfdae.errors.checks import require_kind
 from ancfdae.model.design import Designable
 from ancfdae.numerics.arrays import Array
 
@@ -28,7 +28,7 @@ class Law(Designable, abc.ABC):
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
         """
 
     @abc.abstractmethod
@@ -58,5 +58,5 @@ class Law(Designable, abc.ABC):
 
 
 def require_law(where: str, value: object) -> None:
-    """Raise InvalidInput unless `value` is a `Law`, a function of time."""
-    require_kind(where, value, (Law,), "For example Uniform(speed=2).")
+    """Raise InvalidInputError unless `value` is a `Law`, a function of time."""
+    require_kind(where, value, (Law,), "For example ConstantAcceleration(speed=2).")

@@ -7,8 +7,8 @@ from typing import Any, final
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from ancfdae.errors import require_positive
-from ancfdae.model.design import numbers
+from ancfdae.errors.checks import require_positive
+from ancfdae.model.design import design_numbers
 from ancfdae.model.laws.law import Law, require_law
 from ancfdae.numerics.arrays import Array
 
@@ -41,7 +41,7 @@ def smooth_step(t: Any, begin: complex, duration: complex, order: int) -> Array:
 
 @final
 @dataclass(frozen=True)
-class Ramp(Law):
+class SmoothStep(Law):
     """From one value to another between two times, constant before and after.
 
     With s = (t - begin)/duration, held between 0 and 1:
@@ -64,9 +64,9 @@ class Ramp(Law):
     begin: float = 0.0
 
     design_fields = (
-        *numbers("initial", "final"),
+        *design_numbers("initial", "final"),
         ("duration", require_positive),
-        *numbers("begin"),
+        *design_numbers("begin"),
     )
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
@@ -86,7 +86,7 @@ class Ramp(Law):
 class RunUp(Law):
     """At rest before, with a constant rate after: the angle of a motor that runs up and is held.
 
-    The rate is that of a `Ramp` from zero to `rate`, so that at the end of the passage
+    The rate is that of a `SmoothStep` from zero to `rate`, so that at the end of the passage
     x = initial + rate duration/2.
 
     Parameters
@@ -107,9 +107,9 @@ class RunUp(Law):
     begin: float = 0.0
 
     design_fields = (
-        *numbers("rate"),
+        *design_numbers("rate"),
         ("duration", require_positive),
-        *numbers("initial", "begin"),
+        *design_numbers("initial", "begin"),
     )
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
@@ -126,12 +126,12 @@ class RunUp(Law):
 
 @final
 @dataclass(frozen=True)
-class Change(Law):
+class Transition(Law):
     """One law before, another after: x = (1 - S) before + S after.
 
-    S passes from 0 to 1 as a `Ramp` does, so that three derivatives are continuous. A law in more
-    pieces is a change of a change. Design targets: ``before_...`` and ``after_...`` with the names
-    of both laws' own, ``duration`` and ``begin``.
+    S passes from 0 to 1 as a `SmoothStep` does, so that three derivatives are continuous. A law in
+    more pieces is a change of a change. Design targets: ``before_...`` and ``after_...`` with the
+    names of both laws' own, ``duration`` and ``begin``.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class Change(Law):
         ("before", require_law),
         ("after", require_law),
         ("duration", require_positive),
-        *numbers("begin"),
+        *design_numbers("begin"),
     )
 
     def numbers_of(self, name: str) -> dict[str, float]:

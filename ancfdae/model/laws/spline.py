@@ -10,7 +10,8 @@ from typing import Any, ClassVar, final
 import numpy as np
 import scipy
 
-from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.errors.checks import require_positive
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.design import require_numbers
 from ancfdae.model.laws.law import Law
 from ancfdae.numerics.arrays import Array, Numbers
@@ -26,7 +27,7 @@ class Spline(Law):
 
     Before the first and after the last time it is constant, and its first three derivatives vanish
     there, so that they are continuous everywhere: a drive starts and ends at rest. A spline with a
-    `period` repeats instead; one through two values is a `Ramp`. Between equidistant times it
+    `period` repeats instead; one through two values is a `SmoothStep`. Between equidistant times it
     exceeds the largest value at most 2.5 times; at very uneven times much more. Design targets:
     ``value[0]``, ``value[1]`` ...
 
@@ -52,10 +53,10 @@ class Spline(Law):
         require_numbers("Spline, times", self.times)
         if len(self.times) < 2 or np.any(np.diff(self.times) <= 0):
             repair = "Give two times or more in ascending order."
-            raise InvalidInput("Spline, times", "must ascend", list(self.times), repair)
+            raise InvalidInputError("Spline, times", "must ascend", list(self.times), repair)
         if len(self.values) != len(self.times):
             got = f"{len(self.values)} values at {len(self.times)} times"
-            raise InvalidInput("Spline, values", "must be one per time", got)
+            raise InvalidInputError("Spline, values", "must be one per time", got)
         if self.period is None:
             return
         require_positive("Spline, period", self.period)
@@ -63,7 +64,7 @@ class Spline(Law):
         if self.period <= span:
             repair = "The first value returns one period after the first time: leave it out there."
             rule = f"must exceed the {span:g} from the first time to the last"
-            raise InvalidInput("Spline, period", rule, self.period, repair)
+            raise InvalidInputError("Spline, period", rule, self.period, repair)
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
         """First and last time; between them six derivatives are continuous."""

@@ -6,7 +6,8 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_function
+from ancfdae.errors.checks import require_function
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.design import require_numbers
 from ancfdae.model.laws.law import Law
 from ancfdae.numerics.arrays import Array, Numbers
@@ -54,7 +55,7 @@ class UserLaw(Law):
         return np.asarray(value + 0 * t)
 
     def check(self) -> None:
-        """Raise InvalidInput unless the law is a function with its derivatives."""
+        """Raise InvalidInputError unless the law is a function with its derivatives."""
         where = "UserLaw, function"
         require_function(where, self.function)
         p = np.array(self.values, dtype=float)
@@ -64,16 +65,16 @@ class UserLaw(Law):
                 self.derivatives(p, _TRIED)
                 plain = self.function(_TRIED, *p) + 0 * _TRIED
             except FAILURES as error:
-                if isinstance(error, InvalidInput):
+                if isinstance(error, InvalidInputError):
                     raise
-                raise InvalidInput(
+                raise InvalidInputError(
                     where,
                     "must have derivatives in time",
                     f"{type(error).__name__}: {error}",
                     "Write it for arrays, with arithmetic and NumPy's elementary functions.",
                 ) from error
             if not np.allclose(values, plain, rtol=1e-9, atol=0.0, equal_nan=True):
-                raise InvalidInput(
+                raise InvalidInputError(
                     where,
                     "must have the same values for numbers and for Taylor series",
                     f"{plain} and {values}",

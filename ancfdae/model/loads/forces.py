@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-from ancfdae.errors import require_vector
-from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.loads.load import LAW, ConstantLoad, Load
+from ancfdae.errors.checks import require_vector
+from ancfdae.model.bodies import MaterialPoint, Quantity
+from ancfdae.model.loads.load import LAW_FIELD, ConstantLoad, Load
 from ancfdae.model.parts import CentreLine, Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, direction
@@ -21,16 +21,16 @@ class PointForce(ConstantLoad):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     force_vector : sequence of float
         N.
     """
 
-    point: Point
+    point: MaterialPoint
     force_vector: Sequence[float]
 
     kind = "force"
-    design_fields = (("force_vector", require_vector), LAW)
+    design_fields = (("force_vector", require_vector), LAW_FIELD)
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the vector that the force acts on: the position of the point."""
@@ -56,7 +56,7 @@ class DistributedForce(ConstantLoad):
     force_per_length: Sequence[float]
 
     kind = "line-load"
-    design_fields = (("force_per_length", require_vector), LAW)
+    design_fields = (("force_per_length", require_vector), LAW_FIELD)
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the integral of the position over the centre line."""
@@ -73,16 +73,16 @@ class FollowerForce(Load):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     force_components : sequence of float
         Components along tangent, height axis(, width axis); N.
     """
 
-    point: Point
+    point: MaterialPoint
     force_components: Sequence[float]
 
     kind = "follower"
-    design_fields = (("force_components", require_vector), LAW)
+    design_fields = (("force_components", require_vector), LAW_FIELD)
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the vectors that the force depends on: position and slopes of the point."""

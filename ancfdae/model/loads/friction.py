@@ -6,10 +6,11 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_direction, require_positive
-from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.design import numbers
-from ancfdae.model.loads.load import LAW, Load, SectionLoad
+from ancfdae.errors.checks import require_direction, require_positive
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.bodies import MaterialPoint, Quantity
+from ancfdae.model.design import design_numbers
+from ancfdae.model.loads.load import LAW_FIELD, Load, SectionLoad
 from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of, turn, unit_axes
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
@@ -17,9 +18,9 @@ from ancfdae.numerics.jets import concatenate, direction, dot
 
 #: Design fields of the levels, in the order that `friction` takes them, and those that damp.
 LEVELS = (
-    *numbers("coulomb"),
+    *design_numbers("coulomb"),
     ("smooth_speed", require_positive),
-    *numbers("viscous", "breakaway"),
+    *design_numbers("viscous", "breakaway"),
     ("stribeck_speed", require_positive),
 )
 DAMPING = ("coulomb", "viscous", "breakaway")
@@ -44,12 +45,12 @@ def require_stribeck(where: str, breakaway: object, stribeck_speed: object) -> N
     if (breakaway is None) != (stribeck_speed is None):
         got = "one of them"
         rule, repair = "breakaway and stribeck_speed belong together", "Give both, or none."
-        raise InvalidInput(where, rule, got, repair)
+        raise InvalidInputError(where, rule, got, repair)
 
 
 @final
 @dataclass(frozen=True)
-class JointFriction(SectionLoad):
+class RotationalFriction(SectionLoad):
     """Dry and viscous friction about an axis between two sections, or a section and the ground.
 
     With w = theta' the relative angular velocity the torque on the section is
@@ -60,7 +61,7 @@ class JointFriction(SectionLoad):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     coulomb : float
         c; N m.
     smooth_speed : float
@@ -70,21 +71,21 @@ class JointFriction(SectionLoad):
     breakaway, stribeck_speed : float, optional
         b, in N m, and w_s, positive, in rad/s.
     axis, other
-        As in `Torque`; the other section is that of the other part of the joint.
+        As in `MotorTorque`; the other section is that of the other part of the joint.
     """
 
-    point: Point
+    point: MaterialPoint
     coulomb: float
     smooth_speed: float
     viscous: float = 0.0
     breakaway: float | None = None
     stribeck_speed: float | None = None
     axis: Sequence[float] | None = None
-    other: Point | None = None
+    other: MaterialPoint | None = None
 
     kind = "friction"
     elastic = True
-    design_fields = (*LEVELS, ("axis", require_direction), LAW)
+    design_fields = (*LEVELS, ("axis", require_direction), LAW_FIELD)
     damping_fields = DAMPING
     refers = True
 
@@ -102,36 +103,36 @@ class JointFriction(SectionLoad):
 
 @final
 @dataclass(frozen=True)
-class SlideFriction(Load):
+class TranslationalFriction(Load):
     """Dry and viscous friction of a point along a line, on the ground or on another section.
 
-    With w the speed along the line the force is the curve of `JointFriction`, in newton. Design
-    targets: ``direction_x`` ..., ``coulomb``, ``smooth_speed``, ``viscous``, ``breakaway`` and
-    ``stribeck_speed``.
+    With w the speed along the line the force is the curve of `RotationalFriction`, in newton.
+    Design targets: ``direction_x`` ..., ``coulomb``, ``smooth_speed``, ``viscous``, ``breakaway``
+    and ``stribeck_speed``.
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     direction : sequence of float
         Of the line in the reference configuration; it turns with the other section.
     coulomb, smooth_speed, viscous, breakaway, stribeck_speed
-        As in `JointFriction`, in N, m/s, N s/m, N and m/s.
-    other : Point, optional
+        As in `RotationalFriction`, in N, m/s, N s/m, N and m/s.
+    other : MaterialPoint, optional
         A point of the line, on a beam; the line is on the ground by default.
     """
 
-    point: Point
+    point: MaterialPoint
     direction: Sequence[float]
     coulomb: float
     smooth_speed: float
     viscous: float = 0.0
     breakaway: float | None = None
     stribeck_speed: float | None = None
-    other: Point | None = None
+    other: MaterialPoint | None = None
 
     kind = "slide-friction"
     elastic = True
-    design_fields = (("direction", require_direction), *LEVELS, LAW)
+    design_fields = (("direction", require_direction), *LEVELS, LAW_FIELD)
     damping_fields = DAMPING
     refers = True
 

@@ -19,7 +19,7 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.model.bodies import Point
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import angle, concatenate, cross, direction, dot
@@ -28,7 +28,7 @@ from ancfdae.numerics.jets import angle, concatenate, cross, direction, dot
 QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
-def section_of(points: tuple[Point, ...], elements: Elements) -> Vectors:
+def section_of(points: tuple[MaterialPoint, ...], elements: Elements) -> Vectors:
     """Return the slopes that span sections; of planar elements without any the tangents."""
     return tuple((point, slope) for point in points for slope in elements.at(point).spanning)
 

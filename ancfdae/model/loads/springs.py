@@ -6,11 +6,11 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from ancfdae.errors import require_axial, require_not_negative, require_vector
-from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.design import numbers
+from ancfdae.errors.checks import require_axial, require_not_negative, require_vector
+from ancfdae.model.bodies import MaterialPoint, Quantity
+from ancfdae.model.design import design_numbers
 from ancfdae.model.drawing import Stroke
-from ancfdae.model.loads.load import LAW, Load, require_damping
+from ancfdae.model.loads.load import LAW_FIELD, Load, require_damping
 from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of, turn
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
@@ -32,34 +32,34 @@ class SpringDamper(Load):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     stiffness : float
         k; N/m. It may be negative, as of a part that pushes away from its middle position.
     damping : float
         c, not negative; N s/m.
     free_length : float
         l_0, not negative; m.
-    other : Point, optional
+    other : MaterialPoint, optional
     ground : sequence of float, optional
         Place on the ground; m. Give either `other` or `ground`.
     """
 
-    point: Point
+    point: MaterialPoint
     stiffness: float
     damping: float = 0.0
     free_length: float = 0.0
-    other: Point | None = None
+    other: MaterialPoint | None = None
     ground: Sequence[float] | None = None
 
     kind = "spring"
     stroke = Stroke.SPRING
     elastic = True
     design_fields = (
-        *numbers("stiffness"),
+        *design_numbers("stiffness"),
         ("damping", require_damping),
         ("free_length", _require_length),
         ("ground", require_vector),
-        LAW,
+        LAW_FIELD,
     )
     damping_fields = ("damping",)
     needs_other_end = True
@@ -92,23 +92,23 @@ class Bushing(Load):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     stiffness : sequence of float
         N/m. They may be negative.
     damping : sequence of float, optional
         Not negative; N s/m.
     turn_stiffness, turn_damping : float or sequence of float, optional
         A number in the plane, three in space; N m/rad and N m s/rad. Damping is not negative.
-    other : Point, optional
+    other : MaterialPoint, optional
         Body to which the bearing is fixed; the ground by default.
     """
 
-    point: Point
+    point: MaterialPoint
     stiffness: Sequence[float]
     damping: Sequence[float] | None = None
     turn_stiffness: float | Sequence[float] | None = None
     turn_damping: float | Sequence[float] | None = None
-    other: Point | None = None
+    other: MaterialPoint | None = None
 
     kind = "bushing"
     elastic = True
@@ -117,7 +117,7 @@ class Bushing(Load):
         ("damping", require_vector),
         ("turn_stiffness", require_axial),
         ("turn_damping", require_axial),
-        LAW,
+        LAW_FIELD,
     )
     vector_words: ClassVar[Mapping[str, str]] = {
         "turn_stiffness": "turn_stiffness",

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-from ancfdae.errors import require_axial, require_direction, require_flag
-from ancfdae.model.bodies import Point
-from ancfdae.model.design import numbers
-from ancfdae.model.loads.load import LAW, SectionLoad, require_damping
+from ancfdae.errors.checks import require_axial, require_direction, require_flag
+from ancfdae.model.bodies import MaterialPoint
+from ancfdae.model.design import design_numbers
+from ancfdae.model.loads.load import LAW_FIELD, SectionLoad, require_damping
 from ancfdae.model.loads.sections import QUARTER_TURN, rate_of, turn, unit_axes
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, cross, direction, dot
@@ -28,7 +28,7 @@ class Moment(SectionLoad):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     moment : float or sequence of float
         A number in the plane, from x to y; three components in space; N m.
     follower : bool, optional
@@ -36,12 +36,12 @@ class Moment(SectionLoad):
         instead of being fixed in space. In the plane there is no difference.
     """
 
-    point: Point
+    point: MaterialPoint
     moment: float | Sequence[float]
     follower: bool = False
 
     kind = "moment"
-    design_fields = (("moment", require_axial), LAW)
+    design_fields = (("moment", require_axial), LAW_FIELD)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -63,7 +63,7 @@ class Moment(SectionLoad):
 
 @final
 @dataclass(frozen=True)
-class Torque(SectionLoad):
+class MotorTorque(SectionLoad):
     """A motor: a torque on a section about an axis, and the opposite on another section or ground.
 
     It does the work T dtheta on the angle between them (docs/theory/03-joints-and-loads.md).
@@ -72,22 +72,22 @@ class Torque(SectionLoad):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     torque : float
         T; N m.
     axis : sequence of float, optional
         In space, in the reference configuration; it turns with the other section. z by default.
-    other : Point, optional
+    other : MaterialPoint, optional
         Body that carries the motor; the ground by default.
     """
 
-    point: Point
+    point: MaterialPoint
     torque: float
     axis: Sequence[float] | None = None
-    other: Point | None = None
+    other: MaterialPoint | None = None
 
     kind = "torque"
-    design_fields = (*numbers("torque"), ("axis", require_direction), LAW)
+    design_fields = (*design_numbers("torque"), ("axis", require_direction), LAW_FIELD)
     refers = True
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
@@ -98,7 +98,7 @@ class Torque(SectionLoad):
 
 @final
 @dataclass(frozen=True)
-class TorsionSpring(SectionLoad):
+class TorsionalSpringDamper(SectionLoad):
     """Linear spring and damper about an axis between two sections, or a section and the ground.
 
     The torque on the section is -(k (theta - theta_0) + c theta'), with theta the angle from the
@@ -108,7 +108,7 @@ class TorsionSpring(SectionLoad):
 
     Parameters
     ----------
-    point : Point
+    point : MaterialPoint
     stiffness : float
         k; N m/rad. It may be negative.
     damping : float
@@ -116,24 +116,24 @@ class TorsionSpring(SectionLoad):
     free_angle : float
         theta_0; rad.
     axis, other
-        As in `Torque`; the spring is fixed to the other section, or to the ground.
+        As in `MotorTorque`; the spring is fixed to the other section, or to the ground.
     """
 
-    point: Point
+    point: MaterialPoint
     stiffness: float
     damping: float = 0.0
     free_angle: float = 0.0
     axis: Sequence[float] | None = None
-    other: Point | None = None
+    other: MaterialPoint | None = None
 
     kind = "torsion-spring"
     elastic = True
     design_fields = (
-        *numbers("stiffness"),
+        *design_numbers("stiffness"),
         ("damping", require_damping),
-        *numbers("free_angle"),
+        *design_numbers("free_angle"),
         ("axis", require_direction),
-        LAW,
+        LAW_FIELD,
     )
     damping_fields = ("damping",)
     refers = True

@@ -111,7 +111,7 @@ class Tube(_Round):
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If a size is not finite and positive, or the wall is as thick as the radius.
     """
 

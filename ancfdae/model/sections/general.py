@@ -6,7 +6,8 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_array, require_vector
+from ancfdae.errors.checks import require_array, require_vector
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.sections.rectangle import corners
 from ancfdae.model.sections.section import Section, SectionPoints, central_moments, columns
 from ancfdae.model.sections.spread import stepped_share
@@ -15,7 +16,7 @@ from ancfdae.numerics.arrays import Array
 
 @final
 @dataclass(frozen=True)
-class MomentSection(Section):
+class GeneralSection(Section):
     """A doubly symmetric section of which only the moments are known.
 
     Modelled by four points; higher moments than the second, which only count for large curvatures,
@@ -72,7 +73,7 @@ class MomentSection(Section):
 
 @final
 @dataclass(frozen=True)
-class PointSection(Section):
+class QuadratureSection(Section):
     """A section of any shape, given by a quadrature rule; its sizes stretch it along y and z.
 
     Parameters
@@ -93,7 +94,7 @@ class PointSection(Section):
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If numbers are missing, not finite, or the area or a factor is not positive.
     """
 
@@ -105,19 +106,19 @@ class PointSection(Section):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        areas = require_array("PointSection.areas", self.areas)
+        areas = require_array("QuadratureSection.areas", self.areas)
         if areas.ndim != 1 or not np.sum(areas) > 0:
-            raise InvalidInput(
-                "PointSection.areas",
+            raise InvalidInputError(
+                "QuadratureSection.areas",
                 "must be a list of numbers with a positive sum",
                 self.areas,
                 "Give the area of every point.",
             )
-        places = require_array("PointSection.places", self.places, (len(areas), 2))
+        places = require_array("QuadratureSection.places", self.places, (len(areas), 2))
         object.__setattr__(self, "areas", tuple(areas.tolist()))
         object.__setattr__(self, "places", tuple(map(tuple, places.tolist())))
         if self.shear_centre is not None:
-            require_vector("PointSection.shear_centre", self.shear_centre, (2,))
+            require_vector("QuadratureSection.shear_centre", self.shear_centre, (2,))
             object.__setattr__(self, "shear_centre", tuple(map(float, self.shear_centre)))
 
     @property

@@ -7,7 +7,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_positive, require_vector
+from ancfdae.errors.checks import require_positive, require_vector
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 
 #: Widens a section by round-off, so that its surface belongs to it.
@@ -35,7 +36,7 @@ class Section(abc.ABC):
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If a size or a property is not finite and positive.
     """
 
@@ -147,10 +148,10 @@ class Section(abc.ABC):
 
         Raises
         ------
-        InvalidInput
+        InvalidInputError
             If the section does not know them.
         """
-        raise InvalidInput(
+        raise InvalidInputError(
             f"stress in a {type(self).__name__}",
             "needs a section that knows its shear stress in torsion",
             "one that does not",
@@ -198,4 +199,4 @@ def central_moments(y: Array, z: Array, dA: Array) -> tuple[Array, Array]:
 def require_smaller(where: str, wall: float, outer: float, rule: str) -> None:
     """Refuse walls that leave no hole."""
     if not wall < outer:
-        raise InvalidInput(where, rule, f"{wall} against {outer}", "Use a thinner wall.")
+        raise InvalidInputError(where, rule, f"{wall} against {outer}", "Use a thinner wall.")

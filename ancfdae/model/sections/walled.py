@@ -56,7 +56,7 @@ class Box(_Walled):
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If a size is not finite and positive, or the walls leave no hole.
     """
 

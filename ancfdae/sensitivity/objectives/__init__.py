@@ -1,7 +1,7 @@
 """Objectives: functions of a whole run, built from observables, with exact partials."""
 
 from ancfdae.sensitivity.objectives.objective import (
-    NonFiniteObjective,
+    NonFiniteObjectiveError,
     Objective,
     ObjectivePartials,
 )
@@ -9,6 +9,6 @@ from ancfdae.sensitivity.objectives.reductions import (
     AtTimes,
     Integral,
     SmoothMaximum,
+    SmoothUpperBound,
     Terminal,
-    UpperMaximum,
 )

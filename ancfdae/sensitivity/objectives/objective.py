@@ -10,7 +10,7 @@ from typing import Any, cast, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import AncfdaeError
+from ancfdae.errors.kinds import AncfdaeError
 from ancfdae.integrators.integrand import Density
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.expression import (
@@ -25,7 +25,7 @@ from ancfdae.sensitivity.observables.states import States
 
 
 @final
-class NonFiniteObjective(AncfdaeError):
+class NonFiniteObjectiveError(AncfdaeError):
     """An objective, or its derivative, that is not a finite number.
 
     `time` is the first instant at which its observable is not finite; None if every observable is
@@ -104,14 +104,14 @@ class Objective(Expression["Objective"]):
         """Return the value: a float, or a complex number for complex states or design values.
 
         `totals` has the objectives whose integrals the integrator took; the others are sums over
-        the states. Raises NonFiniteObjective.
+        the states. Raises NonFiniteObjectiveError.
         """
 
     @abc.abstractmethod
     def partials(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
     ) -> ObjectivePartials:
-        """Return value and partials at real states, or raise NonFiniteObjective."""
+        """Return value and partials at real states, or raise NonFiniteObjectiveError."""
 
 
 @final
@@ -160,4 +160,4 @@ class Combination(Operation, Objective):
 def require_finite_number(what: str, x: Array) -> None:
     """Refuse a value of a function of objectives, or a derivative, that is no number."""
     if not np.isfinite(x):
-        raise NonFiniteObjective("function of objectives", what, None)
+        raise NonFiniteObjectiveError("function of objectives", what, None)

@@ -14,12 +14,13 @@ import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import InvalidInput, require_finite, require_kind, require_positive
+from ancfdae.errors.checks import require_finite, require_kind, require_positive
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.objectives.objective import (
     NO_TOTALS,
-    NonFiniteObjective,
+    NonFiniteObjectiveError,
     Objective,
     ObjectivePartials,
     Totals,
@@ -109,7 +110,7 @@ class Reduction(Objective):
     def _require_finite(self, what: str, x: Array, t: Array) -> None:
         bad = np.flatnonzero(~np.isfinite(x))
         if len(bad):
-            raise NonFiniteObjective(type(self).__name__, what, float(t[bad[0]].real))
+            raise NonFiniteObjectiveError(type(self).__name__, what, float(t[bad[0]].real))
 
 
 class AtInstants(Reduction):
@@ -176,7 +177,7 @@ class OverTime(Reduction):
 class Integral(OverTime):
     """Integral of an observable over the run.
 
-    `IDA`, `IDAS` and `Explicit` take it beside the motion, to their tolerance, except that of a
+    `IDA`, `IDAS` and `DOP853` take it beside the motion, to their tolerance, except that of a
     `slope_angle`, whose turns are counted from instant to instant. On the instants of a solution
     the quadrature has the order of the integrator: the trapezoidal rule on the steps of HHT,
     Gauss-Lobatto rules on the instants of the others.
@@ -235,7 +236,7 @@ class AtTimes(AtInstants):
         for time in times:
             require_finite("AtTimes, times", time)
         if not times or min(times) < 0:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "AtTimes, times",
                 "must contain at least one time, none below 0",
                 times,
@@ -244,11 +245,11 @@ class AtTimes(AtInstants):
         object.__setattr__(self, "times", tuple(float(time) for time in times))
 
     def instants(self, t_end: float) -> tuple[float, ...]:
-        """Return the times of the objective, s; InvalidInput if the run ends before."""
+        """Return the times of the objective, s; InvalidInputError if the run ends before."""
         times = cast("tuple[float, ...]", self.times)
         if max(times) > t_end * (1 + 1e-12):
             rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
-            raise InvalidInput("AtTimes, times", rule, max(times), repair)
+            raise InvalidInputError("AtTimes, times", rule, max(times), repair)
         return times
 
 
@@ -297,14 +298,14 @@ class SmoothMaximum(_Maximum, OverTime):
 
 @final
 @dataclass(frozen=True)
-class UpperMaximum(_Maximum):
+class SmoothUpperBound(_Maximum):
     """Smooth bound of the values at all instants, (1/k) log(sum of exp(k x_n)).
 
     It lies above the largest by log(n)/k at most, n the number of instants: what it keeps below a
-    limit is below it at every instant of the run. Applied to `maximum_stress` it bounds the stress
-    over place and time. It grows with the number of instants, so runs with other steps have another
-    value, and `error_bars` says nothing of it; `SmoothMaximum`, which lies below the maximum,
-    does not.
+    limit is below it at every instant of the run. Applied to `maximum_von_mises` it bounds the
+    stress over place and time. It grows with the number of instants, so runs with other steps have
+    another value, and `error_bars` says nothing of it; `SmoothMaximum`, which lies below the
+    maximum, does not.
 
     Parameters
     ----------

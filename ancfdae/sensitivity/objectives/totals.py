@@ -10,7 +10,7 @@ from ancfdae.integrators.integrand import Density, Integrand, PartialIntegral, P
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.objectives.objective import (
     Integrated,
-    NonFiniteObjective,
+    NonFiniteObjectiveError,
     Objective,
     ObjectivePartials,
 )
@@ -94,7 +94,7 @@ class Total(Integrand, Integrated):
         for part in self._parts:
             if part.not_finite is not None:
                 what = "the observable" if np.isnan(part.value) else "its derivative"
-                raise NonFiniteObjective(type(self._reduction).__name__, what, part.not_finite)
+                raise NonFiniteObjectiveError(type(self._reduction).__name__, what, part.not_finite)
 
 
 @final

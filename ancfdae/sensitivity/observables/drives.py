@@ -6,22 +6,22 @@ from typing import ClassVar, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import require_text
+from ancfdae.errors.checks import require_text
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import Named, States, known_scene
 
 
-def drive_torque(joint: str) -> Observable:
-    """Return the torque of a `Drive` on what it turns, in the sense of its angle; N m.
+def driver_torque(joint: str) -> Observable:
+    """Return the torque of a `RotationDriver` on what it turns, in the sense of its angle; N m.
 
     It is work conjugate to the angle: its product with the rate of the angle is `joint_power`.
     """
     return DriveWork(joint, unit_rate=True)
 
 
-def guide_force(joint: str) -> Observable:
-    """Return the force of a `Guide` on what it moves, along its direction; N."""
+def driver_force(joint: str) -> Observable:
+    """Return the force of a `TranslationDriver` on what it moves, along its direction; N."""
     return DriveWork(joint, unit_rate=True)
 
 

@@ -14,7 +14,8 @@ from typing import Any, Generic, NoReturn, TypeVar, cast
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_finite
+from ancfdae.errors.checks import require_finite
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.functions import Function, analytic
 
@@ -68,7 +69,7 @@ class Expression(abc.ABC, Generic[K]):
             return operand
         where = f"operand of {type(self).__name__}"
         if isinstance(operand, Expression):
-            raise InvalidInput(
+            raise InvalidInputError(
                 where,
                 "observables combine with observables and objectives with objectives",
                 type(operand).__name__,
@@ -76,7 +77,9 @@ class Expression(abc.ABC, Generic[K]):
             )
         if np.ndim(cast(Any, operand)) > 0:
             got = f"an array of shape {np.shape(cast(Any, operand))}"
-            raise InvalidInput(where, "must be a single number", got, "Write one expression each.")
+            raise InvalidInputError(
+                where, "must be a single number", got, "Write one expression each."
+            )
         number = operand.item() if isinstance(operand, np.ndarray) else operand
         require_finite(where, cast(float, number), "Combine with numbers and expressions.")
         return float(cast(float, number))
@@ -101,7 +104,7 @@ class Expression(abc.ABC, Generic[K]):
     __gt__, __ge__ = _binary(np.greater), _binary(np.greater_equal)
 
     def __bool__(self) -> NoReturn:
-        raise InvalidInput(
+        raise InvalidInputError(
             "truth of an expression",
             "an observable must not be used as a condition, because its value changes over time",
             type(self).__name__,

@@ -12,7 +12,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import FAILURES
 
@@ -96,7 +96,7 @@ def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> F
     """
     name = f"numpy.{ufunc.__name__}"
     if ufunc not in _FUNCTIONS:
-        raise InvalidInput(
+        raise InvalidInputError(
             name,
             "must have a derivative and accept complex numbers to stand in an expression",
             "a function that does not",
@@ -104,7 +104,7 @@ def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> F
         )
     if method != "__call__" or not plain:
         got = f"{ufunc.__name__}.{method}" if method != "__call__" else "options"
-        raise InvalidInput(
+        raise InvalidInputError(
             name, "must simply be called on an expression", got, "Write the expression out."
         )
     return _FUNCTIONS[ufunc]
@@ -120,10 +120,10 @@ def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -
         y, last = np.asarray(rows(slice(None))), np.asarray(rows(slice(count - 1, count)))
     except FAILURES as error:
         got = f"{type(error).__name__}: {error}"
-        raise InvalidInput(where, "must work on arrays over time", got, repair) from error
+        raise InvalidInputError(where, "must work on arrays over time", got, repair) from error
     if y.shape != (count,) or y.dtype.kind not in "iufc":
         got = f"shape {y.shape} and type {y.dtype}"
-        raise InvalidInput(where, f"must return numbers of shape ({count},)", got, repair)
+        raise InvalidInputError(where, f"must return numbers of shape ({count},)", got, repair)
     if last.shape != (1,) or not np.allclose(last[0], y[-1], rtol=1e-9, atol=0, equal_nan=True):
         got = "a value that depends on the other instants"
-        raise InvalidInput(where, "must work instant by instant", got, repair)
+        raise InvalidInputError(where, "must work instant by instant", got, repair)

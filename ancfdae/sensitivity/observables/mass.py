@@ -14,8 +14,9 @@ import numpy as np
 
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import InvalidInput, require_text, require_vector
-from ancfdae.model.bodies import Point
+from ancfdae.errors.checks import require_text, require_vector
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.bodies import MaterialPoint
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import Named, States, known_scene, require_index
@@ -37,7 +38,7 @@ def inertia(
     axis: int = 2,
     other: int | None = None,
     beam: str | None = None,
-    about: Point | Sequence[float] | None = None,
+    about: MaterialPoint | Sequence[float] | None = None,
 ) -> Observable:
     """Return a moment or product of inertia of a beam or body, or of the whole scene; kg m^2.
 
@@ -50,7 +51,7 @@ def inertia(
         `axis`. A planar body that is given by its moment counts as round.
     beam : str, optional
         Name of a beam, a body or a point mass.
-    about : Point or sequence of float, optional
+    about : MaterialPoint or sequence of float, optional
         A point of a body, which may move, or a place; by default the centre of mass.
     """
     require_index("inertia, axis", axis)
@@ -79,7 +80,9 @@ def angular_momentum(axis: int = 2, beam: str | None = None) -> Observable:
     return turning - MassIntegral(beam, left=second, right=first, rate=True)
 
 
-def _second(beam: str | None, i: int, j: int, about: Point | Sequence[float] | None) -> Observable:
+def _second(
+    beam: str | None, i: int, j: int, about: MaterialPoint | Sequence[float] | None
+) -> Observable:
     """Return int rho (r_i - p_i) (r_j - p_j) dV."""
     whole, m = MassIntegral(beam, left=i, right=j), mass(beam)
     F_i, F_j = MassIntegral(beam, right=i), MassIntegral(beam, right=j)
@@ -89,8 +92,8 @@ def _second(beam: str | None, i: int, j: int, about: Point | Sequence[float] | N
     return whole - F_i * p_j - F_j * p_i + m * p_i * p_j
 
 
-def _place(about: Point | Sequence[float], axis: int) -> Observable | float:
-    if isinstance(about, Point):
+def _place(about: MaterialPoint | Sequence[float], axis: int) -> Observable | float:
+    if isinstance(about, MaterialPoint):
         return position(about, axis)
     require_vector("inertia, about", about)
     # A plane lacks the third axis, which is refused with the observable.
@@ -121,7 +124,7 @@ class MassIntegral(Leaf):
             layout.owner(self.beam)
         for axis in (self.left, self.right):
             if axis is not None and axis >= layout.d:
-                raise InvalidInput(
+                raise InvalidInputError(
                     "observable of mass",
                     "axes in the plane must be 0 or 1; moments are about axis 2",
                     axis,

@@ -11,7 +11,8 @@ import numpy as np
 
 from ancfdae.assembly.beam_elements import StatePartials
 from ancfdae.equations import MechanicalSystem, Solution
-from ancfdae.errors import InvalidInput, require_kind
+from ancfdae.errors.checks import require_kind
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import require_derivative
 from ancfdae.numerics.threads import in_one_thread
@@ -103,7 +104,7 @@ class Observable(Expression["Observable"]):
         return isinstance(other, Observable)
 
     def check(self, system: Named) -> None:
-        """Raise UnknownName or InvalidInput for an observable that the system does not have."""
+        """Raise UnknownNameError or InvalidInputError for an observable that the system does not have."""
         for leaf in self.leaves():
             leaf.check_leaf(system)
 
@@ -138,7 +139,7 @@ class Observable(Expression["Observable"]):
         states, and a user's function that turns out not to be differentiable.
         """
         if any(np.iscomplexobj(x) for x in values.values()):
-            raise InvalidInput(
+            raise InvalidInputError(
                 "partials",
                 "need real states and design values",
                 "complex ones",
@@ -209,7 +210,7 @@ def observe(
         _require_same_sizes(system, solution)
     held = system is not None and system.n_b > 0 and not np.iscomplexobj(system.b)
     if held and np.iscomplexobj(solution.q):
-        raise InvalidInput(
+        raise InvalidInputError(
             "observe",
             "a complex solution needs a system at complex design values",
             "real ones",
@@ -227,7 +228,7 @@ def _require_same_sizes(system: MechanicalSystem, solution: Solution) -> None:
         counts = (
             f"{sizes[0]} coordinates and {sizes[1]} multipliers where that has {got[0]}, {got[1]}"
         )
-        raise InvalidInput("observe, system", rule, counts, repair)
+        raise InvalidInputError("observe, system", rule, counts, repair)
 
 
 def _require_derivatives(values: dict[object, Array]) -> None:

@@ -6,7 +6,8 @@ from typing import ClassVar, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_text
+from ancfdae.errors.checks import require_kind, require_text
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import (
@@ -79,7 +80,7 @@ class Multiplier(Leaf):
         if not self.on_point:
             require_index(f"multiplier of {self.joint!r}, row", self.row, place.rows)
         elif not place.holds_position:
-            raise InvalidInput(
+            raise InvalidInputError(
                 f"reaction of {self.joint!r}",
                 "the joint must hold a point in all directions",
                 "a joint of another kind",
@@ -168,7 +169,7 @@ class Design(Leaf):
         """Refuse a design variable that the system does not have."""
         known = known_system(self.name, system).design_names
         if self.name not in known:
-            raise UnknownName("design variable", self.name, known)
+            raise UnknownNameError("design variable", self.name, known)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Return b_i at every instant."""

@@ -19,8 +19,8 @@ from enum import IntEnum
 from typing import final
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import InvalidInput
-from ancfdae.model.bodies import Point, Quantity, require_point
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import Named, States, known_scene, require_index
@@ -37,12 +37,12 @@ class ForceComponent(IntEnum):
     BENDING_MOMENT_Z = 5
 
 
-def axial_force(point: Point) -> Observable:
+def axial_force(point: MaterialPoint) -> Observable:
     """Return the axial force in a beam at a point of its axis, positive in tension; N."""
     return SectionForce(point, ForceComponent.AXIAL_FORCE)
 
 
-def shear_force(point: Point, along: int = 1) -> Observable:
+def shear_force(point: MaterialPoint, along: int = 1) -> Observable:
     """Return a shear force in a beam at a point of its axis; N.
 
     `along` is 1 for the height of the section and 2 for its width.
@@ -51,7 +51,7 @@ def shear_force(point: Point, along: int = 1) -> Observable:
     return SectionForce(point, components[_across("shear_force, along", along)])
 
 
-def bending_moment(point: Point, about: int = 2) -> Observable:
+def bending_moment(point: MaterialPoint, about: int = 2) -> Observable:
     """Return a bending moment in a beam at a point of its axis; N m.
 
     `about` is 2 for the width of the section, the z axis of a planar scene, and 1 for its height.
@@ -61,7 +61,7 @@ def bending_moment(point: Point, about: int = 2) -> Observable:
     return SectionForce(point, components[_across("bending_moment, about", about)])
 
 
-def torque(point: Point) -> Observable:
+def torsional_moment(point: MaterialPoint) -> Observable:
     """Return the torque in a spatial beam at a point of its axis; N m."""
     return SectionForce(point, ForceComponent.TORQUE)
 
@@ -70,7 +70,7 @@ def _across(where: str, axis: int) -> int:
     """Place of an axis of the section, 1 or 2, among them."""
     require_index(where, axis)
     if axis == 0:
-        raise InvalidInput(
+        raise InvalidInputError(
             where, "must be an axis of the section", axis, "Use 1 (height) or 2 (width)."
         )
     return int(axis) - 1
@@ -81,13 +81,13 @@ def _across(where: str, axis: int) -> int:
 class SectionForce(Leaf):
     """A force or moment in a beam, in the axes of its section."""
 
-    point: Point
+    point: MaterialPoint
     component: ForceComponent
 
     def __post_init__(self) -> None:
         require_point("section force, point", self.point)
         if self.point.y != 0 or self.point.z != 0:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "section force, point",
                 "must lie on the axis of the beam: forces belong to the whole section",
                 f"y = {self.point.y}, z = {self.point.z}",
@@ -103,7 +103,7 @@ class SectionForce(Leaf):
             ForceComponent.BENDING_MOMENT_Z,
         )
         if Quantity.SLOPE_Z not in element.quantities and self.component not in planar:
-            raise InvalidInput(
+            raise InvalidInputError(
                 "section force",
                 "a planar beam, and a cable, has an axial force, a shear force along 1 and a "
                 "moment about 2",

@@ -11,7 +11,7 @@ import numpy as np
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem, Naming, Solution
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
 
@@ -58,7 +58,7 @@ def states_of(solution: Solution) -> States:
 def known_naming(system: Named) -> SceneNaming:
     """Return the names of an ANCF scene; refuse a system that has none."""
     if not isinstance(system.naming, SceneNaming):
-        raise InvalidInput(
+        raise InvalidInputError(
             "observable of a named point or joint",
             "needs an assembled scene",
             "a system of another kind",
@@ -68,11 +68,11 @@ def known_naming(system: Named) -> SceneNaming:
 
 
 def require_index(where: str, index: int, count: int = 3) -> None:
-    """Raise InvalidInput unless `index` is an integer from 0 to count - 1."""
+    """Raise InvalidInputError unless `index` is an integer from 0 to count - 1."""
     given: object = index
     whole = isinstance(given, int | np.integer) and not isinstance(given, bool)
     if not whole or not 0 <= index < count:
-        raise InvalidInput(
+        raise InvalidInputError(
             where,
             f"must be an integer from 0 to {count - 1}",
             repr(index),
@@ -83,7 +83,7 @@ def require_index(where: str, index: int, count: int = 3) -> None:
 def known_system(name: str, system: Named) -> MechanicalSystem:
     """Return the system; refuse a solution, which cannot replace it."""
     if not isinstance(system, MechanicalSystem):
-        raise InvalidInput(
+        raise InvalidInputError(
             f"observable {name!r}",
             "needs the mechanical system, not its solution alone",
             type(system).__name__,
@@ -93,8 +93,8 @@ def known_system(name: str, system: Named) -> MechanicalSystem:
 
 
 def known_scene(system: Named) -> AncfSystem:
-    """Return `system` as an assembled scene; raise InvalidInput for any other system."""
+    """Return `system` as an assembled scene; raise InvalidInputError for any other system."""
     if not isinstance(system, AncfSystem):
         rule, repair = "needs the assembled scene", "Pass assemble(scene, design)."
-        raise InvalidInput("observable of beams", rule, type(system).__name__, repair)
+        raise InvalidInputError("observable of beams", rule, type(system).__name__, repair)
     return system

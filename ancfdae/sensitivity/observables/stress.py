@@ -20,26 +20,27 @@ import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import require_positive, require_text
-from ancfdae.model.bodies import Point, require_point
+from ancfdae.errors.checks import require_positive, require_text
+from ancfdae.model.bodies import MaterialPoint, require_point
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import Named, States, known_scene
 
 
-def von_mises(point: Point) -> Observable:
+def von_mises(point: MaterialPoint) -> Observable:
     """Return von Mises' stress at a point of a beam, ``rod.at(0.3, y=0.01)`` say; Pa."""
     return VonMises(point)
 
 
-def maximum_stress(beam: str, sharpness: float) -> Observable:
+def maximum_von_mises(beam: str, sharpness: float) -> Observable:
     """Return the smooth maximum of von Mises' stress over a beam at every instant; Pa.
 
     The aggregate of Kreisselmeier and Steinhauser over n points, log(sum exp(k s))/k: it exceeds
     the largest stress s by at most log(n)/k. The points are those of the section's outline where
     stresses of bending and torsion are largest, at both ends and in the middle of every element.
 
-    For the largest over time too, take ``UpperMaximum(maximum_stress("rod", k), k)``, a bound.
+    For the largest over time too, take ``SmoothUpperBound(maximum_von_mises("rod", k), k)``, a
+    bound.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ def maximum_stress(beam: str, sharpness: float) -> Observable:
 class VonMises(Leaf):
     """Von Mises' stress at a material point."""
 
-    point: Point
+    point: MaterialPoint
 
     def __post_init__(self) -> None:
         require_point("von_mises, point", self.point)
@@ -87,8 +88,8 @@ class MaximumStress(Leaf):
     sharpness: float
 
     def __post_init__(self) -> None:
-        require_text("maximum_stress, beam", self.beam)
-        require_positive("maximum_stress, sharpness", self.sharpness)
+        require_text("maximum_von_mises, beam", self.beam)
+        require_positive("maximum_von_mises, sharpness", self.sharpness)
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a beam that does not exist or has no stresses."""

@@ -7,7 +7,8 @@ from typing import ClassVar, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import InvalidInput, require_function, require_kind
+from ancfdae.errors.checks import require_function, require_kind
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import require_derivative
 from ancfdae.sensitivity.observables.functions import Function, require_vectorised
@@ -28,7 +29,7 @@ def apply(function: Callable[..., Array], *observables: Observable) -> Observabl
 
     Raises
     ------
-    InvalidInput
+    InvalidInputError
         If the function mixes instants, fails on complex numbers, or its complex step disagrees
         with finite differences. It is tried on a few numbers now and on a few instants of every
         run that is differentiated.
@@ -36,7 +37,7 @@ def apply(function: Callable[..., Array], *observables: Observable) -> Observabl
     require_function("apply, function", function)
     name = getattr(function, "__name__", repr(function))
     if not observables or not all(isinstance(x, Observable) for x in observables):
-        raise InvalidInput(
+        raise InvalidInputError(
             f"apply({name})", "needs observables", observables, "Pass one or more, and no numbers."
         )
     checked = Function(name, function, edged=True, by_user=True)

@@ -6,7 +6,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.model.bodies import Point, Quantity, require_point
+from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.functions import Function
 from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
@@ -19,7 +19,7 @@ from ancfdae.sensitivity.observables.states import (
 )
 
 
-def position(point: Point, axis: int) -> Observable:
+def position(point: MaterialPoint, axis: int) -> Observable:
     """Return a component of the position of a point such as ``beam.at_end``; m.
 
     Axes 0, 1 and 2 are x, y and z.
@@ -27,12 +27,12 @@ def position(point: Point, axis: int) -> Observable:
     return VectorComponent(point, Quantity.POSITION, axis)
 
 
-def velocity(point: Point, axis: int) -> Observable:
+def velocity(point: MaterialPoint, axis: int) -> Observable:
     """Return a component of the velocity of a point; m/s. Axes as in `position`."""
     return VectorComponent(point, Quantity.POSITION, axis, rate=True)
 
 
-def slope(point: Point, along: int, axis: int) -> Observable:
+def slope(point: MaterialPoint, along: int, axis: int) -> Observable:
     """Return a component of a slope vector; axes as in `position`.
 
     `along` is 0 for the tangent, 1 and 2 for the slopes along the section's height and width.
@@ -41,7 +41,7 @@ def slope(point: Point, along: int, axis: int) -> Observable:
     return VectorComponent(point, Quantity(along + 1), axis)
 
 
-def deflection(point: Point, frame_at: Point) -> Observable:
+def deflection(point: MaterialPoint, frame_at: MaterialPoint) -> Observable:
     """Return the deflection of a point in a frame that moves with the centre line; m.
 
     The frame sits at `frame_at` with its first axis along the x-y part of the tangent there;
@@ -53,7 +53,7 @@ def deflection(point: Point, frame_at: Point) -> Observable:
     return (t_x * arm_y - t_y * arm_x) / (t_x * t_x + t_y * t_y) ** 0.5
 
 
-def slope_angle(point: Point) -> Observable:
+def slope_angle(point: MaterialPoint) -> Observable:
     """Return the angle of the tangent in the x-y plane, from x towards y; rad.
 
     It starts between -pi and pi and is continuous in time over full turns, provided that the
@@ -64,7 +64,7 @@ def slope_angle(point: Point) -> Observable:
     return angle + Turns(point)
 
 
-def axial_strain(point: Point) -> Observable:
+def axial_strain(point: MaterialPoint) -> Observable:
     """Return the Green-Lagrange strain along the beam, (r_x . r_x / |r_ox|^2 - 1)/2.
 
     r_ox is the slope in the reference configuration, not of unit length off the centre line of
@@ -89,7 +89,7 @@ class Turns(Leaf):
 
     remembers: ClassVar[bool] = True
 
-    point: Point
+    point: MaterialPoint
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a point that does not exist."""
@@ -112,7 +112,7 @@ class Turns(Leaf):
 class ReferenceSquare(Leaf):
     """Squared length of the slope along a beam in the reference configuration."""
 
-    point: Point
+    point: MaterialPoint
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a point that does not exist, or a solution without its system."""
@@ -137,7 +137,7 @@ class VectorComponent(Leaf):
     If it `may_lack`, it is zero where the plane has none.
     """
 
-    point: Point
+    point: MaterialPoint
     quantity: Quantity
     axis: int
     rate: bool = False

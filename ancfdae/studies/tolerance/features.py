@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, PlannedSystem
-from ancfdae.errors import AncfdaeError
-from ancfdae.integrators.problem import Problem
+from ancfdae.errors.kinds import AncfdaeError
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import States
@@ -41,7 +41,9 @@ class Features(NamedTuple):
     stops: tuple[float, ...]
 
 
-def features(problem: Problem, observables: Sequence[Observable], t_end: float) -> Features:
+def features(
+    problem: InitialValueProblem, observables: Sequence[Observable], t_end: float
+) -> Features:
     """Sample laws and observables; one without features asks for no steps and has no stops."""
     system = problem.system
     count = _LAWS if isinstance(system, PlannedSystem) else _CALLS
@@ -74,7 +76,7 @@ def _timeless(system: MechanicalSystem) -> bool:
     return np.asarray(values).dtype != object
 
 
-def _held(problem: Problem, observables: Sequence[Observable], t: Array) -> Array:
+def _held(problem: InitialValueProblem, observables: Sequence[Observable], t: Array) -> Array:
     """Return values of observables over time at the start with the sizes of a motion added."""
     first, scales = problem.initial, problem.scales
     held = first.q, first.v + scales.v, first.lam + scales.lam

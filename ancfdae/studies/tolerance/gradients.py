@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import InvalidInput, ToleranceMissed, require_positive
+from ancfdae.errors.checks import require_positive
+from ancfdae.errors.kinds import InvalidInputError, ToleranceWarning
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.adjoint import Adjoint, Direct
-from ancfdae.sensitivity.method import Accuracy, Gradient, GradientMethod, Run, UnfinishedRun
+from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
+from ancfdae.sensitivity.method import Accuracy, Gradient, GradientMethod, Run, UnfinishedRunError
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import ObjectivePartials
 from ancfdae.sensitivity.objectives.reductions import OverTime
@@ -48,7 +49,7 @@ def gradients_within(
         way = method or _method(integrator, system.n_b)
         try:
             results = way.gradients(Run(system, t_end, integrator, progress), objectives)
-        except UnfinishedRun as error:
+        except UnfinishedRunError as error:
             return Sample([], None, error.solution.statistics.steps, error, error.solution)
         vectors = [x for each in results for x in (np.array([each.value]), each.gradient * scale)]
         run = results[0].solution
@@ -57,11 +58,11 @@ def gradients_within(
     wanted = _wanted(system, objectives, t_end, tolerance)
     second = Second(wanted)
     others: list[Runs] = [Fifth(second, wanted)]
-    if method is None or isinstance(method, Direct):
+    if method is None or isinstance(method, DirectDifferentiation):
         others.append(Eighth(second, _intervals(system, objectives, t_end), wanted))
     reached = search(second, others, measure, tolerance)
     if not reached.reached:
-        warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceMissed, stacklevel=4)
+        warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceWarning, stacklevel=4)
     return _results(reached, scale, tolerance)
 
 
@@ -80,7 +81,7 @@ def _wanted(
     parts = [leaves(x) for x in objectives]
     over = [[x for x in each if isinstance(x, OverTime)] for each in parts]
     integrated = [len(x) == len(y) for x, y in zip(parts, over, strict=True)]
-    problem = Problem.of(system, t_end)
+    problem = InitialValueProblem.of(system, t_end)
     fast = features(problem, [x.observable for each in over for x in each], t_end)
     return Wanted(problem, t_end, tolerance, _sizes, numbers, integrated, partials, False, fast)
 
@@ -89,12 +90,14 @@ def require_tolerance(tolerance: float) -> None:
     """Refuse a tolerance that means nothing or that round-off is above."""
     require_positive("tolerance", tolerance)
     if not 1e-11 <= tolerance <= 0.1:
-        raise InvalidInput("tolerance", "must lie in [1e-11, 0.1]", tolerance, "For example 1e-3.")
+        raise InvalidInputError(
+            "tolerance", "must lie in [1e-11, 0.1]", tolerance, "For example 1e-3."
+        )
 
 
 def _method(integrator: Integrator, variables: int) -> GradientMethod:
     adjoint = isinstance(integrator, AdjointIntegrator) and variables > _DIRECT
-    return Adjoint() if adjoint else Direct()
+    return Adjoint() if adjoint else DirectDifferentiation()
 
 
 def _intervals(system: MechanicalSystem, objectives: Sequence[Objective], t_end: float) -> int:

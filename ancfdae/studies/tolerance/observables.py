@@ -11,21 +11,15 @@ import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem, Solution
-from ancfdae.errors import (
-    InvalidInput,
-    StabilityWarning,
-    ToleranceMissed,
-    require_each,
-    require_flag,
-    require_positive,
-    uninterrupted,
-)
+from ancfdae.errors.checks import require_each, require_flag, require_positive
+from ancfdae.errors.kinds import InvalidInputError, StabilityWarning, ToleranceWarning
+from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.errors.text import columns
 from ancfdae.integrators.integrator import Integrator
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import LOBATTO_DEGREE, TimeGrid
-from ancfdae.sensitivity.method import Searched, UnfinishedRun
+from ancfdae.sensitivity.method import Searched, UnfinishedRunError
 from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import States, states_of
 from ancfdae.studies.parts import instants
@@ -41,7 +35,7 @@ _INSTANTS, _INTERVALS = 65, 64
 
 @final
 @dataclass(frozen=True, repr=False)
-class Observed(Searched):
+class ObservableEstimates(Searched):
     """Observables at some instants, with bars; also `Searched`.
 
     The tolerance is relative: of each observable the norm of its error over the instants, to the
@@ -67,7 +61,7 @@ class Observed(Searched):
         rows = [["observable", "last value"]]
         last = zip(self.values[-1], self.bars[-1], strict=True)
         rows += [[str(k), f"{x:.9g} +- {bar:.1g}"] for k, (x, bar) in enumerate(last)]
-        head = f"Observed: {len(self.t)} instants to t = {self.t[-1]:.6g}"
+        head = f"ObservableEstimates: {len(self.t)} instants to t = {self.t[-1]:.6g}"
         return f"{head}\n{columns(rows)}\n{super().__repr__()}"
 
 
@@ -78,7 +72,7 @@ def observed_within(
     t_end: float,
     tolerance: float,
     progress: bool,
-) -> Observed:
+) -> ObservableEstimates:
     """Return observables with bars below the tolerance, or a warning and the best."""
     require_positive("t_end", t_end)
     require_tolerance(tolerance)
@@ -90,13 +84,13 @@ def observed_within(
         run = uninterrupted(integrator.integrate(system, t_end, progress=progress))
         steps = run.statistics.steps
         if not run.outcome.success:
-            return Sample([], None, steps, UnfinishedRun(run), run)
+            return Sample([], None, steps, UnfinishedRunError(run), run)
         return Sample(numbers(states_of(run)), run.estimated_errors, steps, run, run)
 
     def numbers(states: States) -> list[Array]:
         return [_interpolated(x.value(system, states), states, times) for x in asked]
 
-    problem, none = Problem.of(system, t_end), [False] * len(asked)
+    problem, none = InitialValueProblem.of(system, t_end), [False] * len(asked)
     fast = features(problem, (), t_end)
     wanted = Wanted(problem, t_end, tolerance, _sizes, numbers, none, None, True, fast)
     second = Second(wanted)
@@ -106,24 +100,24 @@ def observed_within(
         warnings.simplefilter("ignore", StabilityWarning)
         reached = search(second, others, measure, tolerance)
     if not reached.reached:
-        warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceMissed, stacklevel=3)
+        warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceWarning, stacklevel=3)
     assert isinstance(reached.result, Solution)
     values, bars = (
         np.stack(x, axis=1) for x in zip(*((e.x, e.bar) for e in reached.estimates), strict=True)
     )
     told = tolerance, reached.reached, reached.integrator, reached.why, reached.trials
-    return Observed(*told, times, values, bars, reached.result)
+    return ObservableEstimates(*told, times, values, bars, reached.result)
 
 
 def _checked(
     observables: Sequence[Observable] | None, system: MechanicalSystem
 ) -> Sequence[Observable]:
-    """Return the observables. Raise InvalidInput if they are empty or not in the system."""
+    """Return the observables. Raise InvalidInputError if they are empty or not in the system."""
     repair = "For example observables=[position(rod.at_end, 0)]."
     named = () if observables is None else observables
     wanted = require_each("observables", named, (Observable,), repair)
     if not wanted:
-        raise InvalidInput("observables", "must be named for a tolerance", "none", repair)
+        raise InvalidInputError("observables", "must be named for a tolerance", "none", repair)
     for each in wanted:
         each.check(system)
     return wanted

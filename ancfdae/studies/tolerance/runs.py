@@ -9,9 +9,9 @@ from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import EstimatedErrors, MechanicalSystem, PlannedSystem, Solution
+from ancfdae.equations import ErrorEstimates, MechanicalSystem, PlannedSystem, Solution
 from ancfdae.integrators.integrator import Integrator
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import Estimate
 from ancfdae.studies.tolerance.features import Features
@@ -34,7 +34,7 @@ class Sample(NamedTuple):
     """
 
     vectors: list[Array]
-    estimated: EstimatedErrors | None
+    estimated: ErrorEstimates | None
     steps: int
     result: object
     run: Solution
@@ -54,7 +54,7 @@ class Wanted(NamedTuple):
     values at increasing times.
     """
 
-    problem: Problem
+    problem: InitialValueProblem
     t_end: float
     tolerance: float
     sizes: Sizes

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.sensitivity.method import Trial
@@ -64,10 +64,10 @@ class _Spent:
         return f"{runs.name}{seen} about {seconds:.1g} s more"
 
 
-def _out_of_reach(spent: _Spent, ways: dict[Runs, float]) -> InvalidInput:
+def _out_of_reach(spent: _Spent, ways: dict[Runs, float]) -> InvalidInputError:
     """Return the refusal of a search whose runs do not follow what happens, and say no error."""
     costs = "; ".join(spent.price(*x) for x in ways.items())
-    return InvalidInput(
+    return InvalidInputError(
         "tolerance",
         "must be within reach: laws, observables or waves are too fast for the steps of a search",
         costs,

@@ -10,9 +10,9 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from ancfdae.equations import EstimatedErrors
-from ancfdae.errors import AncfdaeError
-from ancfdae.integrators.explicit import Explicit
+from ancfdae.equations import ErrorEstimates
+from ancfdae.errors.kinds import AncfdaeError
+from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.hht.small_steps import small_from
 from ancfdae.integrators.integrator import Integrator
@@ -40,7 +40,7 @@ _UNSEEN = 1.2
 # Where HHT errs by a hundredth, methods of high order do so with a share of its steps; Radau takes
 # a share of those at which HHT saw that waves are resolved.
 _PERCENT, _FEWER, _SHARE = 1e-2, 8.0, 0.25
-# The first tolerance of Explicit over the one asked for; what the next is tighter by, at least and
+# The first tolerance of DOP853 over the one asked for; what the next is tighter by, at least and
 # at most.
 _FIRST, _TIGHTER, _TIGHTEST = 0.1, 10.0, 1e3
 # The loosest and the tightest that it takes.
@@ -439,7 +439,7 @@ def _estimated_order(coarse: Sample, fine: Sample) -> float:
     return math.log(before / after) / math.log(fine.steps / coarse.steps)
 
 
-def _largest(errors: EstimatedErrors | None) -> float:
+def _largest(errors: ErrorEstimates | None) -> float:
     """Return the largest error of derivatives, or of the motion where there is none of them."""
     if errors is None:
         return math.inf
@@ -545,8 +545,8 @@ class Eighth(Runs):
     What a tolerance means for the error is the scene's: two runs tell.
     """
 
-    name = "Explicit"
-    words = "Explicit follows every wave; two tolerances tell its errors"
+    name = "DOP853"
+    words = "DOP853 follows every wave; two tolerances tell its errors"
     # Times as many steps as foreseen.
     _more = 1.0
 
@@ -564,12 +564,12 @@ class Eighth(Runs):
 
     @property
     def setting(self) -> Integrator:
-        """Explicit at the tolerance of the next run."""
+        """DOP853 at the tolerance of the next run."""
         most = math.ceil(3 * self._foreseen) + 20
         stops = self._wanted.features.stops
         # Interpolation between instants is an error too: each run has twice as many.
         intervals = self._intervals * 2 ** len(self._taken)
-        return Explicit(max(self._rtol, _LEAST_RTOL), intervals, most, stops=stops)
+        return DOP853(max(self._rtol, _LEAST_RTOL), intervals, most, stops=stops)
 
     def take(self, sample: Sample) -> None:
         """Add a run; the next is as tight as the last two ask for, or may take more steps."""
@@ -593,7 +593,7 @@ class Eighth(Runs):
     @cached_property
     def _fastest(self) -> tuple[float, bool]:
         """Steps that stability takes, and whether tight tolerances take more of them."""
-        from ancfdae.modes.configuration import Configuration
+        from ancfdae.modes.configuration import LinearisationPoint
         from ancfdae.modes.periods import fastest
 
         seer, per_speed = self._seer, self._t_end / _STABLE
@@ -604,7 +604,7 @@ class Eighth(Runs):
                 return speed * per_speed, False
         try:
             initial = self._wanted.problem.initial
-            at = Configuration(initial.q, initial.lam, t=initial.t)
+            at = LinearisationPoint(initial.q, initial.lam, t=initial.t)
             return fastest(self._system, at) * per_speed, True
         except AncfdaeError:  # Nothing vibrates.
             return 0.0, False

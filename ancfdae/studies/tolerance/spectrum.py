@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem, Solution
-from ancfdae.errors import AncfdaeError
+from ancfdae.errors.kinds import AncfdaeError
 from ancfdae.numerics.arrays import Array
 
 # Coordinates up to which dense matrices take milliseconds.

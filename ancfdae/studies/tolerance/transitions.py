@@ -18,7 +18,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, PlannedSystem, Solution
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 
 # Steps about which forces are sampled at most, intervals of each, and how often these are divided;
@@ -51,7 +51,7 @@ class Transition(NamedTuple):
 RESOLVED: Final = Transition(0, math.inf)
 
 
-def passed_over(problem: Problem, run: Solution, share: float) -> Transition:
+def passed_over(problem: InitialValueProblem, run: Solution, share: float) -> Transition:
     """Return the transitions that steps pass over whose jump exceeds a share of accelerations.
 
     Beams alone make no transitions: their forces are polynomials of a low degree in the state.

@@ -26,8 +26,8 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import Solution
-from ancfdae.errors import AncfdaeError
-from ancfdae.integrators.problem import Problem
+from ancfdae.errors.kinds import AncfdaeError
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.objectives.objective import ObjectivePartials
 from ancfdae.sensitivity.observables.states import States, states_of
@@ -172,7 +172,7 @@ def radius(angle: float, alpha: float, damped: float = 0.0) -> float:
     return float(np.abs(np.linalg.eigvals(np.linalg.solve(left, right))).max())
 
 
-def waves_of(problem: Problem, run: Solution) -> dict[int, Wave]:
+def waves_of(problem: InitialValueProblem, run: Solution) -> dict[int, Wave]:
     """Return the largest waves in the accelerations and in their derivatives, by variable.
 
     The motion has the number -1. Waves that cannot be found are left out.
@@ -202,7 +202,7 @@ def waves_of(problem: Problem, run: Solution) -> dict[int, Wave]:
 
 
 def _wave(
-    problem: Problem,
+    problem: InitialValueProblem,
     matrices: tuple[Array, Array, Array | None, Array],
     s: Array,
     step: tuple[float, float],
@@ -236,7 +236,9 @@ def followed(waves: Sequence[Wave], t_end: float, alpha: float, at_least: float)
     return steps
 
 
-def unresolved(problem: Problem, run: Solution, alpha: float, phases: bool) -> list[Unresolved]:
+def unresolved(
+    problem: InitialValueProblem, run: Solution, alpha: float, phases: bool
+) -> list[Unresolved]:
     """Return the waves that a run does not resolve; with `phases` also those whose phase is off."""
     T, steps = float(run.t[-1]), len(run.t) - 1
     found = list[Unresolved]()
@@ -248,7 +250,7 @@ def unresolved(problem: Problem, run: Solution, alpha: float, phases: bool) -> l
 
 
 def missed(
-    problem: Problem,
+    problem: InitialValueProblem,
     run: Solution,
     waves: Sequence[Unresolved],
     asked: tuple[Numbers, Sequence[bool], Partials | None],
