@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.studies.tolerance.bars import Estimate
 from ancfdae.studies.tolerance.runs import Runs, Sample, Wanted
 
@@ -17,9 +18,8 @@ class Told(Runs):
     def __init__(self, number, bar):
         self._found = [Estimate(np.array([number]), np.array([bar]))]
         sizes = lambda vectors: [1.0 for _ in vectors]  # noqa: E731
-        super().__init__(
-            Wanted(CartesianPendulum(), 1.0, 0.01, sizes, None, (), False, False, None)
-        )
+        problem = InitialValueProblem.of(CartesianPendulum(), 1.0)
+        super().__init__(Wanted(problem, 1.0, 0.01, sizes, None, (), None, False, None))
         self.take(Sample([x.x for x in self._found], None, 1, None, None))
 
     def judged(self):

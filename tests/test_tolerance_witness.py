@@ -29,6 +29,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.errors import InvalidInputError, StabilityWarning, ToleranceWarning
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.laws import UserLaw
 from ancfdae.observables import custom, observe, position, velocity
 from ancfdae.studies.tolerance.bars import Estimate, spread
@@ -38,7 +39,7 @@ from ancfdae.studies.tolerance.observables import observed_within
 from ancfdae.studies.tolerance.sequences import Eighth, Second
 from ancfdae.studies.tolerance.spectrum import fades
 from ancfdae.studies.tolerance.transitions import RESOLVED, Transition, _Path, passed_over
-from ancfdae.studies.tolerance.waves import Wave, missed, radius, wave_of
+from ancfdae.studies.tolerance.waves import Wave, missed, radius, unresolved, waves_of
 from validation.tolerance.generator import FAMILIES, case
 
 SOFT, STIFF, HEAVY, LIGHT, STRETCH = 90.0, 1.089e6, 10.0, 0.1, 1e-4
@@ -99,7 +100,7 @@ def test_a_damped_wave_has_the_amplitude_and_frequency_that_it_began_with():
     scene, _ = ringing()
     system = assemble(scene, ["m.stiffness"])
     run = simulate(system, 0.5, HHT(0.5 / 128, -0.05))
-    wave = wave_of(system, run, run.a)
+    wave = waves_of(InitialValueProblem.of(system, 0.5), run)[-1]
     # omega = sqrt(STIFF (1/HEAVY + 1/LIGHT)), less the soft motion that second differences also
     # hold, less than 1 % of them.
     assert wave.speed == pytest.approx(math.sqrt(STIFF * (1 / HEAVY + 1 / LIGHT)), rel=0.01)
@@ -186,8 +187,10 @@ def test_waves_that_physics_takes_away_ask_for_no_steps(damping, eaten):
     """Numerical damping takes 0.1 a step of 1/128 s at most, 12.8 /s; physics 0 or 222 /s."""
     system, run = stiff_pair(damping)
     x = system.n_q // 2  # Of the light mass.
-    found = missed(system, run, -0.05, lambda states: [states.q[-1:, x]], [False], True)
-    assert bool(found.waves) is eaten
+    problem = InitialValueProblem.of(system, 1.0)
+    waves = unresolved(problem, run, -0.05, True)
+    assert any(wave.damped for wave in waves) is eaten
+    found = missed(problem, run, waves, (lambda states: [states.q[-1:, x]], [False], None))
     # The end has lost the wave, of 0.9 times the stretch of 1e-4 at the light mass, or had none
     # left. Twice the amplitude is assumed, of which the first steps leave half; two phases are
     # tried, of which one has cos^2 >= 1/2.
@@ -243,8 +246,8 @@ def test_a_pulse_of_an_objective_is_not_stepped_over():
 
 
 def test_slow_laws_have_no_features_and_pulses_have_stops():
-    slow = features(assemble(struck(0.3, 1.0)[0]), [], 2.0)
-    fast = features(assemble(struck(1e-3, 1.0)[0]), [], 2.0)
+    slow = features(InitialValueProblem.of(assemble(struck(0.3, 1.0)[0]), 2.0), [], 2.0)
+    fast = features(InitialValueProblem.of(assemble(struck(1e-3, 1.0)[0]), 2.0), [], 2.0)
     assert slow == (0, ())
     # Thirty steps of 64 in 2 s are the width; more than 2 / 1e-3 steps follow it to a fifth.
     assert fast.steps >= 1024
@@ -375,7 +378,7 @@ def test_explicit_knows_states_more_closely_than_transitions_are_wide():
     assert loose == pytest.approx(1e-2)
     assert sequence.setting.rtol == pytest.approx(1e-4)
     # Values need no derivative: error control alone decides.
-    of_values = wanted._replace(slopes=False)
+    of_values = wanted._replace(partials=None)
     assert Eighth(seer, 4, of_values).setting.rtol == pytest.approx(1e-2)
 
 
@@ -387,13 +390,14 @@ def test_a_transition_of_friction_is_as_wide_as_its_speed(coulomb, smooth_speed)
     runs = [simulate(system, 0.5, HHT(0.5 / n, hht_alpha=-0.05)) for n in (64, 512)]
     speed, pull = np.abs(runs[-1].v).max(), np.abs(runs[-1].a).max()
     for run in runs:
-        found = passed_over(system, run, 1e-3)
+        found = passed_over(InitialValueProblem.of(system, 0.5), run, 1e-3)
         assert found.narrow == pytest.approx(2 * smooth_speed / np.ptp(runs[-1].v[:, 0]), rel=0.5)
         assert found.steps == pytest.approx(4 * 0.5 * pull / (2 * smooth_speed), rel=0.5)
         assert speed < 10
     smooth, _ = rubbing(coulomb, 2.0)
     run = simulate(smooth, 0.5, HHT(0.5 / 256, hht_alpha=-0.05))
-    assert passed_over(assemble(smooth, ["f.coulomb"]), run, 1e-3) == RESOLVED
+    problem = InitialValueProblem.of(assemble(smooth, ["f.coulomb"]), 0.5)
+    assert passed_over(problem, run, 1e-3) == RESOLVED
 
 
 @pytest.mark.parametrize(

@@ -28,22 +28,43 @@ _LEAST = 64
 _MOST = 200
 
 
-def features(system: MechanicalSystem, observables: Sequence[Observable], t_end: float) -> Pulses:
+def features(
+    problem: InitialValueProblem, observables: Sequence[Observable], t_end: float
+) -> Pulses:
     """Sample laws and observables; one without features asks for no steps and has no stops."""
+    system = problem.system
     count = SAMPLES if isinstance(system, PlannedSystem) else _CALLS
     t = np.linspace(0.0, t_end, count + 1)
     with np.errstate(all="ignore"):
-        rows = [find_pulses(t, system.over_time(t), _LEAST)]
+        rows = [] if _timeless(system) else [find_pulses(t, system.over_time(t), _LEAST)]
     seen = [x for x in observables if any(leaf.names_time for leaf in x.leaves())]
     if seen:
-        rows.append(find_pulses(t, _held(system, seen, t), _LEAST))
-    stops = sorted(set(rows[0].stops).union(*(x.stops for x in rows)))
-    return Pulses(max(x.steps for x in rows), tuple(stops[:_MOST]))
+        rows.append(find_pulses(t, _held(problem, seen, t), _LEAST))
+    stops = sorted(set[float]().union(*(x.stops for x in rows)))
+    return Pulses(max((x.steps for x in rows), default=0), tuple(stops[:_MOST]))
 
 
-def _held(system: MechanicalSystem, observables: Sequence[Observable], t: Array) -> Array:
+class _Untold:
+    """A time that nobody may use: comparing it, or calculating with it, raises TypeError."""
+
+    def __eq__(self, other: object) -> bool:
+        raise TypeError
+
+    def __bool__(self) -> bool:
+        raise TypeError
+
+
+def _timeless(system: MechanicalSystem) -> bool:
+    """Return whether nothing in a system of equations looks at the time."""
+    try:
+        values = system.over_time(np.array([_Untold()], dtype=object))
+    except Exception:  # noqa: BLE001 A formula may raise anything where it meets that time.
+        return False
+    return np.asarray(values).dtype != object
+
+
+def _held(problem: InitialValueProblem, observables: Sequence[Observable], t: Array) -> Array:
     """Return values of observables over time at the start with the sizes of a motion added."""
-    problem = InitialValueProblem.of(system, float(t[-1]))
     first, scales = problem.initial, problem.scales
     held = first.q, first.v + scales.v, first.lam + scales.lam
     q, v, lam = (np.broadcast_to(x, (len(t), len(x))) for x in held)
@@ -51,7 +72,7 @@ def _held(system: MechanicalSystem, observables: Sequence[Observable], t: Array)
     columns = []
     for each in observables:
         try:
-            columns.append(np.real(each.value(system, states)))
+            columns.append(np.real(each.value(problem.system, states)))
         except AncfdaeError:  # The run says so with the instant.
             continue
     return np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))

@@ -12,10 +12,12 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_positive
 from ancfdae.errors.kinds import InvalidInputError, ToleranceWarning
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.sensitivity.method import Accuracy, Gradient, GradientMethod, Run, UnfinishedRunError
 from ancfdae.sensitivity.objectives import Objective
+from ancfdae.sensitivity.objectives.objective import ObjectivePartials
 from ancfdae.sensitivity.objectives.reductions import OverTime
 from ancfdae.sensitivity.objectives.totals import read_at_end
 from ancfdae.sensitivity.observables.expression import leaves
@@ -73,11 +75,15 @@ def _wanted(
         with np.errstate(all="ignore"):
             return [np.array([np.real(x.value(system, states))]) for x in objectives]
 
+    def partials(states: States) -> list[ObjectivePartials]:
+        return [x.partials(system, states) for x in objectives]
+
     parts = [leaves(x) for x in objectives]
     over = [[x for x in each if isinstance(x, OverTime)] for each in parts]
     integrated = [len(x) == len(y) for x, y in zip(parts, over, strict=True)]
-    fast = features(system, [x.observable for each in over for x in each], t_end)
-    return Wanted(system, t_end, tolerance, _sizes, numbers, integrated, True, False, fast)
+    problem = InitialValueProblem.of(system, t_end)
+    fast = features(problem, [x.observable for each in over for x in each], t_end)
+    return Wanted(problem, t_end, tolerance, _sizes, numbers, integrated, partials, False, fast)
 
 
 def require_tolerance(tolerance: float) -> None:

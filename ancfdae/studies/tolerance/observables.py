@@ -16,6 +16,7 @@ from ancfdae.errors.kinds import InvalidInputError, StabilityWarning, ToleranceW
 from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.errors.text import columns
 from ancfdae.integrators.integrator import Integrator
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import LOBATTO_DEGREE, TimeGrid
 from ancfdae.sensitivity.method import ToleranceSearch, UnfinishedRunError
@@ -101,8 +102,9 @@ def observed_within(
     def numbers(states: States) -> list[Array]:
         return [_interpolated(x.value(system, states), states, times) for x in asked]
 
-    fast, none = features(system, (), t_end), [False] * len(asked)
-    wanted = Wanted(system, t_end, tolerance, _sizes, numbers, none, False, True, fast)
+    problem, none = InitialValueProblem.of(system, t_end), [False] * len(asked)
+    fast = features(problem, (), t_end)
+    wanted = Wanted(problem, t_end, tolerance, _sizes, numbers, none, None, True, fast)
     second = Second(wanted)
     others = [Fifth(second, wanted), Eighth(second, _INTERVALS, wanted)]
     with warnings.catch_warnings():

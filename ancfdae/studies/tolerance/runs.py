@@ -11,16 +11,17 @@ import numpy as np
 
 from ancfdae.equations import ErrorEstimates, MechanicalSystem, PlannedSystem, Solution
 from ancfdae.integrators.integrator import Integrator
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.pulses import Pulses
 from ancfdae.studies.tolerance.bars import Estimate
-from ancfdae.studies.tolerance.waves import Numbers
+from ancfdae.studies.tolerance.waves import Numbers, Partials
 
 # Work of a run without its steps.
 OF_A_RUN = 2500.0
 # Work of one evaluation of loads that move, each, and of driven joints with their derivatives, by
 # methods other than HHT-I3: in Python.
-_OF_A_LOAD, _OF_DRIVES = 140.0, 600.0
+_OF_A_LOAD, _OF_DRIVES = 30.0, 350.0
 # Two kinds of runs contradict each other if they differ by more than _CONTRADICTS error bars: one
 # bar in twenty does not hold.
 _CONTRADICTS = 3.0
@@ -48,19 +49,30 @@ class Wanted(NamedTuple):
     """Task of a search: vectors of a system's motion to a tolerance relative to their sizes.
 
     `numbers` evaluates what they are about on states, one array each; `integrated` says which are
-    integrals over time. If `slopes` is True each is followed by its logarithmic design derivatives
-    as a vector. If `along` is True a vector holds values at increasing times.
+    integrals over time. If there are `partials`, the derivatives of the numbers in the states, each
+    is followed by its logarithmic design derivatives as a vector. If `along` is True a vector holds
+    values at increasing times.
     """
 
-    system: MechanicalSystem
+    problem: InitialValueProblem
     t_end: float
     tolerance: float
     sizes: Sizes
     numbers: Numbers
     integrated: Sequence[bool]
-    slopes: bool
+    partials: Partials | None
     along: bool
     features: Pulses
+
+    @property
+    def system(self) -> MechanicalSystem:
+        """The system whose motion is wanted."""
+        return self.problem.system
+
+    @property
+    def slopes(self) -> bool:
+        """Whether derivatives are wanted."""
+        return self.partials is not None
 
 
 class Runs(abc.ABC):

@@ -16,14 +16,13 @@ from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.hht.small_steps import small_from
 from ancfdae.integrators.integrator import Integrator
-from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau.method import Radau
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import HIGH_GRANTED, Estimate, falls, refined, spread, tightened
 from ancfdae.studies.tolerance.runs import OF_A_RUN, Runs, Sample, Wanted
 from ancfdae.studies.tolerance.spectrum import fades, pace
 from ancfdae.studies.tolerance.transitions import RESOLVED, Transition, passed_over
-from ancfdae.studies.tolerance.waves import Missed, Wave, followed, missed
+from ancfdae.studies.tolerance.waves import Missed, Wave, followed, missed, unresolved
 
 # Order at which the estimated errors of derivatives fall where steps resolve their waves: from two
 # runs, and, lower, from the second and third of three.
@@ -36,7 +35,7 @@ _MEMORY = 5e8
 _AIM, _LEAST = 0.7, 1.4
 # Numerical damping of HHT-I3.
 _ALPHA = -0.05
-# Order that is hoped for where waves are not resolved.
+# Least order that is hoped for where waves are not resolved.
 _UNSEEN = 1.2
 # Where HHT errs by a hundredth, methods of high order do so with a share of its steps; Radau takes
 # a share of those at which HHT saw that waves are resolved.
@@ -54,9 +53,9 @@ _STABLE, _FOLLOWED = 5.7, 1e-3
 _FEWEST = 20.0
 # Differences over the tolerance whose order need not be seen.
 _SMALL = 0.05
-# What all unresolved waves may change, over the tolerance, for the order to be believed; and bars
-# then, over those of resolved waves.
-_LITTLE, _ORDER_ONLY = 0.2, 2.0
+# What all unresolved waves may change, over the tolerance, for the order to be believed, and the
+# improvement of numbers by it; and bars then, over those of resolved waves.
+_LITTLE, _NOTHING, _ORDER_ONLY = 0.2, 0.05, 2.0
 # Fewest steps of Radau where waves fade, and its error over the difference of two runs then.
 _FADING, _OF_FADING = 32, 0.5
 # Errors over the tolerance of two runs that do not resolve waves, at least: they may agree by
@@ -68,7 +67,7 @@ _FASTER = 0.6
 # Part of the narrowest transition of forces that error control must know the state to.
 _OF_NARROW = 0.1
 # Work of the derivatives of a small step of HHT-I3 (`small_from`).
-_OF_A_SMALL = 250.0
+_OF_A_SMALL = 60.0
 
 
 class _Steps(Runs):
@@ -180,8 +179,10 @@ class Second(_Steps):
         super().__init__(wanted)
         # What is lost by waves, and the waves.
         self._lost, self._damped = list[Array](), list[Wave]()
-        # What all unresolved waves change, and whether that is below the tolerance.
-        self.whole, self._little = list[Array](), False
+        # What all unresolved waves change, and its size.
+        self.whole, self._whole = list[Array](), math.inf
+        # The error of the run before.
+        self._before = math.inf
         # Whether they fade; None as long as nobody asks.
         self._fades: bool | None = None
         # Whether its runs damped waves of the motion.
@@ -202,26 +203,33 @@ class Second(_Steps):
             self.samples = []
         elif self.damps:
             self.samples = self.samples[-1:] if sample.steps < self._following / 2 else []
-        self._lost, self._damped, self.whole, self._little, self._fades = [], [], [], False, None
+        self._lost, self._damped, self.whole, self._whole, self._fades = [], [], [], math.inf, None
         wanted, system = self._wanted, self._system
+        self._before = self.error
         if sample.vectors:
-            found = passed_over(system, sample.run, self._tolerance)
+            found = passed_over(wanted.problem, sample.run, self._tolerance)
             steps = max(found.steps, self.transitions.steps)
             self.transitions = Transition(steps, min(found.narrow, self.transitions.narrow))
         if sample.vectors and wanted.slopes:
             self._small = small_from(system, sample.run, _ALPHA)
         if self.samples and sample.vectors:
-            known = wanted.numbers, wanted.integrated, not _resolve([*self.samples, sample])
-            waves = missed(system, sample.run, _ALPHA, *known)
-            self._damped = waves.waves
-            self.waves = self.waves or bool(waves.waves)
-            self._lost, self.whole = map(self._parts, (waves.parts, waves.whole))
-            most = self.relative(self.whole, sample.vectors)
-            # Waves of derivatives are seen where the run has them.
-            seen = wanted.slopes and sample.run.sensitivities is not None
-            self._little = seen and most <= _LITTLE * self._tolerance
+            self._weigh(sample, _resolve([*self.samples, sample]))
         super().take(sample)
         self._taken = taken
+
+    def _weigh(self, sample: Sample, resolved: bool) -> None:
+        """Weigh the waves that a run does not resolve."""
+        wanted = self._wanted
+        waves = unresolved(wanted.problem, sample.run, _ALPHA, not resolved)
+        self._damped = [x.wave for x in waves if x.damped]
+        self.waves = self.waves or bool(self._damped)
+        lost = missed(
+            wanted.problem, sample.run, waves, (wanted.numbers, wanted.integrated, wanted.partials)
+        )
+        self._lost, self.whole = map(self._parts, lost)
+        # Waves of derivatives are seen where the run has them.
+        if wanted.slopes and sample.run.sensitivities is not None:
+            self._whole = self.relative(self.whole, sample.vectors)
 
     def _another(self, sample: Sample) -> bool:
         """Return whether estimated errors fall faster than runs of one motion allow."""
@@ -247,13 +255,13 @@ class Second(_Steps):
     @property
     def smooth(self) -> bool:
         """Whether all that unresolved waves change is below the tolerance; of three runs."""
-        return self._little and len(self.samples) > 2
+        return self._whole <= _LITTLE * self._tolerance and len(self.samples) > 2
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
         """Judge a vector; its order is believed where it is seen and no wave can be a part of it.
 
-        The improvement of numbers by extrapolation is not believed then. Steps that jump over a
-        kink of forces err by where they meet it, to first order.
+        The improvement of numbers by extrapolation is believed where waves change nothing. Steps
+        that jump over a kink of forces err by where they meet it, to first order.
         """
         earlier, runs = runs[:-1], runs[-3:]
         kinked = len(earlier) == 4 and not (
@@ -269,7 +277,7 @@ class Second(_Steps):
         if not self._seen(runs, self.counts[-3:]):
             return super()._estimate(runs)
         known = self.counts[-3:], self.order, True, self._wanted.along
-        x, bar = refined(runs, *known, improved=False)
+        x, bar = refined(runs, *known, improved=self._whole <= _NOTHING * self._tolerance)
         return Estimate(x, _ORDER_ONLY * bar)
 
     def _over_time(self, runs: Sequence[Array]) -> Estimate:
@@ -374,11 +382,19 @@ class Second(_Steps):
             return self._work(self.least) + self._work(2 * self.least)
         if self.damps:
             return self._work(self._following) + self._work(2 * self._following)
-        order = 3 if self.resolved else 2 if self.regular else _UNSEEN
+        order = 3 if self.resolved else 2 if self.regular else self._falls
         last = max(self._growth(order, math.inf) * self._taken, self.count)
         most = self._stride if self.resolved else 2.0
         runs = math.ceil(math.log(last / self._taken) / math.log(most))
         return self._work(last) * (1 - most**-runs) / (1 - 1 / most)
+
+    @property
+    def _falls(self) -> float:
+        """Order that is hoped for where waves are not resolved: that of the last two errors."""
+        if not (self.error < self._before < math.inf):
+            return _UNSEEN
+        seen = math.log(self._before / self.error) / math.log(self.counts[-1] / self.counts[-2])
+        return min(max(seen, _UNSEEN), self.order)
 
     def _of_a_step(self, steps: float) -> float:
         """Return the work of a compiled step, or of one in Python; small steps count extra."""
@@ -587,7 +603,7 @@ class Eighth(Runs):
             if speed is not None:
                 return speed * per_speed, False
         try:
-            initial = InitialValueProblem.of(self._system, self._t_end).initial
+            initial = self._wanted.problem.initial
             at = LinearisationPoint(initial.q, initial.lam, t=initial.t)
             return fastest(self._system, at) * per_speed, True
         except AncfdaeError:  # Nothing vibrates.
@@ -617,10 +633,10 @@ class Eighth(Runs):
     def _of(self, steps: float) -> float:
         instants = 8 * self._intervals
         evaluations = 12 * steps + instants
-        of_one = 25.0 + 0.25 * self._n if self._compiled else 1100.0
+        of_one = 16.0 + 0.12 * self._n if self._compiled else 1100.0
         traits = self._system.traits
         if not (traits.constant_mass and traits.constant_constraints):
-            of_one = max(of_one, 100.0 + 7.0 * self._n)
+            of_one = max(of_one, 60.0 + self._n)
         of_one += self._of_laws
         # Measured with up to three variables; every one is a row of the states.
         return OF_A_RUN + evaluations * of_one * max(1.0, (1 + self._system.n_b) / 4)

@@ -17,9 +17,8 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem, Solution
-from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.integrators.index_1 import accelerations
+from ancfdae.equations import MechanicalSystem, PlannedSystem, Solution
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 
 # Steps about which forces are sampled at most, intervals of each, and how often these are divided;
@@ -52,10 +51,14 @@ class Transition(NamedTuple):
 RESOLVED: Final = Transition(0, math.inf)
 
 
-def passed_over(system: MechanicalSystem, run: Solution, share: float) -> Transition:
-    """Return the transitions that steps pass over whose jump exceeds a share of accelerations."""
+def passed_over(problem: InitialValueProblem, run: Solution, share: float) -> Transition:
+    """Return the transitions that steps pass over whose jump exceeds a share of accelerations.
+
+    Beams alone make no transitions: their forces are polynomials of a low degree in the state.
+    """
+    system = problem.system
     count, root = len(run.t) - 1, np.sqrt(system.weights)
-    if count < 4:
+    if count < 4 or _smooth(system):
         return RESOLVED
     a = run.a * root
     sizes = np.linalg.norm(a, axis=1)
@@ -66,7 +69,7 @@ def passed_over(system: MechanicalSystem, run: Solution, share: float) -> Transi
     looked_at = np.flatnonzero(sudden > least)
     if not looked_at.size:
         return RESOLVED
-    solver, found = accelerations(system, saddle_point(system, 0.0)), RESOLVED
+    solver, found = problem.accelerations, RESOLVED
     states = np.stack([run.q, run.v], axis=1)
     reach = [float(np.ptp(x * root, axis=0).max()) for x in (run.q, run.v)]
 
@@ -91,6 +94,12 @@ def passed_over(system: MechanicalSystem, run: Solution, share: float) -> Transi
         steps = math.ceil(count * _PER_WIDTH / width)
         found = Transition(max(found.steps, steps), min(found.narrow, narrow))
     return found
+
+
+def _smooth(system: MechanicalSystem) -> bool:
+    """Return whether forces and constraints of a system have no transitions."""
+    plan = system.plan if isinstance(system, PlannedSystem) else None
+    return plan is not None and not plan.moving and system.traits.constant_constraints
 
 
 @final

@@ -25,10 +25,11 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem, Solution
-from ancfdae.equations.saddle_points import saddle_point
+from ancfdae.equations import Solution
 from ancfdae.errors.kinds import AncfdaeError
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.objectives.objective import ObjectivePartials
 from ancfdae.sensitivity.observables.states import States, states_of
 
 # Second differences in a row of which the least counts.
@@ -48,11 +49,9 @@ _PHASES, _ANGLE, _TURN = (0.3, 0.3 + math.pi / 2), 1.9, 1e-2
 # heights.
 _POWER = 1.0
 
-# Waves of derivatives are tried as changes of the motion of this size, over that of q.
-_SMALL = 1e-6
-
-# Numbers of states: a vector for each objective, or observable.
+# Numbers of states: a vector for each objective, or observable; and the partials of objectives.
 Numbers = Callable[[States], Sequence[Array]]
+Partials = Callable[[States], Sequence[ObjectivePartials]]
 
 
 @final
@@ -92,12 +91,16 @@ class Wave(NamedTuple):
         lasts = min(t_end, 1 / self.decay) if self.decay else t_end
         return self.speed * lasts * (self.speed * t_end / steps) ** 2 / 10
 
-    def added(self, states: States, angle: float, phase: float, decay: float) -> States:
-        """Return the states with the wave as one of another frequency, `angle`, and decay."""
-        t = states.t - self.begin
+    def over(self, t: Array, angle: float, phase: float, decay: float) -> tuple[Array, Array]:
+        """Return cosine and sine over time of a wave with another frequency, `angle`, and decay."""
+        t = t - self.begin
         # The beginning is part of the run.
         size = (t > 0) * np.exp(-decay * np.maximum(t, 0.0))
-        cos, sin = (size * f(angle * t + phase) for f in (np.cos, np.sin))
+        return size * np.cos(angle * t + phase), size * np.sin(angle * t + phase)
+
+    def added(self, states: States, angle: float, phase: float, decay: float) -> States:
+        """Return the states with the wave as one of another frequency, `angle`, and decay."""
+        cos, sin = self.over(states.t, angle, phase, decay)
         q, lam = states.q + np.outer(cos, self.q), states.lam + np.outer(cos, self.lam)
         v = states.v - self.speed * np.outer(sin, self.q)
         return replace(states, q=q, v=v, lam=lam)
@@ -114,12 +117,30 @@ class Lost(NamedTuple):
     """What numbers may miss by waves.
 
     `parts` is what a run misses by its numerical damping, `whole` is all that the waves which it
-    does not resolve change, and `waves` are those that it damps more than physics does.
+    does not resolve change.
     """
 
     parts: list[Missed]
     whole: list[Missed]
-    waves: list[Wave]
+
+
+class Unresolved(NamedTuple):
+    """A wave that a run does not resolve, of the motion or of its derivative in a variable.
+
+    The variable is -1 for the motion. `kept` is the rate of decay in the run; `lost` says that it
+    has another amplitude there, `damped` that it is taken away faster than physics does: one that
+    lasts longer than it should shows in the differences of runs.
+    """
+
+    variable: int
+    wave: Wave
+    kept: float
+    lost: bool
+
+    @property
+    def damped(self) -> bool:
+        """Whether the run takes the wave away, and does so faster than physics."""
+        return self.lost and self.kept > self.wave.decay
 
 
 def _rows(run: Solution) -> list[Array]:
@@ -151,31 +172,57 @@ def radius(angle: float, alpha: float, damped: float = 0.0) -> float:
     return float(np.abs(np.linalg.eigvals(np.linalg.solve(left, right))).max())
 
 
-def wave_of(system: MechanicalSystem, run: Solution, a: Array) -> Wave | None:
-    """Return the largest wave in accelerations, or in derivatives of them; None if unknown."""
-    lasting = _lasting(a, system.weights)
-    if not lasting.size or not lasting.max() > 0:
-        return None
-    n = int(np.argmax(lasting))
-    s = a[n] - 2 * a[n + 1] + a[n + 2]
-    states = (x[n + 1 : n + 2] for x in (run.q, run.v, run.a, run.lam))
-    h, dot = float(run.t[n + 1] - run.t[n]), system.pattern.dot
+def waves_of(problem: InitialValueProblem, run: Solution) -> dict[int, Wave]:
+    """Return the largest waves in the accelerations and in their derivatives, by variable.
+
+    The motion has the number -1. Waves that cannot be found are left out.
+    """
+    rows, places = _rows(run), dict[int, int]()
+    for j, a in enumerate(rows, -1):
+        lasting = _lasting(a, problem.system.weights)
+        if lasting.size and lasting.max() > 0:
+            places[j] = int(np.argmax(lasting))
+    if not places:
+        return {}
+    n = np.array(list(places.values())) + 1
     try:
-        at = system.linearise(run.t[n + 1 : n + 2], *states)
-        M, K, Phi_q = at.M[0], at.f_q[0], at.Phi_q[0]
-        saddle = saddle_point(system, float(run.t[n + 1]), run.q[n + 1])
-        factors = saddle.factor(K + (_SMOOTH / h) ** 2 * M, Phi_q)
+        at = problem.system.linearise(*(x[n] for x in (run.t, run.q, run.v, run.a, run.lam)))
+    except AncfdaeError:
+        return {}
+    masses = np.broadcast_to(at.M, (len(n), at.M.shape[1]))
+    dampings = [None] * len(n) if at.f_v is None else list(at.f_v)
+    found = dict[int, Wave]()
+    for j, M, K, D, Phi_q in zip(places, masses, at.f_q, dampings, at.Phi_q, strict=True):
+        k = places[j]
+        s, h = np.diff(rows[j + 1][k : k + 3], n=2, axis=0)[0], float(run.t[k + 1] - run.t[k])
+        wave = _wave(problem, (M, K, D, Phi_q), s, (float(run.t[k]), h))
+        if wave is not None:
+            found[j] = wave
+    return found
+
+
+def _wave(
+    problem: InitialValueProblem,
+    matrices: tuple[Array, Array, Array | None, Array],
+    s: Array,
+    step: tuple[float, float],
+) -> Wave | None:
+    """Return the wave of second differences s in a step (t, h); None if it cannot be found."""
+    (M, K, D, Phi_q), (t, h), n_q = matrices, step, problem.system.n_q
+    dot = problem.system.pattern.dot
+    try:
+        factors = problem.matrices.factor(K + (_SMOOTH / h) ** 2 * M, Phi_q)
     except AncfdaeError:
         return None
-    both = factors.solve(np.append(dot(M, s), np.zeros(system.n_lam)))
-    x, mu = both[: system.n_q], both[system.n_q :]
+    both = factors.solve(np.append(dot(M, s), np.zeros(problem.system.n_lam)))
+    x, mu = both[:n_q], both[n_q:]
     inertia = float(x @ dot(M, x))
     if not inertia > 0:
         return None
     speed = math.sqrt(max(float(x @ dot(K, x)) / inertia, (_SMOOTH / h) ** 2))
     size = _AT_MOST / 4 * (1 + (2 / (speed * h)) ** 2)
-    damping = 0.0 if at.f_v is None else float(x @ dot(at.f_v[0], x)) / (2 * inertia)
-    return Wave(float(run.t[n]), size * x, size * mu, speed, max(damping, 0.0))
+    damping = 0.0 if D is None else float(x @ dot(D, x)) / (2 * inertia)
+    return Wave(t, size * x, size * mu, speed, max(damping, 0.0))
 
 
 def followed(waves: Sequence[Wave], t_end: float, alpha: float, at_least: float) -> float:
@@ -189,56 +236,59 @@ def followed(waves: Sequence[Wave], t_end: float, alpha: float, at_least: float)
     return steps
 
 
-def missed(
-    system: MechanicalSystem,
-    run: Solution,
-    alpha: float,
-    numbers: Numbers,
-    integrated: Sequence[bool],
-    phases: bool,
-) -> Lost:
-    """Return possible errors of numbers by the waves of a run; infinite if they are unknown.
+def unresolved(
+    problem: InitialValueProblem, run: Solution, alpha: float, phases: bool
+) -> list[Unresolved]:
+    """Return the waves that a run does not resolve; with `phases` also those whose phase is off."""
+    T, steps = float(run.t[-1]), len(run.t) - 1
+    found = list[Unresolved]()
+    for j, wave in waves_of(problem, run).items():
+        lost = wave.missed(T, steps, alpha) > _KEPT
+        if lost or (phases and wave.turned(T, steps) > _KEPT):
+            found.append(Unresolved(j, wave, wave.kept(T / steps, alpha), lost))
+    return found
 
-    Where a number is `integrated` over the instants, it sees the mean of a wave. With `phases`
-    waves count as unresolved whose phases are off, too.
+
+def missed(
+    problem: InitialValueProblem,
+    run: Solution,
+    waves: Sequence[Unresolved],
+    asked: tuple[Numbers, Sequence[bool], Partials | None],
+) -> Lost:
+    """Return possible errors of numbers by waves that a run does not resolve.
+
+    Asked are numbers, whether each is an integral over the instants, which sees the mean of a wave,
+    and the partials of the numbers, with which waves of derivatives are weighed.
     """
-    states, T, steps = states_of(run), float(run.t[-1]), len(run.t) - 1
-    plain, lost = numbers(states), Lost([], [], [])
-    for parts in (lost.parts, lost.whole):
-        parts += [Missed(np.zeros(x.shape), np.zeros(system.n_b)) for x in plain]
-    for j, a in enumerate(_rows(run), -1):
-        wave = wave_of(system, run, a)
-        if wave is None:
-            continue
-        share, kept = wave.missed(T, steps, alpha), wave.kept(T / steps, alpha)
-        if share <= _KEPT and not (phases and wave.turned(T, steps) > _KEPT):
-            continue
-        # One that lasts longer than it should shows in the differences of runs.
-        if share > _KEPT and kept > wave.decay:
-            lost.waves.append(wave)
-        if j < 0:
-            _of_the_motion(wave, kept, states, (numbers, plain, integrated), lost)
+    numbers, integrated, partials = asked
+    states = states_of(run)
+    plain = numbers(states) if waves else []
+    slopes = [] if partials is None or all(x.variable < 0 for x in waves) else partials(states)
+    sizes = [x.shape for x in plain] if waves else [(1,)] * len(integrated)
+    lost = Lost(*([Missed(np.zeros(x), np.zeros(problem.system.n_b)) for x in sizes] for _ in "pw"))
+    for x in waves:
+        if x.variable < 0:
+            _of_the_motion(x, states, (numbers, plain, integrated), lost)
         else:
-            scale = abs(float(system.b[j])) or 1.0
-            _of_a_derivative(wave, kept, states, (numbers, plain), lost, (j, scale))
+            scale = abs(float(problem.system.b[x.variable])) or 1.0
+            _of_a_derivative(x, states, slopes, scale, lost)
     return lost
 
 
 def _of_the_motion(
-    wave: Wave,
-    kept: float,
+    found: Unresolved,
     states: States,
     asked: tuple[Numbers, Sequence[Array], Sequence[bool]],
     lost: Lost,
 ) -> None:
     """Add what numbers and their derivatives miss by a wave of the motion."""
-    numbers, plain, integrated = asked
+    (numbers, plain, integrated), wave = asked, found.wave
     h, T = float(states.t[1] - states.t[0]), float(states.t[-1])
     angle = min(wave.speed, _ANGLE / h)
     angles = angle, angle + _TURN / T
     for phase in _PHASES:
         true, detuned = (numbers(wave.added(states, x, phase, wave.decay)) for x in angles)
-        left, moved = (numbers(wave.added(states, x, phase, kept)) for x in angles)
+        left, moved = (numbers(wave.added(states, x, phase, found.kept)) for x in angles)
         for k, x in enumerate(true):
             speed = angle if integrated[k] else wave.speed
             kinds = (lost.parts[k], left[k], moved[k]), (lost.whole[k], plain[k], plain[k])
@@ -251,24 +301,32 @@ def _of_the_motion(
 
 
 def _of_a_derivative(
-    wave: Wave,
-    kept: float,
+    found: Unresolved,
     states: States,
-    asked: tuple[Numbers, Sequence[Array]],
+    partials: Sequence[ObjectivePartials],
+    scale: float,
     lost: Lost,
-    of: tuple[int, float],
 ) -> None:
     """Add what derivatives of numbers miss by a wave of a derivative of the motion."""
-    (numbers, plain), (j, scale) = asked, of
-    h = float(states.t[1] - states.t[0])
-    small = _SMALL * (float(np.abs(states.q).max()) or 1.0) / (float(np.abs(wave.q).max()) or 1.0)
-    scaled = wave._replace(q=small * wave.q, lam=small * wave.lam)
-    angle, sizes = min(wave.speed, _ANGLE / h), np.zeros((2, len(plain)))
-    for phase in _PHASES:
-        true, left = (numbers(scaled.added(states, angle, phase, x)) for x in (wave.decay, kept))
-        for k, x in enumerate(true):
-            for row, y in zip(sizes, (left[k], plain[k]), strict=True):
-                row[k] = max(row[k], float(np.abs(x - y).max()) / small)
-    for row, parts in zip(sizes, (lost.parts, lost.whole), strict=True):
-        for size, part in zip(row, parts, strict=True):
-            part.slope[j] += scale * size
+    wave, j = found.wave, found.variable
+    angle = min(wave.speed, _ANGLE / float(states.t[1] - states.t[0]))
+    for k, each in enumerate(partials):
+        on_q, on_v, on_lam = (
+            0.0 if weights is None else weights @ x
+            for weights, x in (
+                (each.q, wave.q),
+                (each.v, -wave.speed * wave.q),
+                (each.lam, wave.lam),
+            )
+        )
+        largest = np.zeros(2)
+        for phase in _PHASES:
+            true, left = (
+                float(np.sum(cos * (on_q + on_lam) + sin * on_v))
+                for cos, sin in (
+                    wave.over(states.t, angle, phase, x) for x in (wave.decay, found.kept)
+                )
+            )
+            largest = np.maximum(largest, [abs(true - left), abs(true)])
+        lost.parts[k].slope[j] += scale * largest[0]
+        lost.whole[k].slope[j] += scale * largest[1]
