@@ -26,6 +26,7 @@ from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning
 from ancfdae.kernels import Csr, ListPlan, OperationList
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.extrapolation import scaled_derivative
+from ancfdae.numerics.operations import Operations
 from ancfdae.numerics.patterns import SparsityPattern
 
 # What a motion consists of.
@@ -210,6 +211,15 @@ class FormulaSystem(ListedSystem):
     def _motion(motion: tuple[Array, ...], sign: str = "") -> dict[str, Any]:
         """Return the parts of a motion by their names."""
         return {f"{sign}{name}": x for name, x in zip(_RATES, motion, strict=False)}
+
+    @property
+    def called(self) -> frozenset[str]:
+        """Names of the functions that are called at each evaluation, because they need numbers."""
+        return frozenset(self._formulas.called)
+
+    def right_side(self) -> tuple[Operations, list[Array], dict[str, Array]]:
+        """Return the list, numbers of Q, M, Phi_q and the side of Phi'', and those of inputs."""
+        return self._formulas.right_side()
 
     @property
     def index_1(self) -> tuple[OperationList, ...] | None:

@@ -207,6 +207,17 @@ class Formulas:
             self._list([self._along(rate, **moved)], *state, *changes),
         )
 
+    def right_side(self) -> tuple[Operations, list[Array], dict[str, Array]]:
+        """Return the list, numbers of Q, M, Phi_q and Phi'' at a = 0, and those of inputs.
+
+        What a function that is called returns is left out.
+        """
+        held = {"t": self._one, "q": self._at["v"]}
+        gamma = self._moved(self._rate(1, "constraint", lambda: self._Phi), held)[0]
+        parts = [*([] if "force" in self.called else [self._Q])]
+        parts += [*([] if "mass_matrix" in self.called else [self._M])]
+        return self._operations, [*parts, *self.constraint_q(0), gamma], self._at
+
     def march(self, velocity: bool) -> tuple[OperationList, ...]:
         """Return the lists of a `ListPlan`."""
         f = self._residual(True)

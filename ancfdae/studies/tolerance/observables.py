@@ -24,6 +24,7 @@ from ancfdae.sensitivity.observables.states import States, states_of
 from ancfdae.studies.parts import instants
 from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.gradients import require_tolerance
+from ancfdae.studies.tolerance.places import Seen, Witness
 from ancfdae.studies.tolerance.runs import Sample, Wanted
 from ancfdae.studies.tolerance.search import search
 from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
@@ -108,7 +109,8 @@ def observed_within(
     with warnings.catch_warnings():
         # Coarse runs are there to be compared.
         warnings.simplefilter("ignore", StabilityWarning)
-        reached = search(second, others, measure, tolerance)
+        witness = Witness(system, tuple(map(Seen, asked)), tolerance)
+        reached = search(second, others, measure, tolerance, witness)
     if not reached.reached:
         warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceWarning, stacklevel=3)
     assert isinstance(reached.result, Solution)

@@ -20,6 +20,7 @@ from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.method import Radau
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import HIGH_GRANTED, Estimate, falls, refined, spread, tightened
+from ancfdae.studies.tolerance.places import Places
 from ancfdae.studies.tolerance.runs import OF_A_RUN, Runs, Sample, Wanted
 from ancfdae.studies.tolerance.spectrum import fades, pace
 from ancfdae.studies.tolerance.transitions import RESOLVED, Transition, passed_over
@@ -46,6 +47,8 @@ _PERCENT, _FEWER, _SHARE = 1e-2, 8.0, 0.25
 _FIRST, _TIGHTER, _TIGHTEST = 0.1, 10.0, 1e3
 # The loosest and the tightest that it takes.
 _LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
+# Steps that it takes at least without stops.
+_LEAST_CHOSEN = 8
 # Errors over rtol, at least.
 _PER_RTOL = 1.0
 # Length of its steps times the fastest motion, and the tolerance below which they are shorter.
@@ -76,6 +79,8 @@ class _Steps(Runs):
 
     order: ClassVar[int]
     _taken = 0
+    # Steps that follow sharp places.
+    _following_places = 0
 
     @property
     def counts(self) -> list[int]:
@@ -103,6 +108,20 @@ class _Steps(Runs):
         """Add a run and note its number of steps."""
         self._taken = self.count
         super().take(sample)
+
+    @property
+    def chosen(self) -> int:
+        """Steps of the last run."""
+        return self.counts[-1]
+
+    def follows(self, places: Places) -> bool:
+        """Return whether no place lies between the instants of the last run."""
+        return places.steps <= self.counts[-1]
+
+    def mind(self, places: Places) -> None:
+        """Take as many steps as follow the places."""
+        self._following_places = max(self._following_places, places.steps)
+        super().mind(places)
 
     def _growth(self, order: float, most: float) -> float:
         """Return the factor of the number of steps that leads to the tolerance, at most `most`."""
@@ -158,7 +177,7 @@ class _Steps(Runs):
     @property
     def least(self) -> int:
         """Steps below which laws or objectives have features that runs pass over."""
-        return self._wanted.features.steps
+        return max(self._wanted.features.steps, self._following_places)
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
         """Judge a vector of the last two to five runs."""
@@ -447,7 +466,7 @@ class Fifth(_Steps):
     @property
     def least(self) -> int:
         """Stages of a step see half as much again."""
-        return self._seer.least // 2
+        return max(self._seer.least // 2, self._following_places // 2)
 
     @property
     def lost(self) -> list[Array]:
@@ -512,7 +531,7 @@ class Fifth(_Steps):
         """By what the runs tell; the first one by how far it is from the other kind."""
         if self.estimates:
             return super()._growth(order, most)
-        if not self._seer.resolved:
+        if not (self._seer.resolved and self._seer.estimates):
             return 2.0
         far = HIGH_GRANTED * self.apart(self._seer) / (_AIM * self._tolerance)
         return min(max(math.pow(far, 1 / order), 2.0), most)
@@ -533,6 +552,8 @@ class Eighth(Runs):
     words = "DOP853 follows every wave; two tolerances tell its errors"
     # Times as many steps as foreseen.
     _more = 1.0
+    # Stops that follow sharp places of the path.
+    _stops: tuple[float, ...] = ()
 
     def __init__(self, seer: Second, intervals: int, wanted: Wanted) -> None:
         super().__init__(wanted)
@@ -549,11 +570,26 @@ class Eighth(Runs):
     @property
     def setting(self) -> Integrator:
         """DOP853 at the tolerance of the next run."""
-        most = math.ceil(3 * self._foreseen) + 20
-        stops = self._wanted.features.stops
+        stops = (*self._wanted.features.stops, *self._stops)
+        most = math.ceil(3 * self._foreseen) + 20 + 3 * len(stops)
         # Interpolation between instants is an error too: each run has twice as many.
         intervals = self._intervals * 2 ** len(self._taken)
         return DOP853(max(self._rtol, _LEAST_RTOL), intervals, most, stops=stops)
+
+    @property
+    def chosen(self) -> int:
+        """Steps of the last run, without those that stops asked for."""
+        return max(self.samples[-1].steps - len(self._stops), _LEAST_CHOSEN)
+
+    def follows(self, places: Places) -> bool:
+        """Return whether the runs stopped in every place of the last one."""
+        return places.followed((*self._wanted.features.stops, *self._stops))
+
+    def mind(self, places: Places) -> None:
+        """Begin again with stops in the places."""
+        self._stops, self.samples, self._taken = places.stops, [], []
+        self._asked = min(_FIRST * self._tolerance, _LOOSEST)
+        super().mind(places)
 
     def take(self, sample: Sample) -> None:
         """Add a run; the next is as tight as the last two ask for, or may take more steps."""
