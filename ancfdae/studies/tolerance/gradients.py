@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_positive
-from ancfdae.errors.kinds import InvalidInputError, ToleranceWarning
+from ancfdae.errors.kinds import InvalidInputError, ManyStepsWarning, ToleranceWarning
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
@@ -61,7 +61,10 @@ def gradients_within(
     if method is None or isinstance(method, DirectDifferentiation):
         few = _FEW if read_at_end(system, objectives, t_end) and not witness.looks else _MANY
         others.append(Eighth(second, few, wanted))
-    reached = search(second, others, measure, tolerance, witness)
+    with warnings.catch_warnings():
+        # Short steps in sharp places are meant.
+        warnings.simplefilter("ignore", ManyStepsWarning)
+        reached = search(second, others, measure, tolerance, witness)
     if not reached.reached:
         warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceWarning, stacklevel=4)
     return _results(reached, scale, tolerance)
@@ -101,9 +104,7 @@ def _seen(objectives: Sequence[Objective]) -> tuple[Seen, ...]:
     """Return the observables that objectives read between the ends of a run."""
     each = dict.fromkeys(x for objective in objectives for x in leaves(objective))
     over = (x for x in each if isinstance(x, OverTime | SmoothUpperBound))
-    return tuple(
-        Seen(x.observable, getattr(x, "sharpness", None)) for x in over
-    )
+    return tuple(Seen(x.observable, getattr(x, "sharpness", None)) for x in over)
 
 
 def _sizes(vectors: Sequence[Array]) -> list[float]:

@@ -12,7 +12,12 @@ import scipy
 
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors.checks import require_each, require_flag, require_positive
-from ancfdae.errors.kinds import InvalidInputError, StabilityWarning, ToleranceWarning
+from ancfdae.errors.kinds import (
+    InvalidInputError,
+    ManyStepsWarning,
+    StabilityWarning,
+    ToleranceWarning,
+)
 from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.errors.text import columns
 from ancfdae.integrators.integrator import Integrator
@@ -109,6 +114,8 @@ def observed_within(
     with warnings.catch_warnings():
         # Coarse runs are there to be compared.
         warnings.simplefilter("ignore", StabilityWarning)
+        # Short steps in sharp places are meant.
+        warnings.simplefilter("ignore", ManyStepsWarning)
         witness = Witness(system, tuple(map(Seen, asked)), tolerance)
         reached = search(second, others, measure, tolerance, witness)
     if not reached.reached:

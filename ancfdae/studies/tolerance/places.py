@@ -39,24 +39,27 @@ from ancfdae.sensitivity.observables.user_functions import Custom
 _MUCH: Final = 0.05
 _FALLS: Final = 1 / 3
 # What distances from chords of a quarter of the length have of those before, at least, at a place
-# and at a kink; impulse of a kink within a chord, over that of the run and the share of a jump.
-_QUARTERED, _KINKED, _IMPULSE = 0.6, 1 / 8, 0.02
-# Steps in the longest chord that follows a place; levels that a motion must be coarser by.
-_FINER, _COARSER = 8, 2
+# and at a kink. Distances that count, over the tolerance: at a place, where derivatives see the
+# slope of a jump, and at a kink.
+_QUARTERED, _KINKED = 0.6, 1 / 8
+_JUMP, _BEND = 0.1, 0.3
+# Steps in the longest chord that follows a place; levels that a motion must be coarser by, and how
+# much less of it counts.
+_FINER, _COARSER, _CLOSER = 16, 2, 30
 # Fewest samples in a chord; fewer were enough, because the function is smooth there.
 _SEEN: Final = 5
 # The longest and the shortest chord, as powers of two of the run.
 _LONGEST, _SHORTEST = 3, 30
 # Places may take this share of the time; more are a motion that is fast throughout.
 _SHARE: Final = 0.3
-# Halvings of an interval, intervals in all, and operations of a list that is bounded.
+# Halvings of an interval, those in one pass and in all, and operations of a list that is bounded.
 _DEPTH: Final = 30
-_MOST: Final = 2**14
+_WIDE, _MOST = 2**10, 2**15
 _OPERATIONS: Final = 2000
 # Samples of what is no list, those of one instant at a time, and of an interval at most.
 _SAMPLES, _CALLS, _EACH = 2**15, 2**11, 64
 # Stops in the longest chord that follows a place, and how far apart they may be within it; all.
-_STOPS, _APART, _ALL = 8, 0.5, 1800
+_STOPS, _APART, _ALL = 16, 0.25, 1800
 
 
 class Part(NamedTuple):
@@ -68,20 +71,21 @@ class Part(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Sharp places that a run passes over: fewest steps that follow all, also kinks, and parts.
+    """Sharp places that a run passes over: fewest steps that follow all, and parts.
 
-    Each part is a place that error control may not see.
+    Each part is a place that error control may not see. Kinks are no places; steps below `kinks`
+    jump over one that matters.
     """
 
     steps: int
+    kinks: int
     parts: tuple[Part, ...]
 
-    @property
-    def stops(self) -> tuple[float, ...]:
-        """Instants that part every place."""
+    def stops(self, times: int = 1) -> tuple[float, ...]:
+        """Return instants that part every place, `times` as many as follow it."""
         found = set[float]()
         for left, right, chord in self.parts:
-            count = math.ceil((right - left) / chord * _STOPS)
+            count = math.ceil((right - left) / chord * _STOPS) * times
             found.update(np.linspace(left, right, count + 1).tolist())
         return tuple(sorted(found)[:_ALL])
 
@@ -97,8 +101,6 @@ class Places(NamedTuple):
     @property
     def words(self) -> str:
         """Where the first of them is."""
-        if not self.parts:
-            return "forces or observables have kinks along the path, which no run followed"
         left, right, _ = self.parts[0]
         return (
             f"forces or observables change within {right - left:.1g} s at t = {left:.6g} s, which "
@@ -134,6 +136,7 @@ class _Group(NamedTuple):
     factors: Array
     level: bool
     sample: Callable[[Array, Array], Array]
+    samples: int = _SAMPLES
 
 
 @final
@@ -141,7 +144,7 @@ class _Group(NamedTuple):
 class Witness:
     """Looks for places that the instants of runs pass over, in a system and what is observed.
 
-    A jump counts whose share of a function is more than `share`.
+    What changes a function by much less than the tolerance, `share`, does not count.
     """
 
     system: MechanicalSystem
@@ -157,14 +160,15 @@ class Witness:
     def of(self, run: Solution, steps: int) -> Places:
         """Return the places of the path of a run that its steps may pass over."""
         if not self.looks or len(run.t) < 3:
-            return Places(0, ())
+            return Places(0, 0, ())
         path = _Path.of(run)
         groups = [*_forces(self.system, path)]
         for each in filter(_sharp, self.seen):
             groups += _observed(self.system, each, path, run)
         found = [group.path.places(group, self.share, steps) for group in groups]
         parts = _deepest([part for each in found for part in each.parts])
-        return Places(max((x.steps for x in found), default=0), parts)
+        steps, kinks = (max((x[k] for x in found), default=0) for k in (0, 1))
+        return Places(steps, kinks, parts)
 
 
 def _sharp(seen: Seen) -> bool:
@@ -177,7 +181,9 @@ def _deepest(parts: Sequence[Part]) -> tuple[Part, ...]:
     """Return parts that hold none of a shorter chord, by which they are explained."""
     found = list[Part]()
     for part in sorted(parts, key=lambda x: x.chord):
-        if all(part.right <= x.left or x.right <= part.left or part.chord == x.chord for x in found):
+        if all(
+            part.right <= x.left or x.right <= part.left or part.chord == x.chord for x in found
+        ):
             found.append(part)
     return tuple(sorted(found))
 
@@ -244,31 +250,50 @@ class _Path:
         """Return the places of some functions that steps may pass over."""
         with np.errstate(all="ignore"):
             if group.listed is not None:
-                places = self._divided(group, group.listed, share)
+                places = self._divided(group, group.listed, _JUMP * share)
             else:
                 count = len(self.t) - 1
                 each = 2 ** int(np.log2(np.clip(_SAMPLES // count, 4, _EACH)))
-                places = np.arange(count * each + 1) / each
-            n = np.minimum(places.astype(int), len(self.t) - 2)
-            rows = group.sample(n, places - n) * group.factors[:, None]
-            rows = rows[np.all(np.isfinite(rows), axis=1)]
-            size = _size(rows, group.level)
+                samples = min(count * each, group.samples)
+                places = np.linspace(0.0, count, samples + 1)
+            n, parts = self._split(places)
+            rows = group.sample(n, parts) * group.factors[:, None]
+            known = np.all(np.isfinite(rows), axis=1)
+            size = _size(rows[known], group.level)
             if not size > 0:
-                return Places(0, ())
-            t = self.at(n, places - n)[0][0]
-            chords = _Chords.of(t, rows / size)
-            kinks = chords.kinks(share)
-            sharp = chords.level(share)
-            if not (2 ** int(sharp.max()) * 2 * _FINER > steps or kinks > steps):
-                return Places(0, ())
-            own = _Chords.of(t, self._motion(n, places - n)).level(share)
+                return Places(0, 0, ())
+            t, factors = self.at(n, parts)[0][0], group.factors[known, None] / size
+
+            def function(places: Array) -> Array:
+                return np.asarray(group.sample(*self._split(places))[known] * factors)
+
+            chords = _Chords.of(self.t, t, function)
+            least = self._unsure()
+            kinks = chords.kinks(max(_BEND * share, least))
+            sharp = chords.level(max(_JUMP * share, least))
+            if not (sharp.any() or kinks > steps):
+                return Places(0, 0, ())
+            own = _Chords.of(self.t, t, self._motion(n, parts)).level(_JUMP * share / _CLOSER)
             return chords.places(np.where(sharp >= own + _COARSER, sharp, 0), kinks, steps)
 
-    def _motion(self, n: Array, s: Array) -> Array:
-        """Return q and v at parts of a path, each relative to the largest range."""
+    def _split(self, places: Array) -> tuple[Array, Array]:
+        """Return intervals, and parts of them, of places that are counted in intervals."""
+        n = np.minimum(places.astype(int), len(self.t) - 2)
+        return n, places - n
+
+    def _unsure(self) -> float:
+        """Return how far the rates of q are from v between the instants, over the range of v."""
+        n_q, count = self.sizes[0], len(self.t) - 1
+        x, rate = self.at(np.arange(count), np.full(count, 0.5))
+        size = _size(x[1 + n_q : 1 + 2 * n_q], False) or 1.0
+        return float(np.abs(rate[1 : 1 + n_q] - x[1 + n_q : 1 + 2 * n_q]).max(initial=0.0)) / size
+
+    def _motion(self, n: Array, s: Array) -> Callable[[Array], Array]:
+        """Return the function of places that is q and v, each relative to its largest range."""
         n_q, rows = self.sizes[0], self.at(n, s)[0]
-        parts = rows[1 : 1 + n_q], rows[1 + n_q : 1 + 2 * n_q]
-        return np.concatenate([x / (_size(x, False) or 1.0) for x in parts])
+        q, v = (_size(x, False) or 1.0 for x in (rows[1 : 1 + n_q], rows[1 + n_q : 1 + 2 * n_q]))
+        factors = np.repeat([1 / q, 1 / v], n_q)[:, None]
+        return lambda places: self.at(*self._split(places))[0][1 : 1 + 2 * n_q] * factors
 
     def _divided(self, group: _Group, listed: _Listed, share: float) -> Array:
         """Return the ends of intervals between which functions are smooth, in intervals."""
@@ -290,8 +315,11 @@ class _Path:
             off = (most - least) * d / 4 * group.factors[:, None] / size
             off = np.where(np.isfinite(off), off, np.inf).max(axis=0)
             again = (off > _MUCH) | ((off > share) & (off > _FALLS * before))
-            if not again.any() or sum(map(len, ends)) + 2 * again.sum() > _MOST + 2 * count:
+            if not again.any() or sum(map(len, ends)) > _MOST + 2 * count:
                 break
+            if again.sum() > max(_WIDE, count):
+                # Of a function that is not yet seen where it is large every value counts.
+                again &= off >= np.sort(off)[-max(_WIDE, count)]
             n, s, middle, e = (x[again] for x in (n, s, middle, e))
             before = np.tile(off[again], 2)
             n, s, e = np.tile(n, 2), np.append(s, middle), np.append(middle, e)
@@ -312,74 +340,103 @@ def _size(rows: Array, level: bool) -> float:
 class _Chords:
     """Distances of functions of the size one from chords over 2^-l of a run, at instants t.
 
-    `gaps` has a row for each level l, from `_LONGEST` on.
+    `gaps` has a row for each level l, from `_LONGEST` on; `between` those of chords that begin in
+    the middle of these, so that no place is at the end of all.
     """
 
     t: Array
     gaps: Array
+    between: Array
 
     @staticmethod
-    def of(t: Array, rows: Array) -> _Chords:
-        """Measure the distances; a level is the last where no two instants are closer."""
-        x = t / t[-1]
-        last = min(math.ceil(-math.log2(float(np.diff(x).min()))) + 2, _SHORTEST)
-        gaps = []
-        for level in range(_LONGEST, last + 3):
-            left = np.floor(x * 2.0**level)
-            first, second = (_between(x, rows, end / 2.0**level) for end in (left, left + 1))
-            off = rows - first - (x * 2.0**level - left) * (second - first)
-            gaps.append(np.abs(off).max(axis=0))
-        return _Chords(t, np.array(gaps))
+    def of(known: Array, t: Array, function: Callable[[Array], Array]) -> _Chords:
+        """Measure the distances of a function of places; no level is finer than the instants.
 
-    def _cells(self, level: int) -> tuple[Array, Array, Array]:
+        Places are counted in intervals of the `known` instants.
+        """
+        x = t / t[-1]
+        at = np.interp(t, known, np.arange(float(len(known))))
+        rows = function(at)
+
+        def value(x: Array) -> Array:
+            return function(np.interp(x * t[-1], known, np.arange(float(len(known)))))
+
+        last = min(math.ceil(-math.log2(float(np.diff(x).min()))) + 2, _SHORTEST)
+        levels = range(_LONGEST, last + 3)
+        gaps = (
+            np.array([_gap(x, rows, value, level, shift) for level in levels])
+            for shift in (0.0, 0.5)
+        )
+        return _Chords(t, *gaps)
+
+    @property
+    def _levels(self) -> list[tuple[int, float]]:
+        """Levels and where their chords begin, the finest last."""
+        known = range(_LONGEST, _LONGEST + len(self.gaps) - 2)
+        return [(level, shift) for level in known for shift in (0.0, 0.5)]
+
+    def _cells(self, level: int, shift: float) -> tuple[Array, Array, Array]:
         """Return the largest distances in each chord of a level, of two levels on, and sizes."""
-        cell = np.floor(self.t / self.t[-1] * 2.0**level)
+        cell = np.floor(self.t / self.t[-1] * 2.0**level + shift)
         begins = np.flatnonzero(np.append(True, np.diff(cell) > 0))
         k = level - _LONGEST
-        rows = (np.maximum.reduceat(self.gaps[row], begins) for row in (k, k + 2))
-        return (*rows, np.diff(np.append(begins, len(cell))))
+        rows = (self.between if shift else self.gaps)[k], self.gaps[k + 2]
+        sizes = np.diff(np.append(begins, len(cell)))
+        off, after = (np.maximum.reduceat(row, begins) for row in rows)
+        return np.where(sizes < _SEEN, 0.0, off), after, sizes
 
     def level(self, share: float) -> Array:
-        """Return at each instant the last level whose chord passes over something; 0 for none."""
-        found = np.zeros(len(self.t), dtype=int)
-        for level in range(_LONGEST, _LONGEST + len(self.gaps) - 2):
-            off, after, sizes = self._cells(level)
-            over = (sizes >= _SEEN) & (off > share) & (after > _QUARTERED * off)
-            found[np.repeat(over, sizes)] = level
+        """Return at each instant the last level whose chord passes over something; 0 for none.
+
+        Levels are counted in halves, those of chords that begin between others.
+        """
+        found = np.zeros(len(self.t))
+        for level, shift in self._levels:
+            off, after, sizes = self._cells(level, shift)
+            over = (off > share) & (after > _QUARTERED * off)
+            found[np.repeat(over, sizes)] = level + shift
         return found
 
     def kinks(self, share: float) -> int:
-        """Return the steps that make the impulse small which chords lose at a kink."""
+        """Return the steps below which chords pass over a kink."""
         steps = 0
-        for level in range(_LONGEST, _LONGEST + len(self.gaps) - 2):
-            off, after, sizes = self._cells(level)
-            lost = off > _IMPULSE * share * 2.0**level
-            if np.any((sizes >= _SEEN) & lost & (after > _KINKED * off)):
+        for level, shift in self._levels:
+            off, after, _ = self._cells(level, shift)
+            if np.any((off > share) & (after > _KINKED * off)):
                 steps = 2 ** (level + 1)
         return steps
 
     def places(self, level: Array, kinks: int, steps: int) -> Places:
         """Return places of which the last level that passes over them is known at each instant."""
-        level = np.where(2.0 ** (level + 1) * _FINER > steps, level, 0)
-        inside = level > 0
-        taken = float(np.diff(self.t)[inside[1:] & inside[:-1]].sum())
-        if not inside.any() or taken > _SHARE * self.t[-1]:
-            return Places(kinks if kinks > steps else 0, ())
-        parts = []
-        for at in range(int(level[inside].min()), int(level.max()) + 1):
-            chord = float(self.t[-1]) / 2.0 ** (at + 1)
-            for cell in np.unique(np.floor(self.t[level == at] / (2 * chord))).tolist():
+        kinks = kinks if kinks > steps else 0
+        level = np.where(2.0 ** (np.floor(level) + 1) * _FINER > steps, level, 0)
+        inside, t_end = level > 0, float(self.t[-1])
+        if not inside.any():
+            return Places(0, kinks, ())
+        parts = list[Part]()
+        for at in np.unique(level[inside]).tolist():
+            chord, shift = t_end / 2.0 ** (math.floor(at) + 1), at % 1
+            cells = np.unique(np.floor(self.t[level == at] / (2 * chord) + shift)) - shift
+            for cell in cells.tolist():
                 left, right = (2 * cell - 0.5) * chord, (2 * cell + 2.5) * chord
-                parts.append(Part(max(left, 0.0), min(right, float(self.t[-1])), chord))
-        return Places(max(2 ** (int(level.max()) + 1) * _FINER, kinks), _deepest(parts))
+                parts.append(Part(max(left, 0.0), min(right, t_end), chord))
+        deepest = _deepest(parts)
+        if sum(part.right - part.left for part in deepest) > _SHARE * t_end:
+            return Places(0, kinks, ())
+        return Places(2 ** (math.floor(level.max()) + 1) * _FINER, kinks, deepest)
 
 
-def _between(x: Array, rows: Array, at: Array) -> Array:
-    """Return rows of values at x on straight lines, at other places."""
-    right = np.clip(np.searchsorted(x, at), 1, len(x) - 1)
-    share = (at - x[right - 1]) / (x[right] - x[right - 1])
-    share = np.clip(share, 0.0, 1.0)
-    return np.asarray(rows[:, right - 1] * (1 - share) + rows[:, right] * share)
+def _gap(x: Array, rows: Array, value: Callable[[Array], Array], level: int, shift: float) -> Array:
+    """Return the largest distance of rows from chords of a level, at x from 0 to 1."""
+    left = np.floor(x * 2.0**level + shift) - shift
+    ends, which = np.unique(np.concatenate([left, left + 1]), return_inverse=True)
+    at_ends = value(np.clip(ends / 2.0**level, 0.0, 1.0))
+    first, second = np.split(at_ends[:, which], 2, axis=1)
+    # The first and the last chord may be cut.
+    low, high = (np.clip(end / 2.0**level, 0.0, 1.0) for end in (left, left + 1))
+    part = (x - low) / np.where(high > low, high - low, 1.0)
+    off = rows - first - part * (second - first)
+    return np.asarray(np.abs(off).max(axis=0))
 
 
 # -- functions ---------------------------------------------------------------------------------
@@ -433,7 +490,7 @@ def _forces(system: MechanicalSystem, path: _Path) -> list[_Group]:
         return []
     root, groups = 1 / np.sqrt(system.weights), list[_Group]()
     if not (isinstance(system, FormulaSystem) and "force" not in system.called):
-        groups.append(_Group(path, None, root, True, partial(_called, system, path)))
+        groups.append(_Group(path, None, root, True, _called(system, path), _CALLS))
     if not isinstance(system, FormulaSystem):
         return groups
     operations, parts, at = system.right_side()
@@ -447,19 +504,17 @@ def _forces(system: MechanicalSystem, path: _Path) -> list[_Group]:
     return groups
 
 
-def _called(system: MechanicalSystem, path: _Path, n: Array, s: Array) -> Array:
+def _called(system: MechanicalSystem, path: _Path) -> Callable[[Array, Array], Array]:
     """Return forces of a system that is called at one instant after the other, at few of them."""
-    every = max(len(n) // _CALLS, 1)
-    few = path.states(n[::every], s[::every])
-    rows = zip(few.t.tolist(), few.q, few.v, strict=True)
+    places = np.linspace(0.0, len(path.t) - 1.0, _CALLS + 1)
+    n = np.minimum(places.astype(int), len(path.t) - 2)
+    at = path.states(n, places - n)
+    rows = zip(at.t.tolist(), at.q, at.v, strict=True)
     forces = np.real(np.array([system.force(*row) for row in rows]))
-    places = n + s
-    return np.stack([np.interp(places, places[::every], x) for x in forces.T])
+    return lambda n, s: np.stack([np.interp(n + s, places, x) for x in forces.T])
 
 
-def _observed(
-    system: MechanicalSystem, seen: Seen, path: _Path, run: Solution
-) -> list[_Group]:
+def _observed(system: MechanicalSystem, seen: Seen, path: _Path, run: Solution) -> list[_Group]:
     """Return an observable along a path: as a list if it can be traced, as samples else."""
     observable, k = seen
     near = 0.0

@@ -126,6 +126,11 @@ class Runs(abc.ABC):
     def follows(self, places: Places) -> bool:
         """Return whether the last run follows the sharp places of its path."""
 
+    @property
+    def stops_there(self) -> bool:
+        """Whether runs stop in sharp places, of which each tells more closely where they are."""
+        return False
+
     def mind(self, places: Places) -> None:
         """Follow sharp places from now on, and judge again."""
         self._judge()

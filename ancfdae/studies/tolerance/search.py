@@ -121,6 +121,11 @@ def search(
                     each.mind(early)
                 continue
         sample = spent.take(runs, measure)
+        if runs.stops_there and runs.samples and looks < _LOOKS:
+            places = witness.of(runs.samples[-1].run, runs.chosen)
+            if not runs.follows(places):
+                looks += 1
+                runs.mind(places)
         if isinstance(sample.result, Exception):
             failures.append(sample.result)
     if not best.estimates:
@@ -133,9 +138,7 @@ def search(
     return _found(spent, best, best.estimates, reached, why)
 
 
-def _found(
-    spent: _Spent, best: Runs, estimates: list[Estimate], reached: bool, why: str
-) -> Found:
+def _found(spent: _Spent, best: Runs, estimates: list[Estimate], reached: bool, why: str) -> Found:
     integrator = next(trial.integrator for runs, trial, _ in spent.runs[::-1] if runs is best)
     trials = tuple(trial for _, trial, _ in spent.runs)
     return Found(estimates, best.samples[-1].result, reached, integrator, why, trials)

@@ -47,6 +47,8 @@ _PERCENT, _FEWER, _SHARE = 1e-2, 8.0, 0.25
 _FIRST, _TIGHTER, _TIGHTEST = 0.1, 10.0, 1e3
 # The loosest and the tightest that it takes.
 _LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
+# Paths whose sharp places are stops, and how often these are doubled.
+_PATHS, _FINER_STOPS = 3, 3
 # Steps that it takes at least without stops.
 _LEAST_CHOSEN = 8
 # Errors over rtol, at least.
@@ -79,8 +81,8 @@ class _Steps(Runs):
 
     order: ClassVar[int]
     _taken = 0
-    # Steps that follow sharp places.
-    _following_places = 0
+    # Steps that follow sharp places, and that jump over no kink.
+    _following_places = _kinks = 0
 
     @property
     def counts(self) -> list[int]:
@@ -115,12 +117,18 @@ class _Steps(Runs):
         return self.counts[-1]
 
     def follows(self, places: Places) -> bool:
-        """Return whether no place lies between the instants of the last run."""
-        return places.steps <= self.counts[-1]
+        """Return whether no place lies between the instants of the last run; kinks are known."""
+        return places.steps <= self.counts[-1] and places.kinks <= self._kinks
+
+    @property
+    def bent(self) -> bool:
+        """Whether steps of the last run jump over kinks, so that errors have no order."""
+        return bool(self.samples) and self.counts[-1] < self._kinks
 
     def mind(self, places: Places) -> None:
         """Take as many steps as follow the places."""
         self._following_places = max(self._following_places, places.steps)
+        self._kinks = max(self._kinks, places.kinks)
         super().mind(places)
 
     def _growth(self, order: float, most: float) -> float:
@@ -181,7 +189,8 @@ class _Steps(Runs):
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
         """Judge a vector of the last two to five runs."""
-        return refined(runs[-3:], self.counts[-3:], self.order, self.resolved, self._wanted.along)
+        ordered = self.resolved and not self.bent
+        return refined(runs[-3:], self.counts[-3:], self.order, ordered, self._wanted.along)
 
     @property
     @abc.abstractmethod
@@ -279,7 +288,7 @@ class Second(_Steps):
             self._seen(earlier[:3], self.counts[-5:-2])
             or self._seen(earlier[1:], self.counts[-4:-1])
         )
-        if kinked or self.passes:
+        if kinked or self.passes or self.bent:
             return refined(runs, self.counts[-3:], self.order, False, self._wanted.along)
         if self._wanted.along:
             return self._over_time(runs)
@@ -552,8 +561,10 @@ class Eighth(Runs):
     words = "DOP853 follows every wave; two tolerances tell its errors"
     # Times as many steps as foreseen.
     _more = 1.0
-    # Stops that follow sharp places of the path.
+    # Sharp places of the last paths, and stops in them.
+    _places: tuple[Places, ...] = ()
     _stops: tuple[float, ...] = ()
+    _chosen = _LEAST_CHOSEN
 
     def __init__(self, seer: Second, intervals: int, wanted: Wanted) -> None:
         super().__init__(wanted)
@@ -579,15 +590,27 @@ class Eighth(Runs):
     @property
     def chosen(self) -> int:
         """Steps of the last run, without those that stops asked for."""
-        return max(self.samples[-1].steps - len(self._stops), _LEAST_CHOSEN)
+        return self._chosen
+
+    def _stop(self) -> None:
+        """Stop in places; steps that stops alone make must be finer in every run, to differ."""
+        times = 2 ** min(len(self._taken), _FINER_STOPS)
+        self._stops = tuple(sorted({x for each in self._places for x in each.stops(times)}))
 
     def follows(self, places: Places) -> bool:
         """Return whether the runs stopped in every place of the last one."""
         return places.followed((*self._wanted.features.stops, *self._stops))
 
+    @property
+    def stops_there(self) -> bool:
+        """Whether runs stop in sharp places."""
+        return bool(self._stops)
+
     def mind(self, places: Places) -> None:
         """Begin again with stops in the places."""
-        self._stops, self.samples, self._taken = places.stops, [], []
+        self._places = (*self._places[1 - _PATHS :], places) if places.parts else self._places
+        self.samples, self._taken = [], []
+        self._stop()
         self._asked = min(_FIRST * self._tolerance, _LOOSEST)
         super().mind(places)
 
@@ -596,6 +619,8 @@ class Eighth(Runs):
         if sample.vectors:
             self._taken.append(self._rtol)
         super().take(sample)
+        self._chosen = max(sample.steps - len(self._stops), _LEAST_CHOSEN)
+        self._stop()
         if not sample.vectors:
             self._more *= 3
             self._taken = []
