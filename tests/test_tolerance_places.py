@@ -170,7 +170,9 @@ def test_a_narrow_window_is_seen_between_the_instants_of_a_run():
         seen = custom(lambda t, q, v, lam, b, w=width: np.exp(-(((q[:, 0] - 0.123) / w) ** 2)))
         places = Witness(system, (Seen(seen),), 1e-3).of(run, 32)
         crossing = np.arccos(0.123 / 0.5) / np.sqrt(10)
-        assert any(abs(left - crossing) < 0.01 for left, _, _ in places.parts)
+        assert any(
+            left < crossing + 0.02 and right > crossing - 0.02 for left, right, _ in places.parts
+        )
         assert places.steps > 1 / width
     smooth = custom(lambda t, q, v, lam, b: np.exp(q[:, 0]))
     assert not Witness(system, (Seen(smooth),), 1e-3).of(run, 32).parts

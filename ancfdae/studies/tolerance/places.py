@@ -45,7 +45,7 @@ _QUARTERED, _KINKED = 0.6, 1 / 8
 _JUMP, _BEND = 0.1, 0.3
 # Steps in the longest chord that follows a place; levels that a motion must be coarser by, and how
 # much less of it counts.
-_FINER, _COARSER, _CLOSER = 16, 2, 30
+_FINER, _COARSER, _CLOSER = 32, 2, 2
 # Fewest samples in a chord; fewer were enough, because the function is smooth there.
 _SEEN: Final = 5
 # The longest and the shortest chord, as powers of two of the run.
@@ -59,7 +59,9 @@ _OPERATIONS: Final = 2000
 # Samples of what is no list, those of one instant at a time, and of an interval at most.
 _SAMPLES, _CALLS, _EACH = 2**15, 2**11, 64
 # Stops in the longest chord that follows a place, and how far apart they may be within it; all.
-_STOPS, _APART, _ALL = 16, 0.25, 1800
+_STOPS, _APART, _ALL = 12, 0.25, 1800
+# Chords of this length before and after a place belong to it: its tails.
+_WIDER: Final = 2
 
 
 class Part(NamedTuple):
@@ -167,8 +169,8 @@ class Witness:
             groups += _observed(self.system, each, path, run)
         found = [group.path.places(group, self.share, steps) for group in groups]
         parts = _deepest([part for each in found for part in each.parts])
-        steps, kinks = (max((x[k] for x in found), default=0) for k in (0, 1))
-        return Places(steps, kinks, parts)
+        steps = max((x.steps for x in found), default=0)
+        return Places(steps, max((x.kinks for x in found), default=0), parts)
 
 
 def _sharp(seen: Seen) -> bool:
@@ -418,7 +420,7 @@ class _Chords:
             chord, shift = t_end / 2.0 ** (math.floor(at) + 1), at % 1
             cells = np.unique(np.floor(self.t[level == at] / (2 * chord) + shift)) - shift
             for cell in cells.tolist():
-                left, right = (2 * cell - 0.5) * chord, (2 * cell + 2.5) * chord
+                left, right = (2 * cell - _WIDER) * chord, (2 * cell + 2 + _WIDER) * chord
                 parts.append(Part(max(left, 0.0), min(right, t_end), chord))
         deepest = _deepest(parts)
         if sum(part.right - part.left for part in deepest) > _SHARE * t_end:

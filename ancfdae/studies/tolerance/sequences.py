@@ -6,6 +6,7 @@ import abc
 import math
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -49,6 +50,8 @@ _FIRST, _TIGHTER, _TIGHTEST = 0.1, 10.0, 1e3
 _LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
 # Paths whose sharp places are stops, and how often these are doubled.
 _PATHS, _FINER_STOPS = 3, 3
+# Least distance of two stops, over the length of a run.
+_APART = 1e-7
 # Steps that it takes at least without stops.
 _LEAST_CHOSEN = 8
 # Errors over rtol, at least.
@@ -595,7 +598,9 @@ class Eighth(Runs):
     def _stop(self) -> None:
         """Stop in places; steps that stops alone make must be finer in every run, to differ."""
         times = 2 ** min(len(self._taken), _FINER_STOPS)
-        self._stops = tuple(sorted({x for each in self._places for x in each.stops(times)}))
+        each = sorted({x for places in self._places for x in places.stops(times)})
+        least = _APART * self._t_end
+        self._stops = tuple(x for before, x in pairwise([-least, *each]) if x > before + least)
 
     def follows(self, places: Places) -> bool:
         """Return whether the runs stopped in every place of the last one."""
