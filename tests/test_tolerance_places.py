@@ -209,7 +209,7 @@ def test_bounds_of_a_list_hold_and_shrink(function):
 
 
 def test_a_maximum_at_the_start_is_no_raw_error():
-    # 0.5 + log(1/(k T) int exp(-25 k t^2) dt)/k; its size is that of round-off on coarse runs.
+    # 0.5 + log(1/(k T) int exp(-25 k t^2) dt)/k; on coarse runs it is round-off.
     first = SmoothMaximum(custom(lambda t, q, v, lam, b: q[:, 0]), 1e5)
     found = gradient(Mass(lambda q: 0 * q, 0.1), first, 2.0, tolerance=1e-2)
     mean = np.sqrt(np.pi / (2.5 * 1e5)) / 2 / 2.0

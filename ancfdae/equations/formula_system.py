@@ -218,7 +218,7 @@ class FormulaSystem(ListedSystem):
         return frozenset(self._formulas.called)
 
     def right_side(self) -> tuple[Operations, list[Array], dict[str, Array]]:
-        """Return the list, numbers of Q, M, Phi_q and the side of Phi'', and those of inputs."""
+        """Return the list, numbers of Q, M, Phi_q and the side of Phi'', and numbers of inputs."""
         return self._formulas.right_side()
 
     @property

@@ -208,9 +208,9 @@ class Formulas:
         )
 
     def right_side(self) -> tuple[Operations, list[Array], dict[str, Array]]:
-        """Return the list, numbers of Q, M, Phi_q and Phi'' at a = 0, and those of inputs.
+        """Return the list, numbers of Q, M, Phi_q and Phi'' at a = 0, and numbers of inputs.
 
-        What a function that is called returns is left out.
+        Functions that are called are left out.
         """
         held = {"t": self._one, "q": self._at["v"]}
         gamma = self._moved(self._rate(1, "constraint", lambda: self._Phi), held)[0]

@@ -3,7 +3,7 @@
 Every operation takes the intervals of its arguments to one that holds all its values there, for
 many boxes of inputs at once. Bounds of a sum or a product are too wide where arguments depend on
 each other, but never too narrow, up to round-off, however sharply the functions change: no sample
-is needed to see a peak between two instants. A result that is not known is the whole line.
+is needed to see a peak between two samples. A result that is not known is the whole line.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Interval(NamedTuple):
 
 
 def values(operations: Operations, outputs: Array, inputs: Mapping[int, Any]) -> Array:
-    """Return values of outputs, (len(outputs), k), at k values of each input that they need."""
+    """Return values of outputs, shape (len(outputs), k), at k values of their inputs."""
     return np.stack(_walked(operations, outputs, inputs, lambda x: x, _value))
 
 
@@ -129,7 +129,7 @@ def _tan(x: Interval) -> Interval:
 
 
 def _angle(y: Interval, x: Interval) -> Interval:
-    """Bound the angle of (x, y): that of a corner, unless the cut or the origin is inside."""
+    """Bound the angle of (x, y) by its corners, unless the cut or the origin is inside."""
     low, high = _ends([np.arctan2(a, b) for a in y for b in x])
     cut = (x.low <= 0) & (y.low <= 0) & (y.high >= 0)
     return Interval(np.where(cut, -_HALF_TURN, low), np.where(cut, _HALF_TURN, high))

@@ -163,7 +163,7 @@ def error_bars(
     Parameters
     ----------
     model, objective, t_end, integrator, design, progress
-        As in `gradient`; the integrator is that of the coarsest run, of four steps or more.
+        As in `gradient`; the coarsest run has this integrator, and four steps or more.
     method : GradientMethod
         As in `gradient`, but `DirectDifferentiation` by default.
     levels : int

@@ -28,7 +28,7 @@ from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
 
 # Up to _DIRECT variables HHT differentiates directly, which also shows whether waves are resolved.
 _DIRECT = 6
-# Intervals of instants of high order where objectives read the end only, and else, or where
+# Intervals of high order where objectives read the end only, and else, or where
 # forces may have sharp places along the path.
 _FEW, _MANY = 4, 64
 

@@ -1,17 +1,17 @@
 """Sharp places: where forces or integrands change within a small part of a step of a run.
 
-What depends on time alone is sampled before any run (`features`). What depends on the state is
-known along the path of a run only, and its sharpest changes may lie between any two samples: a
-notch of a thousandth of the travel. But formulas are lists of operations, which bound their own
-values (`ancfdae.numerics.enclosures`). Along the cubic path between two instants the derivative of
-a function in time lies in [low, high], so that the function is at most (high - low) h/4 away from
-its chord. An interval is halved while that is much, or does not fall as that of smooth functions
-does. What remains are samples that no sharp place lies between, as dense as each place asks for.
+Functions of time alone are sampled before any run (`features`). Functions of the state are known
+along the path of a run only, and may change between any two samples: a notch of a thousandth of the
+travel. But formulas are lists of operations, which bound their own values
+(`ancfdae.numerics.enclosures`). Along the cubic path between two times the derivative of a function
+in time lies in [low, high]. The function is then at most (high - low) h/4 away from its chord. An
+interval is halved while that is much, or falls less than a smooth function makes it fall. No sharp
+place lies between the samples that remain.
 
-From these samples follows how far the function is from its chords over T, T/2, T/4, ...: a quarter
-of the length brings a smooth function sixteen times closer, a kink four times, and what changes
-within less than a chord not at all. The longest chord from which on it does is what steps must be
-shorter than, unless the motion itself changes as fast: then the run knows.
+From these samples follow the distances of the function from its chords over T, T/2, T/4 and so on.
+A quarter of the length brings a smooth function sixteen times closer, and a kink four times. It
+brings a change within less than a chord no closer. Steps must be shorter than the longest chord
+from which on it does, unless the motion itself changes as fast: then the run knows.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _SHARE: Final = 0.3
 _DEPTH: Final = 30
 _WIDE, _MOST = 2**10, 2**15
 _OPERATIONS: Final = 2000
-# Samples of what is no list, those of one instant at a time, and of an interval at most.
+# Samples of functions without a list, samples that are called one by one, most in an interval.
 _SAMPLES, _CALLS, _EACH = 2**15, 2**11, 64
 # Stops in the longest chord that follows a place, and how far apart they may be within it; all.
 _STOPS, _APART, _ALL = 12, 0.25, 1800
@@ -84,7 +84,7 @@ class Places(NamedTuple):
     parts: tuple[Part, ...]
 
     def stops(self, times: int = 1) -> tuple[float, ...]:
-        """Return instants that part every place, `times` as many as follow it."""
+        """Return times that part every place, `times` as many as follow it."""
         found = set[float]()
         for left, right, chord in self.parts:
             count = math.ceil((right - left) / chord * _STOPS) * times
@@ -144,7 +144,7 @@ class _Group(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Witness:
-    """Looks for places that the instants of runs pass over, in a system and what is observed.
+    """Looks for places that the times of runs pass over, in a system and what is observed.
 
     What changes a function by much less than the tolerance, `share`, does not count.
     """
@@ -193,7 +193,7 @@ def _deepest(parts: Sequence[Part]) -> tuple[Part, ...]:
 @final
 @dataclass(frozen=True)
 class _Path:
-    """Cubics through values and slopes at the instants of a run: t, q, v, lam and more columns."""
+    """Cubics through values and slopes at the times of a run: t, q, v, lam and more columns."""
 
     t: Array
     Y: Array
@@ -202,7 +202,7 @@ class _Path:
 
     @staticmethod
     def of(run: Solution) -> _Path:
-        """Return the path of a run, of instants that differ."""
+        """Return the path of a run, of times that differ."""
         kept = np.append(True, np.diff(run.t) > 1e-12 * run.t[-1])
         t, q, v, a, lam = (np.real(x[kept]) for x in (run.t, run.q, run.v, run.a, run.lam))
         Y = np.concatenate([t[:, None], q, v, lam], axis=1)
@@ -210,7 +210,7 @@ class _Path:
         return _Path(t, Y, rates, (q.shape[1], lam.shape[1]))
 
     def with_columns(self, run: Solution, columns: Sequence[Array]) -> _Path:
-        """Return the path with more functions of the instants of its run."""
+        """Return the path with more functions of the times of its run."""
         if not columns:
             return self
         kept = np.append(True, np.diff(run.t) > 1e-12 * run.t[-1])
@@ -284,7 +284,7 @@ class _Path:
         return n, places - n
 
     def _unsure(self) -> float:
-        """Return how far the rates of q are from v between the instants, over the range of v."""
+        """Return how far the rates of q are from v between the times, over the range of v."""
         n_q, count = self.sizes[0], len(self.t) - 1
         x, rate = self.at(np.arange(count), np.full(count, 0.5))
         size = _size(x[1 + n_q : 1 + 2 * n_q], False) or 1.0
@@ -298,7 +298,7 @@ class _Path:
         return lambda places: self.at(*self._split(places))[0][1 : 1 + 2 * n_q] * factors
 
     def _divided(self, group: _Group, listed: _Listed, share: float) -> Array:
-        """Return the ends of intervals between which functions are smooth, in intervals."""
+        """Return the ends of intervals in which functions are smooth, (k,), in intervals."""
         count = len(self.t) - 1
         n, s, e = np.arange(count), np.zeros(count), np.ones(count)
         before, ends = np.zeros(count), [np.arange(count + 1.0)]
@@ -320,7 +320,7 @@ class _Path:
             if not again.any() or sum(map(len, ends)) > _MOST + 2 * count:
                 break
             if again.sum() > max(_WIDE, count):
-                # Of a function that is not yet seen where it is large every value counts.
+                # Every value counts of a function whose large values are not yet seen.
                 again &= off >= np.sort(off)[-max(_WIDE, count)]
             n, s, middle, e = (x[again] for x in (n, s, middle, e))
             before = np.tile(off[again], 2)
@@ -340,9 +340,9 @@ def _size(rows: Array, level: bool) -> float:
 @final
 @dataclass(frozen=True)
 class _Chords:
-    """Distances of functions of the size one from chords over 2^-l of a run, at instants t.
+    """Distances of functions of the size one from chords over 2^-l of a run, at times t.
 
-    `gaps` has a row for each level l, from `_LONGEST` on; `between` those of chords that begin in
+    `gaps` has a row for each level l, from `_LONGEST` on; `between` is of chords that begin in
     the middle of these, so that no place is at the end of all.
     """
 
@@ -352,9 +352,9 @@ class _Chords:
 
     @staticmethod
     def of(known: Array, t: Array, function: Callable[[Array], Array]) -> _Chords:
-        """Measure the distances of a function of places; no level is finer than the instants.
+        """Measure the distances of a function of places; no level is finer than the times.
 
-        Places are counted in intervals of the `known` instants.
+        Places are counted in intervals of the `known` times.
         """
         x = t / t[-1]
         at = np.interp(t, known, np.arange(float(len(known))))
@@ -388,9 +388,9 @@ class _Chords:
         return np.where(sizes < _SEEN, 0.0, off), after, sizes
 
     def level(self, share: float) -> Array:
-        """Return at each instant the last level whose chord passes over something; 0 for none.
+        """Return the last level whose chord passes over something, (k,); 0 for none.
 
-        Levels are counted in halves, those of chords that begin between others.
+        Levels are counted in halves: chords of half levels begin between others.
         """
         found = np.zeros(len(self.t))
         for level, shift in self._levels:
@@ -409,7 +409,7 @@ class _Chords:
         return steps
 
     def places(self, level: Array, kinks: int, steps: int) -> Places:
-        """Return places of which the last level that passes over them is known at each instant."""
+        """Return places of which the last level that passes over them is known at each time."""
         kinks = kinks if kinks > steps else 0
         level = np.where(2.0 ** (np.floor(level) + 1) * _FINER > steps, level, 0)
         inside, t_end = level > 0, float(self.t[-1])
@@ -429,7 +429,7 @@ class _Chords:
 
 
 def _gap(x: Array, rows: Array, value: Callable[[Array], Array], level: int, shift: float) -> Array:
-    """Return the largest distance of rows from chords of a level, at x from 0 to 1."""
+    """Return the largest distances of rows from chords of a level, shape (k,)."""
     left = np.floor(x * 2.0**level + shift) - shift
     ends, which = np.unique(np.concatenate([left, left + 1]), return_inverse=True)
     at_ends = value(np.clip(ends / 2.0**level, 0.0, 1.0))
@@ -507,7 +507,7 @@ def _forces(system: MechanicalSystem, path: _Path) -> list[_Group]:
 
 
 def _called(system: MechanicalSystem, path: _Path) -> Callable[[Array, Array], Array]:
-    """Return forces of a system that is called at one instant after the other, at few of them."""
+    """Return forces of a system that is called one after the other, at few of them."""
     places = np.linspace(0.0, len(path.t) - 1.0, _CALLS + 1)
     n = np.minimum(places.astype(int), len(path.t) - 2)
     at = path.states(n, places - n)
@@ -553,6 +553,6 @@ def _observed(system: MechanicalSystem, seen: Seen, path: _Path, run: Solution) 
 def _sampled(
     system: MechanicalSystem, seen: Seen, path: _Path, near: float, n: Array, s: Array
 ) -> Array:
-    """Return values of an observable at parts of a path, or those of exp(k x)."""
+    """Return values of an observable at parts of a path, or of exp(k x), (1, k)."""
     x = np.real(seen.observable.value(system, path.states(n, s)))
     return np.asarray(x if seen.sharpness is None else np.exp(seen.sharpness * (x - near)))[None]

@@ -128,7 +128,7 @@ class Runs(abc.ABC):
 
     @property
     def stops_there(self) -> bool:
-        """Whether runs stop in sharp places, of which each tells more closely where they are."""
+        """Whether runs stop in sharp places, and each knows more closely where they are."""
         return False
 
     def mind(self, places: Places) -> None:

@@ -20,7 +20,7 @@ from ancfdae.studies.tolerance.sequences import Second
 
 # Most work of a search, about as many microseconds.
 _MOST = 4e7
-# Work after which a look at the path of HHT-I3 may tell why no run is good enough.
+# Work after which a look at the path of HHT-I3 may show why no run is good enough.
 _EARLY = 5e5
 # Times that runs begin again because a path has sharp places which they passed over.
 _LOOKS = 12
@@ -87,8 +87,8 @@ def search(
 ) -> Found:
     """Run integrators until one reaches the tolerance or the next run would exceed the work limit.
 
-    A run that passed over a sharp place reached nothing: all then follow those of its path. If no
-    run gave an estimate, the last exception is raised again.
+    A run that passed over a sharp place reached nothing. All then follow the places of its path.
+    If no run gave an estimate, the last exception is raised again.
     """
     kinds: list[Runs] = [seer, *others]
     spent, failures, ways = _Spent([]), list[Exception](), dict[Runs, float]()
@@ -145,6 +145,6 @@ def _found(spent: _Spent, best: Runs, estimates: list[Estimate], reached: bool, 
 
 
 def _passed_over(spent: _Spent, best: Runs, why: str) -> Found:
-    """Return what was found where no run followed the sharp places of its path: no bars."""
+    """Return the estimates without bars: no run followed the sharp places of its path."""
     unknown = [Estimate(x, np.full(x.shape, np.inf)) for x, _ in best.estimates]
     return _found(spent, best, unknown, False, f"{why}.")

@@ -120,7 +120,7 @@ class _Steps(Runs):
         return self.counts[-1]
 
     def follows(self, places: Places) -> bool:
-        """Return whether no place lies between the instants of the last run; kinks are known."""
+        """Return whether no place lies between the steps of the last run; kinks are known."""
         return places.steps <= self.counts[-1] and places.kinks <= self._kinks
 
     @property
