@@ -10,6 +10,7 @@ from ancfdae.extend import FormulaSystem
 from ancfdae.numerics.enclosures import Interval, enclosed, values
 from ancfdae.numerics.operations import Operations, Traced
 from ancfdae.observables import custom
+from ancfdae.studies.tolerance import places
 from ancfdae.studies.tolerance.places import Seen, Witness
 
 SQUARE = custom(lambda t, q, v, lam, b: q[:, 0] ** 2)
@@ -168,12 +169,12 @@ def test_a_narrow_window_is_seen_between_the_instants_of_a_run():
     run = simulate(system, 2.0, HHT(1 / 16))
     for width in (1e-3, 1e-5):
         seen = custom(lambda t, q, v, lam, b, w=width: np.exp(-(((q[:, 0] - 0.123) / w) ** 2)))
-        places = Witness(system, (Seen(seen),), 1e-3).of(run, 32)
+        found = Witness(system, (Seen(seen),), 1e-3).of(run, 32)
         crossing = np.arccos(0.123 / 0.5) / np.sqrt(10)
         assert any(
-            left < crossing + 0.02 and right > crossing - 0.02 for left, right, _ in places.parts
+            left < crossing + 0.02 and right > crossing - 0.02 for left, right, _ in found.parts
         )
-        assert places.steps > 1 / width
+        assert found.steps > 1 / width
     smooth = custom(lambda t, q, v, lam, b: np.exp(q[:, 0]))
     assert not Witness(system, (Seen(smooth),), 1e-3).of(run, 32).parts
 
@@ -219,3 +220,15 @@ def test_a_maximum_at_the_start_is_no_raw_error():
 def test_one_step_has_no_error_bar():
     with pytest.raises(InvalidInputError, match="steps"):
         error_bars(Mass(lambda q: 0 * q), Integral(SQUARE), 2.0, HHT(2.0))
+
+
+def test_boxes_hold_the_path():
+    path = places._Path.of(simulate(Mass(lambda q: 0 * q), 2.0, HHT(1 / 4)))
+    n = np.arange(len(path.t) - 1)
+    left, right = np.full(len(n), 0.3), np.full(len(n), 0.9)
+    boxes = path.boxes(n, left, right)
+    for part in np.linspace(0.3, 0.9, 7):
+        for rows, bounds in zip(path.at(n, np.full(len(n), part)), boxes, strict=True):
+            for row, (low, high) in zip(rows, bounds, strict=True):
+                assert np.all(low <= row + 1e-12)
+                assert np.all(row <= high + 1e-12)
