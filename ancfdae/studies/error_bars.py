@@ -56,7 +56,7 @@ _LOWEST, _ORDER = 0.5, 2.0
 # is 1.996 to 2.03 where steps resolve all waves, 1.9 at most where bars failed
 # (docs/reports/error-bars).
 _RESOLVED = 1.95
-# Fewest steps of a run whose error can be told.
+# Fewest steps of a run whose error can be estimated.
 _LEAST_STEPS = 4
 #: Elements are of second order or better (docs/reports/elements).
 MESH_ORDER = 2
@@ -189,7 +189,7 @@ def error_bars(
     if steps < _LEAST_STEPS:
         raise InvalidInputError(
             "error_bars",
-            f"needs {_LEAST_STEPS} steps or more: from fewer no error can be told",
+            f"needs {_LEAST_STEPS} steps or more: from fewer no error can be estimated",
             steps,
             f"Use a step of {t_end / (2 * _LEAST_STEPS):.3g} or less.",
         )
