@@ -21,7 +21,7 @@ from ancfdae.extend import Law, MaterialPoint
 from ancfdae.facade import public_names
 from ancfdae.laws import Harmonic, RunUp
 from ancfdae.model import laws
-from ancfdae.model.joints.joint import DrivenJoint, Equations
+from ancfdae.model.joints.joint import DrivenJoint, JointEquations
 
 #: Oblique and of no special length.
 ARROW = (0.6, -0.8, 0.3)
@@ -40,7 +40,7 @@ def coefficients_of(joint, p, reference, t, order=0):
         sum(factor * getattr(part, name) for factor, part in parts)
         for name in ("linear", "bilinear", "offset")
     )
-    return Equations(*arrays, still.shapes)
+    return JointEquations(*arrays, still.shapes)
 
 
 def public_classes(module, base):

@@ -28,7 +28,7 @@ from ancfdae.errors import InvalidInputError
 from ancfdae.extend import MechanicalSystem
 from ancfdae.integrators.hht.equations import Coefficients
 from ancfdae.integrators.hht.start import RecurrenceStart
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.start import consistent_start, start_sensitivity
 from ancfdae.model.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.numerics.extrapolation import real_derivative
@@ -537,7 +537,7 @@ def test_start_of_the_recurrence_is_differentiated_exactly(setting):
     s, c = setting, Coefficients(0.01, -0.3)
 
     def start(x):
-        return RecurrenceStart.of(Problem.of(x, 1.0), c)
+        return RecurrenceStart.of(InitialValueProblem.of(x, 1.0), c)
 
     first, moved_nodes = start(s.system), {}
     matrices = saddle_point(s.system, 0.0)

@@ -17,7 +17,7 @@ from ancfdae import (
 )
 from ancfdae.integrators.dop853 import Dop853
 from ancfdae.integrators.index_1 import stacked
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.laws import Harmonic
 from ancfdae.sections import Rectangle
 from validation.scenes import pendulum
@@ -137,7 +137,7 @@ def test_states_move_to_the_nearest_on_constant_constraints():
     rod = Beam("a", (0.3, 0.2), (0.8, 0.2), 2, Rectangle(0.05, 0.04), Material(4000, 1e6, 0.3))
     system = assemble(Scene([rod], [Pin(rod.at_start)], (0, -9.81)), ["a.density", "a.height"])
     assert system.traits.constant_constraints
-    problem = Problem.of(system, 1.0).differentiated()
+    problem = InitialValueProblem.of(system, 1.0).differentiated()
     first, b = problem.initial, problem.derivative
     rows = stacked(first.q, first.v, b.q_b, b.v_b)
     rows = rows + np.random.default_rng(1).uniform(-1e-2, 1e-2, rows.shape)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ancfdae import Beam, IndexReduction, Material, Pin, PointOnLine, Scene, assemble
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.sundials.index_reduced import ColumnStorage
 from ancfdae.sections import Rectangle
 
@@ -34,7 +34,7 @@ class Case:
 
     def __init__(self, name, kind, seed=0):
         self.kind, self.system = kind, SYSTEMS[name]()
-        self.problem = Problem.of(self.system, 1.0).differentiated()
+        self.problem = InitialValueProblem.of(self.system, 1.0).differentiated()
         self.form = kind.form(self.system, self.problem.scales)
         rng = np.random.default_rng(seed)
         y, yp = self.form.start(self.problem.initial)
@@ -142,7 +142,7 @@ def test_scaled_equations_are_the_same_in_every_system_of_units(kind, length, ma
     forms, states = [], []
     for units in ((1.0, 1.0, 1.0), (length, mass, time)):
         system = chain(*units)
-        problem = Problem.of(system, 1.0 * units[2]).differentiated()
+        problem = InitialValueProblem.of(system, 1.0 * units[2]).differentiated()
         forms.append(kind.form(system, problem.scales))
         y, yp = forms[-1].start(problem.initial)
         Y, Yp = forms[-1].start_b(problem.derivative)

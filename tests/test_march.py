@@ -49,9 +49,9 @@ from ancfdae.integrators.hht.newton import StepSolver
 from ancfdae.laws import Harmonic, UserLaw
 from ancfdae.model import joints, loads
 from ancfdae.model.bodies import Quantity
-from ancfdae.model.design import numbers
+from ancfdae.model.design import design_numbers
 from ancfdae.model.joints.joint import Joint
-from ancfdae.model.loads.load import LAW, Load
+from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.observables import multiplier, position, velocity
 from ancfdae.sections import Rectangle
@@ -344,7 +344,7 @@ class Across(Load):
 
     kind = "across"
     damping_fields = ("strength",)
-    design_fields = (*numbers("strength"), LAW)
+    design_fields = (*design_numbers("strength"), LAW_FIELD)
 
     def vectors(self, elements):
         return ((self.point, Quantity.POSITION),)

@@ -38,9 +38,9 @@ from ancfdae.assembly.numbers import Numbers
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.errors import InvalidInputError
 from ancfdae.extend import Joint, MaterialPoint
-from ancfdae.model.design import numbers
+from ancfdae.model.design import design_numbers
 from ancfdae.model.joints.axis_joint import AxisJoint
-from ancfdae.model.joints.joint import empty_coefficients
+from ancfdae.model.joints.joint import empty_equations
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.observables import position
 from ancfdae.sections import Rectangle
@@ -165,10 +165,10 @@ class SmoothStep(Joint):
     angle: float
 
     kind = "ramp"
-    design_fields = numbers("angle")
+    design_fields = design_numbers("angle")
 
     def coefficients(self, p, reference):
-        c = empty_coefficients(1, p, reference)
+        c = empty_equations(1, p, reference)
         c.linear[0, 0] = 1.0 - np.cos(p[0]), 1.0
         return c
 

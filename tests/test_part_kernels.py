@@ -16,7 +16,7 @@ from ancfdae.extend import MaterialPoint
 from ancfdae.model import joints, loads
 from ancfdae.model.bodies import Quantity
 from ancfdae.model.joints.joint import DrivenJoint, Joint
-from ancfdae.model.loads.load import LAW, Load
+from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.numerics.jets import Jet, angle
 from ancfdae.sections import Rectangle
 
@@ -154,7 +154,7 @@ class Formula(Load):
     function: ClassVar[object]
 
     kind = "formula"
-    design_fields = (LAW,)
+    design_fields = (LAW_FIELD,)
 
     def vectors(self, elements):
         return ((self.point, Quantity.POSITION),)

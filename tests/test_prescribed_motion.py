@@ -31,7 +31,7 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.laws import ConstantAcceleration, Harmonic, RunUp
 from ancfdae.observables import position
 from ancfdae.results import Verdict
@@ -354,5 +354,5 @@ def test_a_step_whose_velocities_miss_what_is_prescribed_is_repeated(duration, t
 
 def test_forces_that_are_round_off_give_no_scale():
     """At rest without loads speeds are sized by the run: position / t_end."""
-    scales = Problem.of(assemble(slider_crank()), 0.21).scales
+    scales = InitialValueProblem.of(assemble(slider_crank()), 0.21).scales
     assert scales.speed == pytest.approx(scales.position / 0.21)

@@ -45,10 +45,10 @@ from ancfdae import (
 )
 from ancfdae.errors import InvalidInputError
 from ancfdae.extend import MaterialPoint
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau.newton import StageSolver
 from ancfdae.integrators.radau.tableau import BUTCHER, EMBEDDED, GAMMA, PLACES, continued
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.laws import Harmonic
 from ancfdae.model import loads
 from ancfdae.model.loads.load import Load
@@ -363,10 +363,10 @@ def test_the_error_of_derivatives_is_relative_to_their_own_sizes(atol):
     Of a pendulum of 1 kg m in 0.1 s sizes of q_b and v_b differ by factors of ten.
     """
     system, t_end, S = CartesianPendulum(-1.0, 2.0), 2.0, np.array([3.0, 0.5, 2.0, 1.0])
-    problem, rtol = Problem.of(system, t_end).differentiated(), 1e-7
+    problem, rtol = InitialValueProblem.of(system, t_end).differentiated(), 1e-7
     integrator = Radau(AdaptiveSteps(rtol, atol=atol, sensitivities=True))
     S = S[: system.n_b]
-    stepper = integrator._stepper(problem, t_end, S, Recorder(system, 9, 3, True))
+    stepper = integrator._stepper(problem, t_end, S, SolutionRecorder(system, 9, 3, True))
     before = stepper.start(0.1)
     after = stepper.advance(0.1, before, 0.1)
     parts = []

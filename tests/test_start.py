@@ -23,7 +23,7 @@ from ancfdae import (
 )
 from ancfdae.integrators.hht.equations import Coefficients, NodeSensitivity
 from ancfdae.integrators.hht.start import RecurrenceStart
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.start import (
     Covectors,
     pull_back_start,
@@ -147,7 +147,7 @@ def test_gradients_through_a_damped_start_are_exact(step):
     ids=["damped", "spatial", "curved constraint", "whirling", "driven"],
 )
 def test_the_start_is_pulled_back_by_its_transpose(system):
-    problem = Problem.of(system, 1.0).differentiated()
+    problem = InitialValueProblem.of(system, 1.0).differentiated()
     initial, derivative = problem.initial, problem.derivative
     start = RecurrenceStart.of(problem, Coefficients(0.01, -0.3))
     node_b = start.sensitivity(derivative)

@@ -6,7 +6,7 @@ import pytest
 from ancfdae import DOP853, AdaptiveSteps, FixedSteps, PrescribedSteps, simulate
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.integrators.problem import Scales
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.start import consistent_start
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, march
 from ancfdae.results import Verdict
@@ -74,7 +74,7 @@ class ImplicitEuler(OneStepMethod):
 def run(steps, t_end=1.0):
     system = CartesianPendulum(0.7, 1.0)
     method = ImplicitEuler(system, steps, t_end)
-    recorder = Recorder(system, steps.count(t_end) + 1)
+    recorder = SolutionRecorder(system, steps.count(t_end) + 1)
     return method, march(method, steps.controller(t_end, method), recorder, t_end, False)[0]
 
 

@@ -9,8 +9,8 @@ from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import HHTStepper
-from ancfdae.integrators.problem import Problem, Scales
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.problem import InitialValueProblem, Scales
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.start import consistent_start
 from ancfdae.integrators.step_control import AdaptiveSteps
 from ancfdae.integrators.step_control.derivative_sizes import (
@@ -30,11 +30,14 @@ VALUES = np.array([[0.0, 1.0, -4.0], [0.5, 1.0, 3.0]])
 
 def stepper(initial=None, derivative=None, alpha=-0.3, sizes_b=SIZES_B):
     system = CartesianPendulum()
-    tolerance, problem = STEPS.tolerance(T_END, SIZES, sizes_b), Problem.of(system, T_END)
+    tolerance, problem = (
+        STEPS.tolerance(T_END, SIZES, sizes_b),
+        InitialValueProblem.of(system, T_END),
+    )
     if initial is not None:
         problem = replace(problem, initial=initial)
     problem = replace(problem, derivative=derivative)
-    return HHTStepper(problem, alpha, (1.0, 1), tolerance, Recorder(system, 1))
+    return HHTStepper(problem, alpha, (1.0, 1), tolerance, SolutionRecorder(system, 1))
 
 
 def expected_error(j, alpha):
@@ -59,7 +62,7 @@ def test_error_of_a_step_is_the_formula_of_its_module(alone):
 
 def test_error_at_the_start_follows_from_the_third_derivative():
     system, alpha, sizes_b = CartesianPendulum(0.3, 1.0), -0.3, np.array([3.0, 10.0])
-    problem = Problem.of(system, 1.0).differentiated()
+    problem = InitialValueProblem.of(system, 1.0).differentiated()
     initial, derivative = problem.initial, problem.derivative
     # Without velocity forces it is the same for every first step.
     start = RecurrenceStart.of(problem, Coefficients(0.7, alpha))

@@ -23,7 +23,7 @@ from ancfdae import (
     gradients,
 )
 from ancfdae.errors import InvalidInputError, ToleranceWarning
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.laws import ConstantAcceleration
 from ancfdae.modes.configuration import LinearisationPoint
 from ancfdae.modes.periods import fastest
@@ -191,7 +191,7 @@ def test_fast_motion_is_foreseen():
         held = RotationDriver(body.at(0), ConstantAcceleration(speed=0.0), name="d")
         scene = Scene([], [rail, held], loads=[spring], bodies=[body])
         system = assemble(scene, ["s.stiffness"])
-        start = Problem.of(system, 1.0).initial
+        start = InitialValueProblem.of(system, 1.0).initial
         speed = fastest(system, LinearisationPoint(start.q, start.lam, t=0.0))
         assert speed == pytest.approx(expected, rel=1e-6)
 

@@ -8,10 +8,10 @@ import pytest
 from ancfdae import Beam, Material, RigidBody, Scene, assemble
 from ancfdae.errors import InvalidInputError
 from ancfdae.extend import Joint, Load, MaterialPoint
-from ancfdae.model.design import numbers
+from ancfdae.model.design import design_numbers
 from ancfdae.model.elements import Quantity
-from ancfdae.model.joints.joint import Equations, empty_coefficients
-from ancfdae.model.loads.load import LAW
+from ancfdae.model.joints.joint import JointEquations, empty_equations
+from ancfdae.model.loads.load import LAW_FIELD
 from ancfdae.sections import Rectangle
 
 from extending.element import Strand
@@ -29,7 +29,7 @@ class Hold(Joint):
     kind = "hold"
 
     def coefficients(self, p, reference):
-        c = empty_coefficients(1, p, reference)
+        c = empty_equations(1, p, reference)
         c.linear[0, 0, 1] = 1.0
         return c
 
@@ -43,7 +43,7 @@ class Drag(Load):
     name: str = field(default="drag", kw_only=True)
 
     kind = "drag"
-    design_fields = (*numbers("drag"), LAW)
+    design_fields = (*design_numbers("drag"), LAW_FIELD)
 
     def vectors(self, elements):
         return ((self.point, Quantity.POSITION),)
@@ -72,7 +72,7 @@ def answering(value):
     return lambda *_: value
 
 
-FLAT = Equations(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.zeros(1))
+FLAT = JointEquations(np.zeros((1, 1)), np.zeros((1, 1, 1)), np.zeros(1))
 WRONG = {
     "an element without a name": (with_element, {"name": None}, "element.*rope.*name"),
     "an element without slopes": (
@@ -98,7 +98,7 @@ WRONG = {
     ),
     "a field of the design that is none": (
         with_load,
-        {"design_fields": numbers("mass")},
+        {"design_fields": design_numbers("mass")},
         "load of class Wrong.*no field 'mass'",
     ),
     "no force": (with_load, {"force": answering(None)}, r"force of load 'drag': .*\(1, 2\)"),
@@ -121,5 +121,5 @@ def test_a_load_whose_design_has_no_law_is_told_to_have_one():
         kind = "lawless"
         vectors, force = Drag.vectors, Drag.force
 
-    with pytest.raises(InvalidInputError, match=r"Lawless, design_fields.*LAW"):
+    with pytest.raises(InvalidInputError, match=r"Lawless, design_fields.*LAW_FIELD"):
         Lawless(BODY.at(0, 0))

@@ -11,7 +11,7 @@ import numpy as np
 
 from ancfdae.assembly.layout import Layout
 from ancfdae.model.elements import Quantity
-from ancfdae.model.joints.joint import Equations, Joint, RightAngle
+from ancfdae.model.joints.joint import Joint, JointEquations, RightAngle
 from ancfdae.numerics.arrays import STEP, Array
 
 _FLAT = frozenset((Quantity.SLOPE_Y, Quantity.SLOPE_Z))
@@ -69,10 +69,12 @@ class JointInput:
     reference: Array
     reference_b: dict[int, Array]
     dropped: tuple[int, ...] = ()
-    alike: dict[object, tuple[Joint, list[Equations]]] = field(default_factory=dict, repr=False)
+    alike: dict[object, tuple[Joint, list[JointEquations]]] = field(
+        default_factory=dict, repr=False
+    )
 
     @cached_property
-    def parts(self) -> list[Equations]:
+    def parts(self) -> list[JointEquations]:
         """The constant coefficients, and what goes with each factor."""
         joint, p, reference = self.joint, self.p, self.reference
         which: tuple[object, ...] = (joint.name,)
@@ -120,7 +122,7 @@ class JointInput:
             reference = reference + 1j * STEP * self.reference_b[i]
         return replace(self, p=p, reference=reference, alike={})
 
-    def structure(self) -> Equations:
+    def structure(self) -> JointEquations:
         """Return coefficients whose zeros are structural: zero at all times and parameters."""
         # Generic parameters: a coefficient that is not zero by structure shows.
         p = self.p * (1 + 1j * STEP) + 1j * STEP * np.sqrt(1.0 + np.arange(len(self.p)))
@@ -131,4 +133,4 @@ class JointInput:
             return np.asarray(sum(np.abs(part.real) + np.abs(part.imag) for part in x))
 
         linear, bilinear = size([c.linear for c in parts]), size([c.bilinear for c in parts])
-        return Equations(linear, bilinear, parts[0].offset)
+        return JointEquations(linear, bilinear, parts[0].offset)

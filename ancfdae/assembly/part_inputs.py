@@ -15,7 +15,7 @@ from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.model.bodies import MaterialPoint, Quantity
-from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients
+from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
 from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import Elements, FrameDirection, Part
 from ancfdae.model.parts import Vectors as Names
@@ -44,11 +44,11 @@ class Rigidity(Joint):
         """Return the directions of the axes of the rigid body."""
         return tuple(FrameDirection(self.beam, k + 1) for k in range(elements.d))
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Entries i <= j of d_i . d_j."""
         i, j = np.triu_indices(reference.shape[1])
         rows = np.arange(len(i))
-        c = empty_coefficients(len(i), p, reference)
+        c = empty_equations(len(i), p, reference)
         c.bilinear[rows, i, j] = c.bilinear[rows, j, i] = 1.0
         c.offset[:] = 0.5 * (i == j)
         return c
@@ -115,7 +115,7 @@ class PartInputs:
         still = not (self.reference.active or np.any(vectors.moves))
         whole = self._in_reference(vectors)[0] if still else None
         inputs, first = list[JointInput](), 0
-        alike: dict[object, tuple[Joint, list[Equations]]] = {}
+        alike: dict[object, tuple[Joint, list[JointEquations]]] = {}
         for joint, (points, p, p_b) in zip(joints, parts, strict=True):
             first, begin = first + len(points), first
             if whole is None:

@@ -26,7 +26,7 @@ from ancfdae.integrators.dop853 import EXPONENT, Between, Dop853
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.index_1 import ListedAccelerations, stacked
 from ancfdae.integrators.integrand import Points, Rule
-from ancfdae.integrators.problem import Problem, vector_sizes
+from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
@@ -63,7 +63,7 @@ class DOP853(HighOrder):
     def __post_init__(self) -> None:
         self.require_settings(_LEAST_RTOL)
 
-    def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
+    def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
         """Set up a run by DOP853 from the start of the system."""
         return _ExplicitMarch(self, problem, t_end, quadrature)
 
@@ -95,7 +95,7 @@ class _ExplicitMarch(March):
     """One run; states are rows q and q_b, then v and v_b, shape (2, 1 + n_b, n_q)."""
 
     def __init__(
-        self, settings: DOP853, problem: Problem, t_end: float, quadrature: Quadrature
+        self, settings: DOP853, problem: InitialValueProblem, t_end: float, quadrature: Quadrature
     ) -> None:
         super().__init__(problem, t_end, settings.max_steps)
         self._quadrature, self._problem, self._rtol = quadrature, problem, settings.rtol

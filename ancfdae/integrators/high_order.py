@@ -22,9 +22,9 @@ from ancfdae.integrators.integrand import Integrand
 from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
 from ancfdae.integrators.pace import Pace
 from ancfdae.integrators.prescribed_motion import is_driven, lock
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.quadrature import Quadrature
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.watch import Watch
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
@@ -66,7 +66,7 @@ class March(abc.ABC):
 
     def __init__(
         self,
-        problem: Problem,
+        problem: InitialValueProblem,
         t_end: float,
         max_steps: int,
         context: Callable[[], AbstractContextManager[None]] = nullcontext,
@@ -166,7 +166,7 @@ class HighOrder(QuadratureIntegrator):
         return replace(self, intervals=min(self.intervals, _FEW))
 
     @abc.abstractmethod
-    def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
+    def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
         """Set up a solver at the start."""
 
     @final
@@ -185,11 +185,11 @@ class HighOrder(QuadratureIntegrator):
             rule, got = "needs real coordinates and design values", "complex ones"
             raise InvalidInputError(type(self).__name__, rule, got, "Only HHT takes complex steps.")
         with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
-            problem = Problem.of(system, t_end)
+            problem = InitialValueProblem.of(system, t_end)
             problem = problem.differentiated() if sensitivities else problem
         problem.require_finite()
         grid = TimeGrid.lobatto(t_end, self.intervals)
-        recorder = Recorder(system, len(grid.t), grid.degree, sensitivities)
+        recorder = SolutionRecorder(system, len(grid.t), grid.degree, sensitivities)
         recorder.accepted = 0
         recorder.record(*problem.initial, problem.derivative or ())
         verdict, march, remedy, lost = Verdict.FINISHED, None, "", None
@@ -233,7 +233,9 @@ class HighOrder(QuadratureIntegrator):
         return recorder.solution(outcome)
 
 
-def _record(problem: Problem, recorder: Recorder, t: Array, states: Array) -> None:
+def _record(
+    problem: InitialValueProblem, recorder: SolutionRecorder, t: Array, states: Array
+) -> None:
     """Complete states by accelerations and multipliers, and store them."""
     n = problem.system.n_q
     x = problem.accelerations.rows_of(t, states)

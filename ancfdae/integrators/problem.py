@@ -104,7 +104,7 @@ class Scales:
 
 @final
 @dataclass(frozen=True)
-class Problem:
+class InitialValueProblem:
     """A system at its consistent start, with derivatives where sensitivities are asked for."""
 
     system: MechanicalSystem

@@ -18,7 +18,7 @@ StateRows: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 @final
-class Recorder:
+class SolutionRecorder:
     """Arrays that a run fills row by row, and the counters of its cost (`Statistics`).
 
     There are `rows` instants, the start included; the arrays grow if there are more. `accepted` are

@@ -15,8 +15,8 @@ from ancfdae.errors.checks import require_count, require_positive
 from ancfdae.errors.kinds import InvalidInputError, StabilityWarning
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import AdjointIntegrator
-from ancfdae.integrators.problem import Problem, Scales
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.problem import InitialValueProblem, Scales
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control import (
     AdaptiveSteps,
     FixedSteps,
@@ -84,7 +84,7 @@ class SteppedIntegrator(AdjointIntegrator):
 
     @abc.abstractmethod
     def _stepper(
-        self, problem: Problem, t_end: float, sizes_b: Array, recorder: Recorder
+        self, problem: InitialValueProblem, t_end: float, sizes_b: Array, recorder: SolutionRecorder
     ) -> OneStepMethod[Any]:
         """Return the one-step method of a run; `sizes` are those of the derivatives."""
 
@@ -94,7 +94,7 @@ class SteppedIntegrator(AdjointIntegrator):
 
     @abc.abstractmethod
     def _derivatives(
-        self, problem: Problem, run: Solution, progress: bool
+        self, problem: InitialValueProblem, run: Solution, progress: bool
     ) -> tuple[list[Array], Verdict]:
         """Return q_b, v_b, a_b and lam_b of a run of one step at least, and how the pass ended."""
 
@@ -179,7 +179,7 @@ class SteppedIntegrator(AdjointIntegrator):
     ) -> Solution:
         steps, started = self.steps, time.perf_counter()
         rows, along = self.degree * steps.count(t_end) + 1, self._derivatives_along(system)
-        problem = Problem.of(system, t_end)
+        problem = InitialValueProblem.of(system, t_end)
         problem = problem.differentiated() if along else problem
         scales = problem.scales
         if after is not None:
@@ -191,7 +191,7 @@ class SteppedIntegrator(AdjointIntegrator):
             after = after if len(after.t) > 1 else None
 
         def run(sizes_b: Array) -> Solution:
-            recorder = Recorder(system, rows, self.degree, along, after)
+            recorder = SolutionRecorder(system, rows, self.degree, along, after)
             stepper = self._stepper(problem, t_end, sizes_b, recorder)
             if after is None:
                 begun = steps.controller(t_end, stepper)
@@ -247,11 +247,13 @@ class SteppedIntegrator(AdjointIntegrator):
         If a matrix is singular or the pass is interrupted, the solution is cut after the last state
         that has derivatives, and its outcome says so.
         """
-        return self._differentiate(Problem.of(system, float(solution.t[-1]) or 1.0), solution)
+        return self._differentiate(
+            InitialValueProblem.of(system, float(solution.t[-1]) or 1.0), solution
+        )
 
     @in_one_thread
     def _differentiate(
-        self, problem: Problem, solution: Solution, progress: bool = False
+        self, problem: InitialValueProblem, solution: Solution, progress: bool = False
     ) -> Solution:
         started, system = time.perf_counter(), problem.system
         problem = problem.differentiated()

@@ -6,7 +6,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.integrators.prescribed_motion import Branch, Lost
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 
 # Instants that are checked together: one by one they would cost a quarter of a small step.
 _TOGETHER = 64
@@ -16,7 +16,7 @@ _TOGETHER = 64
 class Watch:
     """Checks each instant of a recorder once."""
 
-    def __init__(self, system: MechanicalSystem, recorder: Recorder) -> None:
+    def __init__(self, system: MechanicalSystem, recorder: SolutionRecorder) -> None:
         self._branch, self._recorder = Branch(system), recorder
         self._right = max(recorder.instants, 1)
 

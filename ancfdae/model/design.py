@@ -42,10 +42,10 @@ class Designable:
 
     def parameters(self) -> dict[str, float]:
         """Return the numbers that can be design targets, by name; the order is fixed."""
-        numbers: dict[str, float] = {}
+        design_numbers: dict[str, float] = {}
         for name, _ in self.design_fields:
-            numbers |= self.numbers_of(name)
-        return numbers
+            design_numbers |= self.numbers_of(name)
+        return design_numbers
 
     def with_parameters(self, changes: Mapping[str, float]) -> Self:
         """Return the same object with some of its `parameters` changed together.
@@ -57,9 +57,9 @@ class Designable:
             raise UnknownNameError("design target", unknown[0], self.parameters())
         new: dict[str, object] = {}
         for name, value in self._design_values():
-            numbers = self.numbers_of(name)
-            changed = {key: changes.get(key, number) for key, number in numbers.items()}
-            if changed == numbers:
+            design_numbers = self.numbers_of(name)
+            changed = {key: changes.get(key, number) for key, number in design_numbers.items()}
+            if changed == design_numbers:
                 continue
             if isinstance(value, Designable):
                 inner = zip(value.parameters(), changed.values(), strict=True)
@@ -146,7 +146,7 @@ def require_numbers(where: str, value: object) -> None:
         require_finite(where, number)
 
 
-def numbers(*names: str) -> tuple[tuple[str, Callable[[str, Any], None]], ...]:
+def design_numbers(*names: str) -> tuple[tuple[str, Callable[[str, Any], None]], ...]:
     """Return design fields that hold any finite number."""
     return tuple((name, require_finite) for name in names)
 

@@ -334,9 +334,9 @@ def evaluate(
     system = as_system(model, design)
     t_end = float(solution.t[-1])
     require_objectives(system, [objective], t_end)
-    from ancfdae.integrators.problem import Problem
+    from ancfdae.integrators.problem import InitialValueProblem
 
-    Problem.of(system, t_end).require_run(solution, t_end, "solution")
+    InitialValueProblem.of(system, t_end).require_run(solution, t_end, "solution")
     if not solution.outcome.success:
         raise UnfinishedRunError(solution)
     return float(objective.value(system, states_of(solution)))

@@ -2,14 +2,14 @@
 
 from ancfdae import CABLE_2D, HHT, Beam, Clamp, Material, Scene
 from ancfdae.model.elements import BeamElement
-from ancfdae.model.elements.element import Integrals
+from ancfdae.model.elements.element import ElementIntegrals
 from ancfdae.observables import position
 from ancfdae.sections import Rectangle
 
 LOOSE = 0.25
 
 
-class StrandIntegrals(Integrals):
+class StrandIntegrals(ElementIntegrals):
     """Quadratic invariant, mass and linear invariant of the cable, a quarter of the last one."""
 
     def __init__(self, batch, owners):

@@ -7,8 +7,8 @@ import numpy as np
 from ancfdae import Beam, Material, Pin, RigidBody, RotationDriver, Scene, SpringDamper
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrator import AdjointIntegrator
-from ancfdae.integrators.problem import Problem
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.laws import Harmonic
 from ancfdae.observables import position
 from ancfdae.results import RunOutcome, Verdict
@@ -29,8 +29,8 @@ class SymplecticEuler(AdjointIntegrator):
         return replace(self, steps=2 * self.steps)
 
     def integrate(self, system, t_end, *, sensitivities=False, progress=False):
-        problem, h, n = Problem.of(system, t_end), t_end / self.steps, system.n_q
-        recorder = Recorder(system, self.steps + 1, sensitivities=sensitivities)
+        problem, h, n = InitialValueProblem.of(system, t_end), t_end / self.steps, system.n_q
+        recorder = SolutionRecorder(system, self.steps + 1, sensitivities=sensitivities)
         q, v = stacked(problem.initial.q, problem.initial.v)
         if sensitivities:
             slopes = problem.differentiated().derivative
@@ -46,7 +46,7 @@ class SymplecticEuler(AdjointIntegrator):
         return recorder.solution(RunOutcome(Verdict.FINISHED, t_end, self.steps, 0.0))
 
     def pull_back(self, system, solution, seeds, progress=False):
-        problem = Problem.of(system, solution.t[-1]).differentiated()
+        problem = InitialValueProblem.of(system, solution.t[-1]).differentiated()
         h, gradient = solution.t[-1] / self.steps, np.zeros(system.n_b)
         on_q, on_v = np.zeros((2, system.n_q))
         seed_q, seed_v, seed_lam = (

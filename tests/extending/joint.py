@@ -6,8 +6,8 @@ import numpy as np
 
 from ancfdae import HHT, Beam, Material, Pin, RigidBody, Scene
 from ancfdae.extend import Joint, MaterialPoint
-from ancfdae.model.design import numbers
-from ancfdae.model.joints.joint import Equations, empty_coefficients
+from ancfdae.model.design import design_numbers
+from ancfdae.model.joints.joint import JointEquations, empty_equations
 from ancfdae.observables import position
 from ancfdae.sections import Rectangle
 
@@ -21,12 +21,12 @@ class Pantograph(Joint):
     ratio: float = 1.0
 
     kind = "pantograph"
-    design_fields = numbers("ratio")
+    design_fields = design_numbers("ratio")
 
-    def coefficients(self, p, reference) -> Equations:
+    def coefficients(self, p, reference) -> JointEquations:
         (ratio,) = self.split(p)
         axes = np.arange(reference.shape[1])
-        c = empty_coefficients(len(axes), p, reference)
+        c = empty_equations(len(axes), p, reference)
         c.linear[axes, 0, axes] = ratio
         c.linear[axes, 1, axes] = -1.0
         c.offset[axes] = ratio * reference[0] - reference[1]

@@ -6,7 +6,7 @@ import numpy as np
 
 from ancfdae import HHT, PointForce, RigidBody, Scene
 from ancfdae.extend import Law
-from ancfdae.model.design import numbers
+from ancfdae.model.design import design_numbers
 from ancfdae.observables import velocity
 
 #: Polynomials by which the derivatives of exp(-x^2) multiply it.
@@ -21,7 +21,7 @@ class Gust(Law):
     time: float
     width: float
 
-    design_fields = numbers("peak", "time", "width")
+    design_fields = design_numbers("peak", "time", "width")
 
     def derivative(self, p, t, order):
         peak, time, width = p

@@ -6,8 +6,8 @@ from typing import Any
 from ancfdae import HHT, Beam, Clamp, Material, RigidBody, Scene
 from ancfdae.extend import Load, MaterialPoint
 from ancfdae.model.bodies import Quantity
-from ancfdae.model.design import numbers
-from ancfdae.model.loads.load import LAW
+from ancfdae.model.design import design_numbers
+from ancfdae.model.loads.load import LAW_FIELD
 from ancfdae.numerics.jets import concatenate, dot
 from ancfdae.observables import position
 from ancfdae.sections import Rectangle
@@ -24,7 +24,7 @@ class Magnet(Load):
 
     kind = "magnet"
     elastic = True
-    design_fields = (*numbers("strength", "gap"), LAW)
+    design_fields = (*design_numbers("strength", "gap"), LAW_FIELD)
 
     def vectors(self, elements) -> tuple[tuple[MaterialPoint, Quantity], ...]:
         return tuple((point, Quantity.POSITION) for point in self.points)

@@ -7,7 +7,7 @@ import numpy as np
 from ancfdae import DOP853, assemble, differentiate, simulate
 from ancfdae.equations import MechanicalSystem
 from ancfdae.integrators.index_1 import stacked
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.timing import medians
 from validation.performance.row import Row
 from validation.performance.steps import crank_variables, pendulum_variables
@@ -41,7 +41,7 @@ def measure(repeats: int = 5) -> list[Row]:
 
 def _evaluate(system: MechanicalSystem) -> None:
     """Call the right-hand side of an explicit run, at its start, many times."""
-    problem = Problem.of(system, 1.0)
+    problem = InitialValueProblem.of(system, 1.0)
     problem = problem.differentiated() if system.n_b else problem
     first, b, rows = problem.initial, problem.derivative, problem.accelerations.rows
     q, v = stacked(first.q, first.v, *(b or ())[:2])

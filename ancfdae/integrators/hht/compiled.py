@@ -15,7 +15,7 @@ import numpy as np
 from ancfdae.equations import ListedSystem, MechanicalSystem, planned
 from ancfdae.integrators.hht.equations import Node
 from ancfdae.integrators.hht.small_steps import PLACES
-from ancfdae.integrators.recorder import Recorder, StateRows
+from ancfdae.integrators.recorder import SolutionRecorder, StateRows
 from ancfdae.kernels import (
     INDEFINITE,
     NEEDS_GAUSS,
@@ -123,12 +123,16 @@ def _part(steps: Packet, part: slice) -> Packet:
 class CompiledSteps:
     """Takes steps of one run, which the recorder counts."""
 
-    def __init__(self, prepared: Prepared, recorder: Recorder) -> None:
+    def __init__(self, prepared: Prepared, recorder: SolutionRecorder) -> None:
         self._kernel, self._recorder, self._small = prepared, recorder, False
 
     @classmethod
     def of(
-        cls, system: MechanicalSystem, matrices: SaddlePoint, rules: Array, recorder: Recorder
+        cls,
+        system: MechanicalSystem,
+        matrices: SaddlePoint,
+        rules: Array,
+        recorder: SolutionRecorder,
     ) -> CompiledSteps | None:
         """Return None for a system that is no plan."""
         prepared = Prepared.of(system, matrices, rules)

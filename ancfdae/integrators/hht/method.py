@@ -24,8 +24,8 @@ from ancfdae.integrators.hht.small_steps import Nodes, node_after
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import HHTStepper
 from ancfdae.integrators.integrator import DefectIntegrator, PartwiseIntegrator, Seeds
-from ancfdae.integrators.problem import Problem, Scales
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.problem import InitialValueProblem, Scales
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control import StepControl
 from ancfdae.integrators.step_control.tolerance import estimated_errors
 from ancfdae.integrators.stepped import SteppedIntegrator
@@ -87,7 +87,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
             )
 
     def _stepper(
-        self, problem: Problem, t_end: float, sizes_b: Array, recorder: Recorder
+        self, problem: InitialValueProblem, t_end: float, sizes_b: Array, recorder: SolutionRecorder
     ) -> HHTStepper:
         newton = self.newton_tolerance, self.max_iterations
         tolerance = self.steps.tolerance(t_end, problem.scales.q, sizes_b)
@@ -97,7 +97,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         return node_after(run, len(run.t) - 1, self.hht_alpha), None
 
     def _derivatives(
-        self, problem: Problem, run: Solution, progress: bool
+        self, problem: InitialValueProblem, run: Solution, progress: bool
     ) -> tuple[list[Array], Verdict]:
         steps, derivative = self.steps_of(run), problem.derivative
         assert derivative is not None
@@ -131,7 +131,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         t = self._known_instants(t_end)
         newton = self.newton_tolerance, self.max_iterations
         steps = Steps(self.steps.sizes(t), self.hht_alpha)
-        return Replay(Problem.of(system, t_end), steps, t, newton)
+        return Replay(InitialValueProblem.of(system, t_end), steps, t, newton)
 
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
@@ -147,7 +147,10 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     ) -> tuple[RecurrenceStart, Nodes]:
         """Return the start of the recurrence and the states of a run, for a pass over it."""
         # The length of a run of one instant scales nothing.
-        steps, problem = self.steps_of(solution), Problem.of(system, float(solution.t[-1]) or 1.0)
+        steps, problem = (
+            self.steps_of(solution),
+            InitialValueProblem.of(system, float(solution.t[-1]) or 1.0),
+        )
         first = RecurrenceStart.of(problem, steps.of(1))
         return first, Nodes(problem, solution, steps, first.node)
 

@@ -28,7 +28,7 @@ from ancfdae.integrators.hht.small_steps import (
     motion_size,
     share_of_defect,
 )
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.contracts import Failure
 from ancfdae.kernels import add_scaled, finite, norm
 from ancfdae.numerics.arrays import Array
@@ -162,7 +162,7 @@ class StepSolver:
         matrices: SaddlePoint,
         tolerance: float,
         max_iterations: int,
-        recorder: Recorder,
+        recorder: SolutionRecorder,
     ) -> None:
         self._system, self._matrices, self._recorder = system, matrices, recorder
         self._tolerance, self.max_iterations = tolerance, max_iterations

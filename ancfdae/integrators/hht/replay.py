@@ -22,8 +22,8 @@ from ancfdae.integrators.hht.small_steps import Nodes
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import HHTStepper
 from ancfdae.integrators.integrator import RunInParts, Seeds
-from ancfdae.integrators.problem import Problem
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.integrators.step_control.contracts import Reached, march
 from ancfdae.integrators.step_control.planned import StepPlan
@@ -34,7 +34,9 @@ from ancfdae.numerics.arrays import Array
 class Replay(RunInParts):
     """A run of HHT-I3 at known steps."""
 
-    def __init__(self, problem: Problem, steps: Steps, t: Array, newton: tuple[float, int]) -> None:
+    def __init__(
+        self, problem: InitialValueProblem, steps: Steps, t: Array, newton: tuple[float, int]
+    ) -> None:
         self._problem, self._steps, self.t, self._newton = problem, steps, t, newton
         self._first = RecurrenceStart.of(problem, steps.of(1))
         self.taken = 0
@@ -45,7 +47,7 @@ class Replay(RunInParts):
 
     def part(self, node: Node, first: int, last: int) -> tuple[Solution, Node]:
         """March over a plan of the known steps."""
-        recorder, h = Recorder(self._problem.system, last - first + 1), self._steps.h
+        recorder, h = SolutionRecorder(self._problem.system, last - first + 1), self._steps.h
         stepper = HHTStepper(self._problem, self._steps.alpha, self._newton, None, recorder)
         recorder.record(*(stepper.recorded((node, None)) if first else stepper.consistent()))
         begun = Reached(first, float(self.t[first]), float(h[max(first - 1, 0)]), (node, None))
@@ -79,7 +81,11 @@ class Replay(RunInParts):
 
 
 def through_start(
-    problem: Problem, first: RecurrenceStart, back: NodeSensitivity, seeds: Seeds, gradient: Array
+    problem: InitialValueProblem,
+    first: RecurrenceStart,
+    back: NodeSensitivity,
+    seeds: Seeds,
+    gradient: Array,
 ) -> Array:
     """Add to a gradient what goes through the start of the recurrence."""
     on = first.pull_back(back)

@@ -27,7 +27,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.solution import Solution
 from ancfdae.integrators.hht.equations import Coefficients, Node, Steps, predict_increment, rescaled
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
@@ -123,7 +123,7 @@ def node_after(run: Solution, n: int, alpha: float) -> Node:
 class Nodes:
     """States of the recurrence at the instants of a finished run; `first` is its start."""
 
-    problem: Problem
+    problem: InitialValueProblem
     run: Solution
     steps: Steps
     first: Node

@@ -39,7 +39,7 @@ from ancfdae.equations.held import held_pull_back, held_q, held_total, jerk_side
 from ancfdae.equations.saddle_points import solve, solve_transposed
 from ancfdae.equations.system import residual_along
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity, constraint_error
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.start import Covectors, InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization
@@ -90,7 +90,7 @@ class RecurrenceStart:
     damped: Factorization
 
     @staticmethod
-    def of(problem: Problem, c: Coefficients) -> RecurrenceStart:
+    def of(problem: InitialValueProblem, c: Coefficients) -> RecurrenceStart:
         """Solve the equations of the module description."""
         system, matrices, x = problem.system, problem.matrices, problem.initial
         s, scale = -c.alpha * c.h, constraint_error(c)

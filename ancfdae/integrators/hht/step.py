@@ -30,8 +30,8 @@ from ancfdae.integrators.hht.newton import StepSolver
 from ancfdae.integrators.hht.small_steps import ConstraintRow
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.prescribed_motion import turn_error
-from ancfdae.integrators.problem import Problem, vector_sizes
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
@@ -59,11 +59,11 @@ class HHTStepper(OneStepMethod[State]):
 
     def __init__(
         self,
-        problem: Problem,
+        problem: InitialValueProblem,
         alpha: float,
         newton: tuple[float, int],
         tolerance: Tolerance | None,
-        recorder: Recorder,
+        recorder: SolutionRecorder,
     ) -> None:
         self._problem, self._alpha = problem, alpha
         self.system, self.breakpoints = problem.system, problem.system.traits.breakpoints

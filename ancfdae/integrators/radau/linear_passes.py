@@ -27,7 +27,7 @@ from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.completion import Completion
 from ancfdae.integrators.integrator import Seeds
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau.stages import Begin, Stages, factorised, stage_matrices
 from ancfdae.integrators.radau.tableau import INVERSE, PLACES, at_stages
 from ancfdae.integrators.start import Covectors, pull_back_start
@@ -51,7 +51,9 @@ class LinearStages:
     completion: Completion
 
     @staticmethod
-    def of(problem: Problem, h: Array, t: Array, states: Sequence[Array]) -> LinearStages:
+    def of(
+        problem: InitialValueProblem, h: Array, t: Array, states: Sequence[Array]
+    ) -> LinearStages:
         """Linearise steps of which start, stages and end are given, (k, 4, ...)."""
         q, v, a, lam = (np.concatenate(x[:, 1:]) for x in states)
         rough, times = list[Stages](), t[:, 1:].ravel()
@@ -130,7 +132,9 @@ class LinearStages:
         return self.completion.pull_back(*covectors) - direct
 
 
-def _before(problem: Problem, t: float, q: Array, v: Array, a: Array) -> tuple[Any, ...]:
+def _before(
+    problem: InitialValueProblem, t: float, q: Array, v: Array, a: Array
+) -> tuple[Any, ...]:
     """Return the matrix at q, and a, lam, v - V and sigma of a stage from rough accelerations."""
     system, factors = problem.system, problem.accelerations.factors(t, q)
     side = system.constraint_pattern.dot(system.constraint_q(t, q), a)
@@ -139,7 +143,7 @@ def _before(problem: Problem, t: float, q: Array, v: Array, a: Array) -> tuple[A
 
 
 def differentiate(
-    problem: Problem, run: Solution, h: Array, progress: bool = False
+    problem: InitialValueProblem, run: Solution, h: Array, progress: bool = False
 ) -> tuple[list[Array], Verdict]:
     """Run the derivative recurrence forward over steps of the sizes h.
 
@@ -169,7 +173,12 @@ def differentiate(
 
 
 def pull_back(
-    problem: Problem, run: Solution, h: Array, seeds: Seeds, on: Array, progress: bool = False
+    problem: InitialValueProblem,
+    run: Solution,
+    h: Array,
+    seeds: Seeds,
+    on: Array,
+    progress: bool = False,
 ) -> tuple[Array, Array]:
     """Run the transposed recurrence back over steps of the sizes h (discrete adjoint).
 
@@ -195,7 +204,7 @@ def pull_back(
     return gradient, on
 
 
-def through_start(problem: Problem, on: Array, seeds: Seeds, gradient: Array) -> Array:
+def through_start(problem: InitialValueProblem, on: Array, seeds: Seeds, gradient: Array) -> Array:
     """Add to a gradient what goes through the first instant, with its seeds."""
     none = np.zeros(problem.system.n_q), np.zeros(problem.system.n_lam)
     q, v, lam = (
@@ -206,7 +215,9 @@ def through_start(problem: Problem, on: Array, seeds: Seeds, gradient: Array) ->
     return pull_back_start(problem.system, problem.matrices, problem.initial, on_start)
 
 
-def _linearised(problem: Problem, run: Solution, h: Array, steps: slice) -> LinearStages:
+def _linearised(
+    problem: InitialValueProblem, run: Solution, h: Array, steps: slice
+) -> LinearStages:
     rows = 3 * np.arange(steps.start, steps.stop)[:, None] + np.arange(4)
     states = [x[rows] for x in (run.q, run.v, run.a, run.lam)]
     return LinearStages.of(problem, h[steps], run.t[rows], states)

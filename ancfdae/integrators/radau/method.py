@@ -11,11 +11,11 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import PartwiseIntegrator, Seeds
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau import linear_passes
 from ancfdae.integrators.radau.replay import RadauReplay
 from ancfdae.integrators.radau.step import RadauStepper, State
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control import StepControl
 from ancfdae.integrators.stepped import EXACT, SteppedIntegrator
 from ancfdae.numerics.arrays import Array
@@ -73,7 +73,7 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
         self._set(steps, step, rtol, newton, max_iterations)
 
     def _stepper(
-        self, problem: Problem, t_end: float, sizes_b: Array, recorder: Recorder
+        self, problem: InitialValueProblem, t_end: float, sizes_b: Array, recorder: SolutionRecorder
     ) -> RadauStepper:
         newton = self.newton_tolerance, self.max_iterations
         tolerances = []
@@ -89,7 +89,7 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
         return State(float(self.sizes(run)[-1]), rows)
 
     def _derivatives(
-        self, problem: Problem, run: Solution, progress: bool
+        self, problem: InitialValueProblem, run: Solution, progress: bool
     ) -> tuple[list[Array], Verdict]:
         return linear_passes.differentiate(problem, run, self.sizes(run), progress)
 
@@ -97,7 +97,7 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
     ) -> Array:
         """Return the gradient of an objective by the discrete adjoint."""
-        problem = Problem.of(system, float(solution.t[-1]) or 1.0)
+        problem = InitialValueProblem.of(system, float(solution.t[-1]) or 1.0)
         on, h = np.zeros((2, system.n_q)), self.sizes(solution)
         gradient, on = linear_passes.pull_back(problem, solution, h, seeds, on, progress)
         return linear_passes.through_start(problem, on, seeds, gradient)
@@ -106,4 +106,6 @@ class Radau(SteppedIntegrator, PartwiseIntegrator):
         """Return the run to `t_end` part by part; its steps must be known before."""
         ends = self._known_instants(t_end)
         newton = self.newton_tolerance, self.max_iterations
-        return RadauReplay(Problem.of(system, t_end), self.steps.sizes(ends), ends, newton)
+        return RadauReplay(
+            InitialValueProblem.of(system, t_end), self.steps.sizes(ends), ends, newton
+        )

@@ -14,7 +14,7 @@ import numpy as np
 from ancfdae.equations import planned, reaction
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau.stages import (
     Begin,
     Stages,
@@ -24,7 +24,7 @@ from ancfdae.integrators.radau.stages import (
     stage_matrices,
 )
 from ancfdae.integrators.radau.tableau import INVERSE, PLACES, SQUARED, at_stages
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.contracts import Failure
 from ancfdae.kernels import (
     RULES,
@@ -72,7 +72,11 @@ class StageSolver:
     """Newton's method for one step after another, which the recorder counts."""
 
     def __init__(
-        self, problem: Problem, tolerance: float, max_iterations: int, recorder: Recorder
+        self,
+        problem: InitialValueProblem,
+        tolerance: float,
+        max_iterations: int,
+        recorder: SolutionRecorder,
     ) -> None:
         self._problem, self._recorder = problem, recorder
         self._tolerance, self._most = tolerance, max_iterations

@@ -9,11 +9,11 @@ import numpy as np
 
 from ancfdae.equations.solution import Solution
 from ancfdae.integrators.integrator import RunInParts, Seeds
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau import linear_passes
 from ancfdae.integrators.radau.step import RadauStepper, State
 from ancfdae.integrators.radau.tableau import PLACES
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.contracts import Reached, march
 from ancfdae.integrators.step_control.planned import StepPlan
 from ancfdae.numerics.arrays import Array
@@ -25,7 +25,9 @@ class RadauReplay(RunInParts):
 
     degree = 3
 
-    def __init__(self, problem: Problem, h: Array, ends: Array, newton: tuple[float, int]) -> None:
+    def __init__(
+        self, problem: InitialValueProblem, h: Array, ends: Array, newton: tuple[float, int]
+    ) -> None:
         self._problem, self._h, self._ends, self._newton = problem, h, ends, newton
         stages = ends[:-1, None] + h[:, None] * PLACES[:2, 0]
         self.t = np.append(ends[0], np.column_stack([stages, ends[1:]]).ravel())
@@ -33,12 +35,12 @@ class RadauReplay(RunInParts):
 
     def start(self) -> State:
         """Return the consistent start of the run that is repeated."""
-        return self._stepper(Recorder(self._problem.system, 1)).start(float(self._h[0]))
+        return self._stepper(SolutionRecorder(self._problem.system, 1)).start(float(self._h[0]))
 
     def part(self, node: State, first: int, last: int) -> tuple[Solution, State]:
         """March over a plan of the known steps."""
         begin, end = first // self.degree, last // self.degree
-        recorder = Recorder(self._problem.system, last - first + 1, self.degree)
+        recorder = SolutionRecorder(self._problem.system, last - first + 1, self.degree)
         t, q, v, a, lam = (x[-1] for x in node.rows)
         recorder.record(float(t), q, v, a, lam, ())
         plan = StepPlan(self._h[:end], self._ends[1 : end + 1])
@@ -64,5 +66,5 @@ class RadauReplay(RunInParts):
         """Return zero adjoint vectors on q and v, shape (2, n_q)."""
         return np.zeros((2, self._problem.system.n_q))
 
-    def _stepper(self, recorder: Recorder) -> RadauStepper:
+    def _stepper(self, recorder: SolutionRecorder) -> RadauStepper:
         return RadauStepper(self._problem, self._newton, (), recorder)

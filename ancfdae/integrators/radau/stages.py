@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ancfdae.equations import Linearisation, MechanicalSystem, reaction
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau.tableau import INVERSE, PLACES, SQUARED, at_stages
 from ancfdae.kernels import balance
 from ancfdae.numerics.arrays import Array
@@ -84,7 +84,7 @@ def linearised(system: MechanicalSystem, t: Array, *states: Array) -> Linearisat
     return Linearisation(local.M.real, local.f_q.real, f_v, local.Phi_q.real)
 
 
-def stage_matrices(problem: Problem) -> CoupledSaddlePoints:
+def stage_matrices(problem: InitialValueProblem) -> CoupledSaddlePoints:
     """Return the matrices; constraints are scaled by their rows at the start."""
     system, Phi_q = problem.system, problem.system.constraint_q(0.0, problem.initial.q)
     patterns = system.pattern, system.constraint_pattern

@@ -30,7 +30,7 @@ from ancfdae.equations import Linearisation
 from ancfdae.equations.saddle_points import solve
 from ancfdae.integrators.completion import completed
 from ancfdae.integrators.prescribed_motion import turn_error
-from ancfdae.integrators.problem import Problem, vector_sizes
+from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
 from ancfdae.integrators.radau.linear_passes import LinearStages
 from ancfdae.integrators.radau.newton import SolvedStages, StageSolver
 from ancfdae.integrators.radau.stages import Begin, linearised, stage_matrices
@@ -43,7 +43,7 @@ from ancfdae.integrators.radau.tableau import (
     at_stages,
     continued,
 )
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
@@ -86,10 +86,10 @@ class RadauStepper(OneStepMethod[State]):
 
     def __init__(
         self,
-        problem: Problem,
+        problem: InitialValueProblem,
         newton: tuple[float, int],
         tolerances: tuple[Tolerance, ...],
-        recorder: Recorder,
+        recorder: SolutionRecorder,
     ) -> None:
         self._problem, self._recorder, self._tolerances = problem, recorder, tolerances
         self._solver = StageSolver(problem, *newton, recorder)

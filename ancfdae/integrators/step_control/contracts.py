@@ -16,7 +16,7 @@ from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.integrators.prescribed_motion import half_a_turn_off, lock
-from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.integrators.watch import Watch
 from ancfdae.numerics.arrays import Array
@@ -171,7 +171,7 @@ _NOWHERE = Reached(0, 0.0, 0.0, None)
 def march(
     method: OneStepMethod[Any],
     controller: Controller,
-    recorder: Recorder,
+    recorder: SolutionRecorder,
     t_end: float,
     progress: bool,
     reached: Reached = _NOWHERE,
@@ -214,7 +214,7 @@ def march(
 def _next(
     method: OneStepMethod[Any],
     controller: Controller,
-    recorder: Recorder,
+    recorder: SolutionRecorder,
     path: deque[Reached],
 ) -> Reached | Failure:
     """Try a step; return where the run stands then, or how it ends there.

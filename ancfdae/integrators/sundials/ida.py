@@ -26,7 +26,7 @@ import scipy
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.high_order import March, NotFinite
 from ancfdae.integrators.index_1 import stacked
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import verdict
 from ancfdae.integrators.sundials.index_reduced import ColumnStorage, SundialsIntegrator
@@ -92,7 +92,7 @@ class IDA(SundialsIntegrator):
     `form`, of `IndexReduction`.
     """
 
-    def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
+    def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
         """Set up a run by IDA from the start of the system."""
         return _IdaMarch(self, problem, t_end, quadrature)
 
@@ -102,7 +102,7 @@ class _IdaMarch(March):
     """One run of IDA; the vector y holds the states and then one block per design variable."""
 
     def __init__(
-        self, settings: IDA, problem: Problem, t_end: float, quadrature: Quadrature
+        self, settings: IDA, problem: InitialValueProblem, t_end: float, quadrature: Quadrature
     ) -> None:
         super().__init__(problem, t_end, settings.max_steps, without_messages)
         self._form = settings.form.form(problem.system, problem.scales)

@@ -16,7 +16,7 @@ from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.high_order import March, NotFinite
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import Bindings, IdasEquations, verdict
 from ancfdae.integrators.sundials.idas_adjoint import BackwardRun
@@ -35,7 +35,7 @@ class IDAS(SundialsIntegrator, AdjointIntegrator):
     MissingPackageError. Parameters: `form`, and those of `HighOrder`.
     """
 
-    def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
+    def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
         """Set up a run by IDAS from the start of the system."""
         return _IdasMarch(Bindings.load(), self, problem, t_end, quadrature)
 
@@ -44,7 +44,7 @@ class IDAS(SundialsIntegrator, AdjointIntegrator):
     ) -> Array:
         """Return the gradient of an objective by the adjoint with checkpoints."""
         t_end = float(solution.t[-1])
-        problem = Problem.of(system, t_end).differentiated()
+        problem = InitialValueProblem.of(system, t_end).differentiated()
         form = self.form.form(system, problem.scales)
         return BackwardRun(Bindings.load(), problem, form, self, solution, seeds).gradient()
 
@@ -57,7 +57,7 @@ class _IdasMarch(March):
         self,
         bindings: Bindings,
         settings: IDAS,
-        problem: Problem,
+        problem: InitialValueProblem,
         t_end: float,
         quadrature: Quadrature,
     ) -> None:

@@ -22,7 +22,7 @@ from ancfdae.equations.solution import Solution
 from ancfdae.errors.outcomes import PassFailed, Verdict
 from ancfdae.integrators.high_order import HighOrder, NotFinite, pace
 from ancfdae.integrators.integrator import Seeds
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.start import AccelerationsAdjoint, InitialState
 from ancfdae.integrators.sundials.bindings import Bindings, IdasEquations, verdict
 from ancfdae.integrators.sundials.index_reduced import IndexReduced
@@ -39,7 +39,7 @@ _SMALL = 1e-2
 class AdjointSeeds:
     """Derivatives of the objective at a time: densities of integrals, and values at times."""
 
-    def __init__(self, problem: Problem, solution: Solution, seeds: Seeds) -> None:
+    def __init__(self, problem: InitialValueProblem, solution: Solution, seeds: Seeds) -> None:
         system, s = problem.system, problem.scales
         self._densities = seeds.densities
         sizes = (system.n_q, system.n_q, system.n_lam)
@@ -74,7 +74,7 @@ class BackwardRun:
     def __init__(
         self,
         bindings: Bindings,
-        problem: Problem,
+        problem: InitialValueProblem,
         form: IndexReduced,
         settings: HighOrder,
         solution: Solution,

@@ -24,8 +24,8 @@ from ancfdae.model.elements.cable_forces import CableSectionLaw, CableStressLaw
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
+    ElementIntegrals,
     ElementParameter,
-    Integrals,
     Quantity,
     SectionLaw,
     SectionPlace,
@@ -76,7 +76,7 @@ class Cable(BeamElement):
         chord, first, second = tangent_weights(np.array(xi))
         return np.array([-chord, first, chord, second]), np.array([-1, 0, -1, 0])
 
-    def integrals(self, batch: Batch, owners: Array) -> Integrals:
+    def integrals(self, batch: Batch, owners: Array) -> ElementIntegrals:
         """Integrals times E A, rho A and E I."""
         if not batch.kind.straight:
             raise InvalidInputError(
@@ -97,7 +97,7 @@ class Cable(BeamElement):
 
 
 @final
-class _CableIntegrals(Integrals):
+class _CableIntegrals(ElementIntegrals):
     """A and m of unit moduli, times those of each element, and the flexural stiffness."""
 
     def __init__(self, batch: Batch) -> None:

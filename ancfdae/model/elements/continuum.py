@@ -20,8 +20,8 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
+    ElementIntegrals,
     ElementParameter,
-    Integrals,
     Quantity,
     SectionLaw,
     SectionPlace,
@@ -97,7 +97,7 @@ class ContinuumBeam(BeamElement):
             powers[:, 1] = 0
         return shape_weights(self.d, quantity, xi, y, z), powers.ravel()
 
-    def integrals(self, batch: Batch, owners: Array) -> Integrals:
+    def integrals(self, batch: Batch, owners: Array) -> ElementIntegrals:
         """Gauss quadrature over the volume, and for some energies along the axis."""
         return _ContinuumIntegrals(batch, owners)
 
@@ -115,7 +115,7 @@ class ContinuumBeam(BeamElement):
 
 
 @final
-class _ContinuumIntegrals(Integrals):
+class _ContinuumIntegrals(ElementIntegrals):
     """A and m of scaled vectors."""
 
     def __init__(self, batch: Batch, owners: Array) -> None:

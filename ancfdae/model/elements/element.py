@@ -181,7 +181,7 @@ class Invariants:
     partials: dict[ElementParameter, InvariantPartial]
 
 
-class Integrals(abc.ABC):
+class ElementIntegrals(abc.ABC):
     """Invariants divided by a power of the element length l, given for each entry by `powers`."""
 
     # A, m, and the flexural stiffness E I, (n, 1), of elements that bend as cables do.
@@ -336,7 +336,7 @@ class BeamElement(abc.ABC):
         """Energy of beams that declare none; None if the element has a law of its own."""
 
     @abc.abstractmethod
-    def integrals(self, batch: Batch, owners: Array) -> Integrals:
+    def integrals(self, batch: Batch, owners: Array) -> ElementIntegrals:
         """Integrate the invariants of some elements; `owners` as in `invariants.prepare`."""
 
     @abc.abstractmethod

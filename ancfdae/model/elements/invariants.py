@@ -20,8 +20,8 @@ from ancfdae.kernels import gram
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
+    ElementIntegrals,
     ElementParameter,
-    Integrals,
     InvariantPartial,
     Invariants,
 )
@@ -62,7 +62,7 @@ def _invariants(
         f"integrals of the element {element.name}",
         "Return an object of the class `Integrals`.",
     )
-    require_kind(where, integrals, (Integrals,), repair)
+    require_kind(where, integrals, (ElementIntegrals,), repair)
     lengths = [batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
     whole = [x * size for x, size in zip(integrals.values, sizes, strict=True)]

@@ -25,10 +25,10 @@ from ancfdae.model.joints.frames import (
 )
 from ancfdae.model.joints.joint import (
     SECTION,
-    Equations,
     Joint,
+    JointEquations,
     RightAngle,
-    empty_coefficients,
+    empty_equations,
     place_coincidence,
 )
 from ancfdae.numerics.arrays import Array
@@ -89,7 +89,7 @@ class AxisJoint(Joint):
 
     def aligned(
         self, rows: int, p: Array, reference: Array, shapes: Sequence[RightAngle] = ()
-    ) -> Equations:
+    ) -> JointEquations:
         """Return coefficients with the last two of these equations entered, and all shapes."""
         axis, carrier, _ = self.around(p, reference)
         both = sections(self.points, reference)
@@ -97,7 +97,7 @@ class AxisJoint(Joint):
         if isinstance(carrier, SectionFrame) and section.holds(axis) and not carrier.holds(axis):
             section, carrier = carrier, section
         every = tuple(dict.fromkeys((*axis_shapes(section, carrier, axis), *shapes)))
-        c = empty_coefficients(rows, p, reference, every)
+        c = empty_equations(rows, p, reference, every)
         hold_axis(c, slice(rows - 2, rows), section, carrier, axis)
         if is_fixed_in(section, carrier, axis):
             # F axis is fixed: what is square to it in the section is across the axis.
@@ -120,7 +120,7 @@ class Revolute(AxisJoint):
     sign = Sign("revolute joint", "o")
     holds_position = True
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Return the coefficients: a common point, and two axes across that stay perpendicular."""
         c = self.aligned(5, p, reference)
         place_coincidence(c, len(self.points), reference, self.around(p, reference)[2])
@@ -141,7 +141,7 @@ class Cylindrical(AxisJoint):
     kind = "cylindrical"
     sign = Sign("cylindrical joint", "h")
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Two equations across the axis and two perpendicularities."""
         axis, carrier, ground = self.around(p, reference)
         c = self.aligned(4, p, reference, square(carrier))
@@ -162,7 +162,7 @@ class PlanarJoint(AxisJoint):
     kind = "planar"
     sign = Sign("planar joint", "D")
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """One equation along the normal of the plane and two perpendicularities."""
         axis, carrier, ground = self.around(p, reference)
         c = self.aligned(3, p, reference, square(carrier, unless_it_holds=axis))

@@ -19,7 +19,7 @@ from ancfdae.model.joints.frames import (
     spanned,
     unit,
 )
-from ancfdae.model.joints.joint import SECTION, DrivenJoint, Equations, empty_coefficients
+from ancfdae.model.joints.joint import SECTION, DrivenJoint, JointEquations, empty_equations
 from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
@@ -63,20 +63,20 @@ class RotationDriver(DrivenJoint):
             return super().vectors(elements)[2:]
         return tuple((self.point, q) for q in elements.at(self.point).spanning)
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Return the coefficients that do not rotate: along the axis, shear, and right angles."""
         a, d = self._axis(p), reference.shape[1]
         if self.other is None:
             return self._against_ground(p, reference, lambda m: (a @ m) * a, still=True)
         section, other = sections(self.points, reference)
         shapes = () if d == 2 else axis_torque(section, a) + axis_torque(other, a)
-        c = empty_coefficients(1, p, reference, shapes)
+        c = empty_equations(1, p, reference, shapes)
         section.take_out_shear(c, 0, a, 1.0)
         other.take_out_shear(c, 0, a, -1.0)
         place_shapes(c, (section, other))
         return c
 
-    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+    def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
         """Return the coefficients that go with the cosine and with the sine of the angle."""
         a = self._axis(p)
         if self.other is None:
@@ -113,7 +113,7 @@ class RotationDriver(DrivenJoint):
         slopes: Array,
         part: Callable[[Array], Array],
         still: bool = False,
-    ) -> Equations:
+    ) -> JointEquations:
         """Part of the sum over the axes w of the section of F w . R m_w, with R the turn.
 
         m_w = (a - 1/2 (a . n) n) x w: in the reference a turn phi of the section changes F w . m_w
@@ -122,7 +122,7 @@ class RotationDriver(DrivenJoint):
         d, a = slopes.shape[1], self._axis(p)
         n, axes, weights = spanned(slopes)
         twisting = d == 3 and abs((a @ n).real) > OUT_OF_PLANE
-        c = empty_coefficients(1, p, slopes, flat_angle(self.point) if twisting else ())
+        c = empty_equations(1, p, slopes, flat_angle(self.point) if twisting else ())
         for w, share in zip(axes, weights, strict=True):
             m = np.cross(a - (a @ n) / 2 * n, w)
             c.linear[0] += np.outer(share, part(m)[:d])
@@ -133,10 +133,10 @@ class RotationDriver(DrivenJoint):
 
     def _against_section(
         self, p: Array, reference: Array, pairs: Sequence[tuple[Array, Array]]
-    ) -> Equations:
+    ) -> JointEquations:
         """Part of 1/2 (F e_1 . F' R e_2 - F e_2 . F' R e_1), with R the turn."""
         section, other = sections(self.points, reference)
-        c = empty_coefficients(len(self.coefficients(p, reference).offset), p, reference)
+        c = empty_equations(len(self.coefficients(p, reference).offset), p, reference)
         for e, e_other in pairs:
             other.meet(c, 0, section.carried(e), e_other, 0.5)
         return c

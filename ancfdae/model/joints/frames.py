@@ -8,7 +8,7 @@ import numpy as np
 
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.elements import Quantity
-from ancfdae.model.joints.joint import Equations, RightAngle
+from ancfdae.model.joints.joint import JointEquations, RightAngle
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import cross
 from ancfdae.numerics.rotations import in_space
@@ -58,7 +58,7 @@ class Carrier(abc.ABC):
 
     @abc.abstractmethod
     def meet(
-        self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
+        self, c: JointEquations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
         """Add factor (sum_i own_i U_i) . (the direction, carried along) to an equation."""
 
@@ -68,7 +68,7 @@ class Ground(Carrier):
     """Directions fixed in space, to which joints to ground refer."""
 
     def meet(
-        self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
+        self, c: JointEquations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
         """Add factor times (direction . weighted sum of vectors) to a row: linear coefficients."""
         c.linear[row] += factor * np.outer(weights, direction)
@@ -98,7 +98,7 @@ class SectionFrame(Carrier):
         return weights
 
     def meet(
-        self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
+        self, c: JointEquations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
         """Add the same with the direction carried by the section: bilinear entries."""
         product = factor * np.outer(weights, self.carried(direction))
@@ -112,7 +112,7 @@ class SectionFrame(Carrier):
         """Tell whether a unit direction lies in the section, or nearly so."""
         return self.share(direction) < OUT_OF_PLANE
 
-    def take_out_shear(self, c: Equations, row: int, e: Array, factor: float) -> None:
+    def take_out_shear(self, c: JointEquations, row: int, e: Array, factor: float) -> None:
         """Add to a turn of all slopes about e what makes it that of the section.
 
         Their mean turn, that of the skew part of F, holds half of the shear strain E n of the
@@ -133,7 +133,7 @@ class SectionFrame(Carrier):
         shear = [Quantity.SLOPE_Y, Quantity.SLOPE_Z][: len(self.normal) - 1]
         return (*self.flat(), *(_angle(self.point, Quantity.SLOPE_X, other) for other in shear))
 
-    def place_right_angle(self, c: Equations, row: int, angle: RightAngle) -> None:
+    def place_right_angle(self, c: JointEquations, row: int, angle: RightAngle) -> None:
         """Enter F w . F w' = 0 for two of its axes."""
         y = unit(self._slopes[1])
         axes = [self.normal, y] if len(y) == 2 else [self.normal, y, cross(self.normal, y)]
@@ -170,7 +170,7 @@ def square(carrier: Carrier, unless_it_holds: Array | None = None) -> tuple[Righ
     return carrier.flat() if enough else carrier.square()
 
 
-def place_shapes(c: Equations, at: Sequence[SectionFrame]) -> None:
+def place_shapes(c: JointEquations, at: Sequence[SectionFrame]) -> None:
     """Enter the last equations, the right angles of sections."""
     points = (section.point for section in at)
     places = dict(zip(((x.beam, x.fraction, x.before) for x in points), at, strict=True))
@@ -194,7 +194,7 @@ def axis_shapes(section: SectionFrame, carrier: Carrier, axis: Array) -> tuple[R
 
 
 def hold_axis(
-    c: Equations, rows: slice, section: SectionFrame, carrier: Carrier, axis: Array
+    c: JointEquations, rows: slice, section: SectionFrame, carrier: Carrier, axis: Array
 ) -> None:
     """Enter two equations: the axis stays where the carrier has it, as the section has it.
 
@@ -215,7 +215,7 @@ def hold_axis(
         section.take_out_shear(c, row, cross(e, axis), 1.0)
 
 
-def hold_turn(c: Equations, rows: slice, section: SectionFrame, other: SectionFrame) -> None:
+def hold_turn(c: JointEquations, rows: slice, section: SectionFrame, other: SectionFrame) -> None:
     """Enter one equation for every turn of a section against another.
 
     e . (phi - phi') = 1/2 (F e_1 . F' e_2 - F e_2 . F' e_1), e_1 x e_2 = e, less the shear of the
@@ -232,7 +232,9 @@ def hold_turn(c: Equations, rows: slice, section: SectionFrame, other: SectionFr
         other.take_out_shear(c, row, about, -1.0)
 
 
-def hold_place(c: Equations, row: int, carrier: Carrier, e: Array, offset: Array | float) -> None:
+def hold_place(
+    c: JointEquations, row: int, carrier: Carrier, e: Array, offset: Array | float
+) -> None:
     """Enter e . (r - r') = offset, where e is carried along; r' = 0 on the ground."""
     gap = np.zeros(c.linear.shape[1])
     gap[0] = 1.0
@@ -242,7 +244,7 @@ def hold_place(c: Equations, row: int, carrier: Carrier, e: Array, offset: Array
     c.offset[row] = offset
 
 
-def fix_turn(c: Equations, row: int, slopes: Array, first: int) -> None:
+def fix_turn(c: JointEquations, row: int, slopes: Array, first: int) -> None:
     """Enter that a section does not turn: one equation in the plane, 4 in space; or a tangent.
 
     The fourth is the right angle in the section. `slopes` are those that span it, vectors `first`

@@ -7,7 +7,7 @@ from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.frames import carrier_of, hold_place, place_shapes, sections, square, unit
-from ancfdae.model.joints.joint import SECTION, Equations, Travelling, empty_coefficients
+from ancfdae.model.joints.joint import SECTION, JointEquations, Travelling, empty_equations
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
@@ -45,19 +45,19 @@ class TranslationDriver(Travelling):
         first, second, *slopes = super().vectors(elements)
         return (first, second, *slopes[elements.d :])
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Direction . (r - r') as in the reference."""
         e = unit(self.split(p)[0])
         others = sections(self.points[1:], reference)
         carrier = carrier_of(others)
-        c = empty_coefficients(1, p, reference, square(carrier, unless_it_holds=e))
+        c = empty_equations(1, p, reference, square(carrier, unless_it_holds=e))
         hold_place(c, 0, carrier, e, e @ (reference[0] - reference[1] if others else reference[0]))
         place_shapes(c, others)
         return c
 
-    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+    def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
         """Return the coefficients that go with the law: an offset along the direction."""
         c = self.coefficients(p, reference)
-        travel = empty_coefficients(len(c.offset), p, reference)
+        travel = empty_equations(len(c.offset), p, reference)
         travel.offset[0] = 1.0
         return (travel,)

@@ -18,10 +18,10 @@ from ancfdae.model.joints.frames import (
 )
 from ancfdae.model.joints.joint import (
     SECTION,
-    Equations,
     Joint,
+    JointEquations,
     Travelling,
-    empty_coefficients,
+    empty_equations,
     place_coincidence,
 )
 from ancfdae.model.parts import Elements, Vectors
@@ -65,11 +65,11 @@ class Clamp(Joint):
         slopes = quantities[2:] or quantities[1:]
         return tuple((self.point, q) for q in (Quantity.POSITION, *slopes))
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Coincidence, and one equation for every turn."""
         d, slopes = reference.shape[1], reference[1:]
         shapes = flat_angle(self.point) if len(slopes) == 2 else ()
-        c = empty_coefficients(d + (3 if shapes else d - 1), p, reference, shapes)
+        c = empty_equations(d + (3 if shapes else d - 1), p, reference, shapes)
         place_coincidence(c, 1, reference, *self.split(p))
         fix_turn(c, d, slopes, 1)
         return c
@@ -106,11 +106,11 @@ class Weld(Joint):
         """Return true: places coincide, wherever they are."""
         return True
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Coincidence, and one equation for every turn."""
         d, (section, other) = reference.shape[1], sections(self.points, reference)
         rows = 3 if d == 2 else 6
-        c = empty_coefficients(rows, p, reference, section.flat() + other.flat())
+        c = empty_equations(rows, p, reference, section.flat() + other.flat())
         place_coincidence(c, 2, reference, None)
         hold_turn(c, slice(d, rows), section, other)
         place_shapes(c, (section, other))
@@ -143,13 +143,13 @@ class MovingSupport(Travelling):
         """Return the vectors of a `Clamp` at the point."""
         return Clamp(self.point).vectors(elements)
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Return the coefficients of a `Clamp` at the point."""
         return Clamp(self.point).coefficients(p[:0], reference)
 
-    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+    def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
         """Return the coefficients that go with the law: the direction of the travel."""
         still = self.coefficients(p, reference)
-        c = empty_coefficients(len(still.offset), p, reference)
+        c = empty_equations(len(still.offset), p, reference)
         c.offset[: reference.shape[1]] = unit(self.split(p)[0])
         return (c,)

@@ -48,7 +48,7 @@ class RightAngle:
 
 @final
 @dataclass(frozen=True)
-class Equations:
+class JointEquations:
     """Coefficients of a joint's equations, or one of their time derivatives."""
 
     linear: Array  # (n_rows, n_vectors, d)
@@ -63,16 +63,16 @@ class Equations:
         products = np.einsum("rij,ix,jx->r", self.bilinear, U, U)
         return np.einsum("rix,ix->r", self.linear, U) + products / 2 - self.offset
 
-    def without(self, dropped: Sequence[int]) -> Equations:
+    def without(self, dropped: Sequence[int]) -> JointEquations:
         """Return the equations without some of them."""
         if not dropped:
             return self
         kept = np.delete(np.arange(len(self.offset)), dropped)
-        return Equations(self.linear[kept], self.bilinear[kept], self.offset[kept])
+        return JointEquations(self.linear[kept], self.bilinear[kept], self.offset[kept])
 
     def at_points(
         self, before: Sequence[MaterialPoint], after: Sequence[MaterialPoint]
-    ) -> Equations:
+    ) -> JointEquations:
         """Return the same equations of a joint that has points `after` instead of `before`."""
         pairs = zip(before, after, strict=True)
         places = {(x.beam, x.fraction, x.before): (y.beam, y.fraction, y.before) for x, y in pairs}
@@ -124,7 +124,7 @@ class Joint(Part):
         return False
 
     @abc.abstractmethod
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Return the coefficients, of a driven joint those that do not depend on time.
 
         `p` has the values of `parameters`, as `split` takes them, and `reference` the vectors in
@@ -132,21 +132,21 @@ class Joint(Part):
         """
 
     @final
-    def checked_coefficients(self, p: Array, reference: Array) -> Equations:
+    def checked_coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Return the coefficients; InvalidInputError if their arrays do not fit their vectors."""
         where, (n, d) = f"coefficients of joint {self.name!r}", reference.shape
         c: object = self.coefficients(p, reference)
-        require_kind(where, c, (Equations,), "Fill in the arrays of `empty_coefficients`.")
-        assert isinstance(c, Equations)
+        require_kind(where, c, (JointEquations,), "Fill in the arrays of `empty_equations`.")
+        assert isinstance(c, JointEquations)
         rows, shapes = len(c.offset), (c.linear.shape, c.bilinear.shape, c.offset.shape)
         if shapes != ((rows, n, d), (rows, n, n), (rows,)):
             rule = f"{rows} equations in {n} vectors need ({rows}, {n}, {d}), ({rows}, {n}, {n})"
             raise InvalidInputError(
-                where, rule, shapes[:2], "Fill in the arrays of `empty_coefficients`."
+                where, rule, shapes[:2], "Fill in the arrays of `empty_equations`."
             )
         return c
 
-    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+    def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
         """Return the coefficients that go with each of the `factors`; see `coefficients`."""
         return ()
 
@@ -178,7 +178,7 @@ class DrivenJoint(Joint):
     """A joint whose coefficients depend on time: `coefficients` + sum_k factor_k(t) moving_k."""
 
     @abc.abstractmethod
-    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+    def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:
         """Return the coefficients that go with each of the factors of time."""
 
     @abc.abstractmethod
@@ -210,16 +210,18 @@ class Travelling(DrivenJoint):
         return self.travel.derivative(self.split(p)[1], t, order)[None]
 
 
-def empty_coefficients(
+def empty_equations(
     rows: int, p: Array, reference: Array, shapes: Sequence[RightAngle] = ()
-) -> Equations:
+) -> JointEquations:
     """Return coefficients of zeros for some equations and those of shapes, to be filled."""
     (n, d), dtype, rows = reference.shape, np.result_type(p, reference), rows + len(shapes)
     linear, bilinear = np.zeros((rows, n, d), dtype), np.zeros((rows, n, n), dtype)
-    return Equations(linear, bilinear, np.zeros(rows, dtype), tuple(shapes))
+    return JointEquations(linear, bilinear, np.zeros(rows, dtype), tuple(shapes))
 
 
-def place_coincidence(c: Equations, count: int, reference: Array, ground: Array | None) -> None:
+def place_coincidence(
+    c: JointEquations, count: int, reference: Array, ground: Array | None
+) -> None:
     """Enter d first equations, U_0 - U_1 = 0 for two points, U_0 - ground = 0 for one.
 
     A ground that is not given is where U_0 is in the reference configuration.

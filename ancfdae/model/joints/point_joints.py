@@ -10,7 +10,7 @@ from ancfdae.errors.checks import require_direction, require_positive, require_v
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.drawing import Sign, Stroke
 from ancfdae.model.joints.frames import across
-from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients, place_coincidence
+from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations, place_coincidence
 from ancfdae.numerics.arrays import Array
 
 
@@ -46,10 +46,10 @@ class Pin(Joint):
         """To ground the place of the point matters as well."""
         return self.other is not None
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """r(point) - r(other), or r(point) - ground."""
         n, d = reference.shape
-        c = empty_coefficients(d, p, reference)
+        c = empty_equations(d, p, reference)
         place_coincidence(c, n, reference, *self.split(p))
         return c
 
@@ -87,9 +87,9 @@ class Distance(Joint):
     design_fields = (("length", require_positive), ("ground", require_vector))
     needs_other_end = True
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """(|U_0 - U_1|^2 / L - L) / 2."""
-        n, c = len(reference), empty_coefficients(1, p, reference)
+        n, c = len(reference), empty_equations(1, p, reference)
         L, ground = self.split(p)
         c.bilinear[0] = np.array([[1, -1], [-1, 1]])[:n, :n] / L
         c.offset[0] = L / 2
@@ -128,9 +128,9 @@ class PointOnLine(Joint):
     way_field = "direction"
     design_fields = (("direction", require_direction), ("through", require_vector))
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Return the coefficients of n_j . (r - through) = 0, one row per direction across."""
-        c = empty_coefficients(reference.shape[1] - 1, p, reference)
+        c = empty_equations(reference.shape[1] - 1, p, reference)
         direction, through = self.split(p)
         c.linear[:, 0] = across(direction)
         c.offset[:] = c.linear[:, 0] @ (reference[0] if through is None else through)

@@ -17,7 +17,7 @@ from ancfdae.model.joints.frames import (
     sections,
     square,
 )
-from ancfdae.model.joints.joint import SECTION, Equations, Joint, empty_coefficients
+from ancfdae.model.joints.joint import SECTION, Joint, JointEquations, empty_equations
 from ancfdae.numerics.arrays import Array
 
 
@@ -52,14 +52,14 @@ class Prismatic(Joint):
     way_field = "axis"
     design_fields = (("axis", require_direction),)
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Equations across the axis, and one for every turn."""
         (axis,), d = self.split(p), reference.shape[1]
         section, *others = sections(self.points, reference)
         carrier, places = carrier_of(others), reference[: len(self.points)]
         apart = places[0] - places[1] if others else places[0]
         rows = 2 if d == 2 else 5
-        c = empty_coefficients(rows, p, reference, section.flat() + square(carrier))
+        c = empty_equations(rows, p, reference, section.flat() + square(carrier))
         for row, e in enumerate(across(axis)):
             hold_place(c, row, carrier, e, e @ apart)
         if others:

@@ -13,9 +13,9 @@ from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import carrier_of, place_shapes, sections, square, unit
 from ancfdae.model.joints.joint import (
     SECTION,
-    Equations,
     Joint,
-    empty_coefficients,
+    JointEquations,
+    empty_equations,
     place_coincidence,
 )
 from ancfdae.numerics.arrays import Array
@@ -81,14 +81,14 @@ class Universal(Joint):
         """To ground the place of the point matters as well."""
         return self.other is not None
 
-    def coefficients(self, p: Array, reference: Array) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Coincidence, and F axis . F' cross as in the reference."""
         *directions, ground = self.split(p)
         axis, cross = map(unit, directions)
         both = sections(self.points, reference)
         carrier = carrier_of(both[1:])
         shapes = square(both[0], unless_it_holds=axis) + square(carrier, unless_it_holds=cross)
-        c = empty_coefficients(4, p, reference, shapes)
+        c = empty_equations(4, p, reference, shapes)
         place_coincidence(c, len(both), reference, ground)
         carrier.meet(c, 3, both[0].carried(axis), cross)
         c.offset[3] = np.sum(axis * cross)

@@ -5,7 +5,7 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.model.design import numbers
+from ancfdae.model.design import design_numbers
 from ancfdae.model.laws.law import Law
 from ancfdae.numerics.arrays import Array
 
@@ -17,7 +17,7 @@ class Constant(Law):
 
     value: float
 
-    design_fields = numbers("value")
+    design_fields = design_numbers("value")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Time derivative of a given order: the value, and zero from order 1 on."""
@@ -33,7 +33,7 @@ class ConstantAcceleration(Law):
     offset: float = 0.0
     acceleration: float = 0.0
 
-    design_fields = numbers("speed", "offset", "acceleration")
+    design_fields = design_numbers("speed", "offset", "acceleration")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Time derivative of a given order of a polynomial of degree two."""
@@ -52,7 +52,7 @@ class Harmonic(Law):
     phase: float = 0.0
     offset: float = 0.0
 
-    design_fields = numbers("amplitude", "frequency", "phase", "offset")
+    design_fields = design_numbers("amplitude", "frequency", "phase", "offset")
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Time derivative of a given order of amplitude times sine or cosine."""

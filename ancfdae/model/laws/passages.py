@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from ancfdae.errors.checks import require_positive
-from ancfdae.model.design import numbers
+from ancfdae.model.design import design_numbers
 from ancfdae.model.laws.law import Law, require_law
 from ancfdae.numerics.arrays import Array
 
@@ -64,9 +64,9 @@ class SmoothStep(Law):
     begin: float = 0.0
 
     design_fields = (
-        *numbers("initial", "final"),
+        *design_numbers("initial", "final"),
         ("duration", require_positive),
-        *numbers("begin"),
+        *design_numbers("begin"),
     )
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
@@ -107,9 +107,9 @@ class RunUp(Law):
     begin: float = 0.0
 
     design_fields = (
-        *numbers("rate"),
+        *design_numbers("rate"),
         ("duration", require_positive),
-        *numbers("initial", "begin"),
+        *design_numbers("initial", "begin"),
     )
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
@@ -151,7 +151,7 @@ class Transition(Law):
         ("before", require_law),
         ("after", require_law),
         ("duration", require_positive),
-        *numbers("begin"),
+        *design_numbers("begin"),
     )
 
     def numbers_of(self, name: str) -> dict[str, float]:

@@ -6,7 +6,7 @@ from typing import Any, final
 
 from ancfdae.errors.checks import require_vector
 from ancfdae.model.bodies import MaterialPoint, Quantity
-from ancfdae.model.loads.load import LAW, ConstantLoad, Load
+from ancfdae.model.loads.load import LAW_FIELD, ConstantLoad, Load
 from ancfdae.model.parts import CentreLine, Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, direction
@@ -30,7 +30,7 @@ class PointForce(ConstantLoad):
     force_vector: Sequence[float]
 
     kind = "force"
-    design_fields = (("force_vector", require_vector), LAW)
+    design_fields = (("force_vector", require_vector), LAW_FIELD)
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the vector that the force acts on: the position of the point."""
@@ -56,7 +56,7 @@ class DistributedForce(ConstantLoad):
     force_per_length: Sequence[float]
 
     kind = "line-load"
-    design_fields = (("force_per_length", require_vector), LAW)
+    design_fields = (("force_per_length", require_vector), LAW_FIELD)
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the integral of the position over the centre line."""
@@ -82,7 +82,7 @@ class FollowerForce(Load):
     force_components: Sequence[float]
 
     kind = "follower"
-    design_fields = (("force_components", require_vector), LAW)
+    design_fields = (("force_components", require_vector), LAW_FIELD)
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the vectors that the force depends on: position and slopes of the point."""

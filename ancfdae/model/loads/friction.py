@@ -9,8 +9,8 @@ import numpy as np
 from ancfdae.errors.checks import require_direction, require_positive
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity
-from ancfdae.model.design import numbers
-from ancfdae.model.loads.load import LAW, Load, SectionLoad
+from ancfdae.model.design import design_numbers
+from ancfdae.model.loads.load import LAW_FIELD, Load, SectionLoad
 from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of, turn, unit_axes
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
@@ -18,9 +18,9 @@ from ancfdae.numerics.jets import concatenate, direction, dot
 
 #: Design fields of the levels, in the order that `friction` takes them, and those that damp.
 LEVELS = (
-    *numbers("coulomb"),
+    *design_numbers("coulomb"),
     ("smooth_speed", require_positive),
-    *numbers("viscous", "breakaway"),
+    *design_numbers("viscous", "breakaway"),
     ("stribeck_speed", require_positive),
 )
 DAMPING = ("coulomb", "viscous", "breakaway")
@@ -85,7 +85,7 @@ class RotationalFriction(SectionLoad):
 
     kind = "friction"
     elastic = True
-    design_fields = (*LEVELS, ("axis", require_direction), LAW)
+    design_fields = (*LEVELS, ("axis", require_direction), LAW_FIELD)
     damping_fields = DAMPING
     refers = True
 
@@ -132,7 +132,7 @@ class TranslationalFriction(Load):
 
     kind = "slide-friction"
     elastic = True
-    design_fields = (("direction", require_direction), *LEVELS, LAW)
+    design_fields = (("direction", require_direction), *LEVELS, LAW_FIELD)
     damping_fields = DAMPING
     refers = True
 

@@ -22,7 +22,7 @@ from ancfdae.model.parts import Elements, Part, Vectors
 from ancfdae.numerics.arrays import Array
 
 #: The last design field of every load.
-LAW = ("law", require_law)
+LAW_FIELD = ("law", require_law)
 
 
 def require_damping(where: str, value: object) -> None:
@@ -55,10 +55,12 @@ class Load(Part):
 
     def _check_declared(self) -> None:
         super()._check_declared()
-        if self.design_fields[-1:] != (LAW,):
-            where, rule = f"load of class {type(self).__name__}", "must have LAW at the end"
+        if self.design_fields[-1:] != (LAW_FIELD,):
+            where, rule = f"load of class {type(self).__name__}", "must have LAW_FIELD at the end"
             names = [name for name, _ in self.design_fields]
-            raise InvalidInputError(f"{where}, design_fields", rule, names, "Write (..., LAW).")
+            raise InvalidInputError(
+                f"{where}, design_fields", rule, names, "Write (..., LAW_FIELD)."
+            )
 
     def uses_velocity(self, driven: Collection[str]) -> bool:
         """Whether the force depends on velocities, given the parameters that are design targets."""

@@ -8,9 +8,9 @@ import numpy as np
 
 from ancfdae.errors.checks import require_axial, require_not_negative, require_vector
 from ancfdae.model.bodies import MaterialPoint, Quantity
-from ancfdae.model.design import numbers
+from ancfdae.model.design import design_numbers
 from ancfdae.model.drawing import Stroke
-from ancfdae.model.loads.load import LAW, Load, require_damping
+from ancfdae.model.loads.load import LAW_FIELD, Load, require_damping
 from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of, turn
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
@@ -55,11 +55,11 @@ class SpringDamper(Load):
     stroke = Stroke.SPRING
     elastic = True
     design_fields = (
-        *numbers("stiffness"),
+        *design_numbers("stiffness"),
         ("damping", require_damping),
         ("free_length", _require_length),
         ("ground", require_vector),
-        LAW,
+        LAW_FIELD,
     )
     damping_fields = ("damping",)
     needs_other_end = True
@@ -117,7 +117,7 @@ class Bushing(Load):
         ("damping", require_vector),
         ("turn_stiffness", require_axial),
         ("turn_damping", require_axial),
-        LAW,
+        LAW_FIELD,
     )
     vector_words: ClassVar[Mapping[str, str]] = {
         "turn_stiffness": "turn_stiffness",

@@ -6,8 +6,8 @@ from typing import Any, final
 
 from ancfdae.errors.checks import require_axial, require_direction, require_flag
 from ancfdae.model.bodies import MaterialPoint
-from ancfdae.model.design import numbers
-from ancfdae.model.loads.load import LAW, SectionLoad, require_damping
+from ancfdae.model.design import design_numbers
+from ancfdae.model.loads.load import LAW_FIELD, SectionLoad, require_damping
 from ancfdae.model.loads.sections import QUARTER_TURN, rate_of, turn, unit_axes
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, cross, direction, dot
@@ -41,7 +41,7 @@ class Moment(SectionLoad):
     follower: bool = False
 
     kind = "moment"
-    design_fields = (("moment", require_axial), LAW)
+    design_fields = (("moment", require_axial), LAW_FIELD)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -87,7 +87,7 @@ class MotorTorque(SectionLoad):
     other: MaterialPoint | None = None
 
     kind = "torque"
-    design_fields = (*numbers("torque"), ("axis", require_direction), LAW)
+    design_fields = (*design_numbers("torque"), ("axis", require_direction), LAW_FIELD)
     refers = True
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
@@ -129,11 +129,11 @@ class TorsionalSpringDamper(SectionLoad):
     kind = "torsion-spring"
     elastic = True
     design_fields = (
-        *numbers("stiffness"),
+        *design_numbers("stiffness"),
         ("damping", require_damping),
-        *numbers("free_angle"),
+        *design_numbers("free_angle"),
         ("axis", require_direction),
-        LAW,
+        LAW_FIELD,
     )
     damping_fields = ("damping",)
     refers = True

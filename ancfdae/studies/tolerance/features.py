@@ -16,7 +16,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem, PlannedSystem
 from ancfdae.errors.kinds import AncfdaeError
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import States
@@ -56,7 +56,7 @@ def features(system: MechanicalSystem, observables: Sequence[Observable], t_end:
 
 def _held(system: MechanicalSystem, observables: Sequence[Observable], t: Array) -> Array:
     """Return values of observables over time at the start with the sizes of a motion added."""
-    problem = Problem.of(system, float(t[-1]))
+    problem = InitialValueProblem.of(system, float(t[-1]))
     first, scales = problem.initial, problem.scales
     held = first.q, first.v + scales.v, first.lam + scales.lam
     q, v, lam = (np.broadcast_to(x, (len(t), len(x))) for x in held)

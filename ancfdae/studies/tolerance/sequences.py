@@ -17,7 +17,7 @@ from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.hht.small_steps import small_from
 from ancfdae.integrators.integrator import Integrator
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau.method import Radau
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import HIGH_GRANTED, Estimate, falls, refined, spread, tightened
@@ -653,7 +653,7 @@ class Eighth(Runs):
             if speed is not None:
                 return speed * per_speed, False
         try:
-            initial = Problem.of(self._system, self._t_end).initial
+            initial = InitialValueProblem.of(self._system, self._t_end).initial
             at = LinearisationPoint(initial.q, initial.lam, t=initial.t)
             return fastest(self._system, at) * per_speed, True
         except AncfdaeError:  # Nothing vibrates.
