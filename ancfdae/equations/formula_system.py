@@ -25,6 +25,7 @@ from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning, StabilityW
 from ancfdae.kernels import Csr, ListPlan, OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import require_derivative
+from ancfdae.numerics.operations import Operations
 from ancfdae.numerics.patterns import SparsityPattern
 
 # What a motion consists of.
@@ -384,6 +385,10 @@ class FormulaSystem(ListedSystem):
     def index_1(self) -> tuple[OperationList, ...]:
         """The lists from which a kernel finds accelerations."""
         return self._formulas.index_1
+
+    def right_side(self) -> tuple[Operations, dict[str, Array], dict[str, Array]]:
+        """Return the list, numbers of Q, M, Phi_q and the side of Phi'', and numbers of inputs."""
+        return self._formulas.right_side()
 
     @cached_property
     def list_plan(self) -> ListPlan | None:

@@ -301,6 +301,17 @@ class Formulas:
             self._list([self._along(rate, **moved)], *state, *changes),
         )
 
+    def right_side(self) -> tuple[Operations, dict[str, Array], dict[str, Array]]:
+        """Return the list, numbers of Q, M, Phi_q and Phi'' at a = 0, and numbers of inputs.
+
+        What follows from functions that are called is left out.
+        """
+        held = {"t": self._one, "q": self._at["v"]}
+        gamma = self._moved(self._rate(1, "constraint", lambda: self._Phi), held)[0]
+        parts = {"Q": self._Q, "M": self._M, "Phi_q": self.constraint_q(0)[0], "gamma": gamma}
+        listed = {name: x for name, x in parts.items() if not self._operations.calls(x)}
+        return self._operations, listed, self._at
+
     def march(self, velocity: bool) -> tuple[OperationList, ...]:
         """Return the lists of a `ListPlan`."""
         _, *tangents, Phi_q = self.linearised(True, velocity)

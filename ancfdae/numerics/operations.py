@@ -24,9 +24,10 @@ from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import DERIVATIVES, Carried, without_derivatives
 
-#: In the order of `kernels/load_plan.h`; the one left out is the angle of two numbers.
-_ANGLE = "angle"
-_OF_TWO = (np.add, np.subtract, np.multiply, np.divide, _ANGLE, np.power)
+#: The function that is no function of NumPy: the angle of two numbers.
+ANGLE = "angle"
+# In the order of `kernels/load_plan.h`.
+_OF_TWO = (np.add, np.subtract, np.multiply, np.divide, ANGLE, np.power)
 _OF_ONE = (np.negative, np.sqrt, np.exp, np.log, np.sin, np.cos, np.tan, np.sinh, np.cosh, np.tanh)
 _CODES: dict[Any, int] = {
     function: code
@@ -96,7 +97,7 @@ class Operations:
         if known is not None:
             return known
         constants = [self.value(n) if n < 0 else None for n in numbers]
-        if all(x is not None for x in constants) and function is not _ANGLE:
+        if all(x is not None for x in constants) and function is not ANGLE:
             return self.constant(function(*constants))
         short = _shortened(function, numbers, constants)
         if short is not None:
@@ -195,6 +196,10 @@ class Operations:
     def calls(self, outputs: Array) -> bool:
         """Whether outputs follow from a call."""
         return any(self._list[k][0] == _CALL for k in self._needed(outputs))
+
+    def rows(self, outputs: Array) -> list[tuple[int, Any, int, int]]:
+        """Return the operations that outputs follow from: numbers, functions and arguments."""
+        return [(self._n_inputs + k, *self._list[k]) for k in self._needed(outputs)]
 
     def _needed(self, outputs: Array) -> list[int]:
         """Return the operations that outputs follow from, in their order."""
@@ -302,7 +307,7 @@ class Listed(Carried):
 
     def angle(self, x: Any) -> Listed:
         """Return the angle of (x, self)."""
-        return self._apply(_ANGLE, self, x)
+        return self._apply(ANGLE, self, x)
 
     def joined(self, parts: Sequence[Any]) -> Listed:
         """Return lists as one list of vectors."""
@@ -488,7 +493,7 @@ class Traced:
         return self._of(np.arctan, self)
 
     def arctan2(self, x: Any) -> Traced:  # noqa: D102
-        return self._of(_ANGLE, self, x)
+        return self._of(ANGLE, self, x)
 
     def arcsin(self) -> Traced:  # noqa: D102
         return self.arctan2(((1.0 - self) * (1.0 + self)).sqrt())
@@ -588,7 +593,7 @@ _RATES: dict[Any, Callable[[Any, Any, Any, Any, Any], Any]] = {
     np.subtract: lambda x, y, z, dx, dy: dx - dy,
     np.multiply: lambda x, y, z, dx, dy: dx * y + x * dy,
     np.divide: lambda x, y, z, dx, dy: (dx - z * dy) / y,
-    _ANGLE: lambda x, y, z, dx, dy: (y * dx - x * dy) / (x * x + y * y),
+    ANGLE: lambda x, y, z, dx, dy: (y * dx - x * dy) / (x * x + y * y),
     # Its exponent is a constant.
     np.power: lambda x, y, z, dx, dy: y * (x if y.value > 1 else x + _RAISED) ** (y.value - 1) * dx,
     np.sqrt: lambda x, y, z, dx, dy: 0.5 / (z + _ROOT) * dx,

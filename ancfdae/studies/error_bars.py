@@ -56,6 +56,8 @@ _LOWEST, _ORDER = 0.5, 2.0
 # is 1.996 to 2.03 where steps resolve all waves, 1.9 at most where bars failed
 # (docs/reports/error-bars).
 _RESOLVED = 1.95
+# Fewest steps of a run whose error can be estimated.
+_LEAST_STEPS = 4
 #: Elements are of second order or better (docs/reports/elements).
 MESH_ORDER = 2
 
@@ -161,7 +163,7 @@ def error_bars(
     Parameters
     ----------
     model, objective, t_end, integrator, design, progress
-        As in `gradient`; the integrator is that of the coarsest run.
+        As in `gradient`; the coarsest run has this integrator, and four steps or more.
     method : GradientMethod
         As in `gradient`, but `DirectDifferentiation` by default.
     levels : int
@@ -183,6 +185,14 @@ def error_bars(
 
     *coarser, finest = _meshes(model, design, meshes)
     settings, runs = integrator, [run(finest, integrator)]
+    steps = runs[0].solution.statistics.steps
+    if steps < _LEAST_STEPS:
+        raise InvalidInputError(
+            "error_bars",
+            f"needs {_LEAST_STEPS} steps or more: from fewer no error can be estimated",
+            steps,
+            f"Use a step of {t_end / (2 * _LEAST_STEPS):.3g} or less.",
+        )
     for _ in range(levels - 1):
         settings = settings.refined(runs[-1].solution)
         runs.append(run(finest, settings))
@@ -255,9 +265,6 @@ def bars(differences: Array, order: int | None) -> tuple[Array, Array]:
     p = np.clip(np.nan_to_num(orders, nan=_ORDER), _LOWEST, _ORDER)
     # The last difference may be small by chance, where the error changes its sign.
     return _SEEN * np.maximum(size[1], size[0] / 2.0**order) / (2.0**p - 1), orders
-
-
-_LEAST_STEPS = 4
 
 
 @final

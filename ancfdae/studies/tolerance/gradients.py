@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_positive
-from ancfdae.errors.kinds import InvalidInputError, ToleranceWarning
+from ancfdae.errors.kinds import InvalidInputError, ManyStepsWarning, ToleranceWarning
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
@@ -18,18 +18,20 @@ from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.sensitivity.method import Accuracy, Gradient, GradientMethod, Run, UnfinishedRunError
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import ObjectivePartials
-from ancfdae.sensitivity.objectives.reductions import OverTime
+from ancfdae.sensitivity.objectives.reductions import OverTime, SmoothUpperBound
 from ancfdae.sensitivity.objectives.totals import read_at_end
 from ancfdae.sensitivity.observables.expression import leaves
 from ancfdae.sensitivity.observables.states import States
 from ancfdae.studies.tolerance.features import features
+from ancfdae.studies.tolerance.places import Seen, Witness
 from ancfdae.studies.tolerance.runs import Runs, Sample, Wanted
 from ancfdae.studies.tolerance.search import Found, search
 from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
 
 # Up to _DIRECT variables HHT differentiates directly, which also shows whether waves are resolved.
 _DIRECT = 6
-# Intervals of instants of high order where objectives read the end only, and else.
+# Intervals of high order where objectives read the end only, and else, or where
+# forces may have sharp places along the path.
 _FEW, _MANY = 4, 64
 
 
@@ -56,11 +58,15 @@ def gradients_within(
         return Sample(vectors, run.estimated_errors, run.statistics.steps, results, run)
 
     wanted = _wanted(system, objectives, t_end, tolerance)
-    second = Second(wanted)
+    second, witness = Second(wanted), Witness(system, _seen(objectives), tolerance)
     others: list[Runs] = [Fifth(second, wanted)]
     if method is None or isinstance(method, DirectDifferentiation):
-        others.append(Eighth(second, _intervals(system, objectives, t_end), wanted))
-    reached = search(second, others, measure, tolerance)
+        few = _FEW if read_at_end(system, objectives, t_end) and not witness.looks else _MANY
+        others.append(Eighth(second, few, wanted))
+    with warnings.catch_warnings():
+        # Short steps in sharp places are meant.
+        warnings.simplefilter("ignore", ManyStepsWarning)
+        reached = search(second, others, measure, tolerance, witness)
     if not reached.reached:
         warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceWarning, stacklevel=4)
     return _results(reached, scale, tolerance)
@@ -100,9 +106,11 @@ def _method(integrator: Integrator, variables: int) -> GradientMethod:
     return Adjoint() if adjoint else DirectDifferentiation()
 
 
-def _intervals(system: MechanicalSystem, objectives: Sequence[Objective], t_end: float) -> int:
-    """Return the fewest intervals of instants: those that objectives read between the ends."""
-    return _FEW if read_at_end(system, objectives, t_end) else _MANY
+def _seen(objectives: Sequence[Objective]) -> tuple[Seen, ...]:
+    """Return the observables that objectives read between the ends of a run."""
+    each = dict.fromkeys(x for objective in objectives for x in leaves(objective))
+    over = (x for x in each if isinstance(x, OverTime | SmoothUpperBound))
+    return tuple(Seen(x.observable, getattr(x, "sharpness", None)) for x in over)
 
 
 def _sizes(vectors: Sequence[Array]) -> list[float]:

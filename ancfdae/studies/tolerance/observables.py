@@ -12,7 +12,12 @@ import scipy
 
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors.checks import require_each, require_flag, require_positive
-from ancfdae.errors.kinds import InvalidInputError, StabilityWarning, ToleranceWarning
+from ancfdae.errors.kinds import (
+    InvalidInputError,
+    ManyStepsWarning,
+    StabilityWarning,
+    ToleranceWarning,
+)
 from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.errors.text import columns
 from ancfdae.integrators.integrator import Integrator
@@ -25,6 +30,7 @@ from ancfdae.sensitivity.observables.states import States, states_of
 from ancfdae.studies.parts import instants
 from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.gradients import require_tolerance
+from ancfdae.studies.tolerance.places import Seen, Witness
 from ancfdae.studies.tolerance.runs import Sample, Wanted
 from ancfdae.studies.tolerance.search import search
 from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
@@ -110,7 +116,10 @@ def observed_within(
     with warnings.catch_warnings():
         # Coarse runs are there to be compared.
         warnings.simplefilter("ignore", StabilityWarning)
-        reached = search(second, others, measure, tolerance)
+        # Short steps in sharp places are meant.
+        warnings.simplefilter("ignore", ManyStepsWarning)
+        witness = Witness(system, tuple(map(Seen, asked)), tolerance)
+        reached = search(second, others, measure, tolerance, witness)
     if not reached.reached:
         warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceWarning, stacklevel=3)
     assert isinstance(reached.result, Solution)

@@ -15,6 +15,7 @@ from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.pulses import Pulses
 from ancfdae.studies.tolerance.bars import Estimate
+from ancfdae.studies.tolerance.places import Places
 from ancfdae.studies.tolerance.waves import Numbers, Partials
 
 # Work of a run without its steps.
@@ -22,6 +23,8 @@ OF_A_RUN = 2500.0
 # Work of one evaluation of loads that move, each, and of driven joints with their derivatives, by
 # methods other than HHT-I3: in Python.
 _OF_A_LOAD, _OF_DRIVES = 30.0, 350.0
+# An error relative to nothing, with which steps can still be counted.
+_BEYOND = 1e30
 # Two kinds of runs contradict each other if they differ by more than _CONTRADICTS error bars: one
 # bar in twenty does not hold.
 _CONTRADICTS = 3.0
@@ -124,7 +127,29 @@ class Runs(abc.ABC):
     def take(self, sample: Sample) -> None:
         """Add a run and judge; those before one that failed are no part of a sequence."""
         self.samples = [*self.samples, sample] if sample.vectors else []
-        self.estimates = self.judged() if sample.vectors else []
+        self._judge()
+
+    @property
+    @abc.abstractmethod
+    def chosen(self) -> int:
+        """Steps of the last run, without those that stops asked for."""
+
+    @abc.abstractmethod
+    def follows(self, places: Places) -> bool:
+        """Return whether the last run follows the sharp places of its path."""
+
+    @property
+    def stops_there(self) -> bool:
+        """Whether runs stop in sharp places, and each knows more closely where they are."""
+        return False
+
+    def mind(self, places: Places) -> None:
+        """Follow sharp places from now on, and judge again."""
+        self._judge()
+
+    @final
+    def _judge(self) -> None:
+        self.estimates = self.judged() if self.samples else []
         self.error = math.inf
         if self.estimates:
             bars = [x.bar for x in self.estimates]
@@ -135,7 +160,7 @@ class Runs(abc.ABC):
         """Return the largest norm of some vectors, relative to the sizes of others."""
         norms = [float(np.linalg.norm(x)) for x in parts]
         pairs = zip(norms, self._sizes(of), strict=True)
-        return max((x / size if x else 0.0 for x, size in pairs), default=0.0)
+        return max((_over(x, size) for x, size in pairs), default=0.0)
 
     @final
     def apart(self, other: Runs) -> float:
@@ -149,3 +174,8 @@ class Runs(abc.ABC):
         """Whether the last run is within what the other kind knows, if it knows anything."""
         allowed = _CONTRADICTS * other.error + self._tolerance
         return not other.estimates or self.apart(other) <= allowed
+
+
+def _over(x: float, size: float) -> float:
+    """Return x over a size; as good as infinite over nothing."""
+    return 0.0 if x == 0 else x / size if size > x / _BEYOND else _BEYOND

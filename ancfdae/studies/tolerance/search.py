@@ -7,16 +7,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
+import numpy as np
+
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.sensitivity.method import Trial
 from ancfdae.studies.tolerance.bars import Estimate
+from ancfdae.studies.tolerance.places import Witness
 from ancfdae.studies.tolerance.runs import Measure, Runs, Sample
 from ancfdae.studies.tolerance.sequences import Second
 
 # Most work of a search, about as many microseconds.
 _MOST = 4e7
+# Work after which a look at the path of HHT-I3 may show why no run is good enough.
+_EARLY = 5e5
+# Times that runs begin again because a path has sharp places which they passed over.
+_LOOKS = 12
 # Share of the work foreseen that a run may take which may show that less is needed.
 _WORTH = 0.1
 
@@ -88,17 +95,29 @@ def _out_of_reach(
     )
 
 
-def search(seer: Second, others: Sequence[Runs], measure: Measure, tolerance: float) -> Found:
+def search(
+    seer: Second, others: Sequence[Runs], measure: Measure, tolerance: float, witness: Witness
+) -> Found:
     """Run integrators until one reaches the tolerance or the next run would exceed the work limit.
 
+    A run that passed over a sharp place reached nothing. All then follow the places of its path.
     If no run gave an estimate, the last exception is raised again.
     """
     kinds: list[Runs] = [seer, *others]
     spent, failures, ways = _Spent([]), list[Exception](), dict[Runs, float]()
+    looks = 0
     while True:
         best = min(kinds, key=lambda runs: runs.error)
         if best.error <= tolerance:
-            break
+            places = witness.of(best.samples[-1].run, best.chosen)
+            if best.follows(places):
+                break
+            if looks == _LOOKS:
+                return _passed_over(spent, best, places.words)
+            looks += 1
+            for each in kinds:
+                each.mind(places)
+            continue
         ways = {runs: runs.left for runs in kinds}
         most = _MOST if len(spent.runs) > 1 else math.inf
         going = [x for x in kinds if ways[x] < math.inf and spent.work + x.work <= most]
@@ -107,7 +126,19 @@ def search(seer: Second, others: Sequence[Runs], measure: Measure, tolerance: fl
         runs = min(going, key=ways.__getitem__)
         if not seer.resolved and seer in going and seer.work <= _WORTH * ways[runs]:
             runs = seer
+        if not looks and seer.samples and spent.work > _EARLY:
+            looks = 1
+            early = witness.of(seer.samples[-1].run, seer.chosen)
+            if not seer.follows(early):
+                for each in kinds:
+                    each.mind(early)
+                continue
         sample = spent.take(runs, measure)
+        if runs.stops_there and runs.samples and looks < _LOOKS:
+            places = witness.of(runs.samples[-1].run, runs.chosen)
+            if not runs.follows(places):
+                looks += 1
+                runs.mind(places)
         if isinstance(sample.result, Exception):
             failures.append(sample.result)
     if not best.estimates:
@@ -119,6 +150,16 @@ def search(seer: Second, others: Sequence[Runs], measure: Measure, tolerance: fl
     # What was foreseen before the last run.
     left = "; ".join(spent.price(*x) for x in ways.items() if not reached or x[0] is not best)
     why = f"{best.words}. {'Not taken' if reached else 'To the tolerance'}: {left}."
+    return _found(spent, best, best.estimates, reached, why)
+
+
+def _found(spent: _Spent, best: Runs, estimates: list[Estimate], reached: bool, why: str) -> Found:
     integrator = next(trial.integrator for runs, trial, _ in spent.runs[::-1] if runs is best)
     trials = tuple(trial for _, trial, _ in spent.runs)
-    return Found(best.estimates, best.samples[-1].result, reached, integrator, why, trials)
+    return Found(estimates, best.samples[-1].result, reached, integrator, why, trials)
+
+
+def _passed_over(spent: _Spent, best: Runs, why: str) -> Found:
+    """Return the estimates without bars: no run followed the sharp places of its path."""
+    unknown = [Estimate(x, np.full(x.shape, np.inf)) for x, _ in best.estimates]
+    return _found(spent, best, unknown, False, f"{why}.")

@@ -6,6 +6,7 @@ import abc
 import math
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -19,6 +20,7 @@ from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.radau.method import Radau
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import HIGH_GRANTED, Estimate, falls, refined, spread, tightened
+from ancfdae.studies.tolerance.places import Places
 from ancfdae.studies.tolerance.runs import OF_A_RUN, Runs, Sample, Wanted
 from ancfdae.studies.tolerance.spectrum import fades, pace
 from ancfdae.studies.tolerance.transitions import RESOLVED, Transition, passed_over
@@ -45,6 +47,12 @@ _PERCENT, _FEWER, _SHARE = 1e-2, 8.0, 0.25
 _FIRST, _TIGHTER, _TIGHTEST = 0.1, 10.0, 1e3
 # The loosest and the tightest that it takes.
 _LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
+# Paths whose sharp places are stops, and how often these are doubled.
+_PATHS, _FINER_STOPS = 3, 3
+# Least distance of two stops, over the length of a run.
+_APART = 1e-7
+# Steps that it takes at least without stops.
+_LEAST_CHOSEN = 8
 # Errors over rtol, at least.
 _PER_RTOL = 1.0
 # Length of its steps times the fastest motion, and the tolerance below which they are shorter.
@@ -75,6 +83,8 @@ class _Steps(Runs):
 
     order: ClassVar[int]
     _taken = 0
+    # Steps that follow sharp places, and that jump over no kink.
+    _following_places = _kinks = 0
 
     @property
     def counts(self) -> list[int]:
@@ -102,6 +112,26 @@ class _Steps(Runs):
         """Add a run and note its number of steps."""
         self._taken = self.count
         super().take(sample)
+
+    @property
+    def chosen(self) -> int:
+        """Steps of the last run."""
+        return self.counts[-1]
+
+    def follows(self, places: Places) -> bool:
+        """Return whether no place lies between the steps of the last run; kinks are known."""
+        return places.steps <= self.counts[-1] and places.kinks <= self._kinks
+
+    @property
+    def bent(self) -> bool:
+        """Whether steps of the last run jump over kinks, so that errors have no order."""
+        return bool(self.samples) and self.counts[-1] < self._kinks
+
+    def mind(self, places: Places) -> None:
+        """Take as many steps as follow the places."""
+        self._following_places = max(self._following_places, places.steps)
+        self._kinks = max(self._kinks, places.kinks)
+        super().mind(places)
 
     def _growth(self, order: float, most: float) -> float:
         """Return the factor of the number of steps that leads to the tolerance, at most `most`."""
@@ -157,11 +187,12 @@ class _Steps(Runs):
     @property
     def least(self) -> int:
         """Steps below which laws or objectives have features that runs pass over."""
-        return self._wanted.features.steps
+        return max(self._wanted.features.steps, self._following_places)
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
         """Judge a vector of the last two to five runs."""
-        return refined(runs[-3:], self.counts[-3:], self.order, self.resolved, self._wanted.along)
+        ordered = self.resolved and not self.bent
+        return refined(runs[-3:], self.counts[-3:], self.order, ordered, self._wanted.along)
 
     @property
     @abc.abstractmethod
@@ -268,7 +299,7 @@ class Second(_Steps):
             self._seen(earlier[:3], self.counts[-5:-2])
             or self._seen(earlier[1:], self.counts[-4:-1])
         )
-        if kinked or self.passes:
+        if kinked or self.passes or self.bent:
             return refined(runs, self.counts[-3:], self.order, False, self._wanted.along)
         if self._wanted.along:
             return self._over_time(runs)
@@ -463,7 +494,7 @@ class Fifth(_Steps):
     @property
     def least(self) -> int:
         """Stages of a step see half as much again."""
-        return self._seer.least // 2
+        return max(self._seer.least // 2, self._following_places // 2)
 
     @property
     def lost(self) -> list[Array]:
@@ -528,7 +559,7 @@ class Fifth(_Steps):
         """By what the runs tell; the first one by how far it is from the other kind."""
         if self.estimates:
             return super()._growth(order, most)
-        if not self._seer.resolved:
+        if not (self._seer.resolved and self._seer.estimates):
             return 2.0
         far = HIGH_GRANTED * self.apart(self._seer) / (_AIM * self._tolerance)
         return min(max(math.pow(far, 1 / order), 2.0), most)
@@ -549,6 +580,10 @@ class Eighth(Runs):
     words = "DOP853 follows every wave; two tolerances tell its errors"
     # Times as many steps as foreseen.
     _more = 1.0
+    # Sharp places of the last paths, and stops in them.
+    _places: tuple[Places, ...] = ()
+    _stops: tuple[float, ...] = ()
+    _chosen = _LEAST_CHOSEN
 
     def __init__(self, seer: Second, intervals: int, wanted: Wanted) -> None:
         super().__init__(wanted)
@@ -565,17 +600,48 @@ class Eighth(Runs):
     @property
     def setting(self) -> Integrator:
         """DOP853 at the tolerance of the next run."""
-        most = math.ceil(3 * self._foreseen) + 20
-        stops = self._wanted.features.stops
+        stops = (*self._wanted.features.stops, *self._stops)
+        most = math.ceil(3 * self._foreseen) + 20 + 3 * len(stops)
         # Interpolation between instants is an error too: each run has twice as many.
         intervals = self._intervals * 2 ** len(self._taken)
         return DOP853(max(self._rtol, _LEAST_RTOL), intervals, most, stops=stops)
+
+    @property
+    def chosen(self) -> int:
+        """Steps of the last run, without those that stops asked for."""
+        return self._chosen
+
+    def _stop(self) -> None:
+        """Stop in places; steps that stops alone make must be finer in every run, to differ."""
+        times = 2 ** min(len(self._taken), _FINER_STOPS)
+        each = sorted({x for places in self._places for x in places.stops(times)})
+        least = _APART * self._t_end
+        self._stops = tuple(x for before, x in pairwise([-least, *each]) if x > before + least)
+
+    def follows(self, places: Places) -> bool:
+        """Return whether the runs stopped in every place of the last one."""
+        return places.followed((*self._wanted.features.stops, *self._stops))
+
+    @property
+    def stops_there(self) -> bool:
+        """Whether runs stop in sharp places."""
+        return bool(self._stops)
+
+    def mind(self, places: Places) -> None:
+        """Begin again with stops in the places."""
+        self._places = (*self._places[1 - _PATHS :], places) if places.parts else self._places
+        self.samples, self._taken = [], []
+        self._stop()
+        self._asked = min(_FIRST * self._tolerance, _LOOSEST)
+        super().mind(places)
 
     def take(self, sample: Sample) -> None:
         """Add a run; the next is as tight as the last two ask for, or may take more steps."""
         if sample.vectors:
             self._taken.append(self._rtol)
         super().take(sample)
+        self._chosen = max(sample.steps - len(self._stops), _LEAST_CHOSEN)
+        self._stop()
         if not sample.vectors:
             self._more *= 3
             self._taken = []
