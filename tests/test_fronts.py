@@ -227,7 +227,7 @@ def test_negative_directions_are_those_of_eigenvalues_on_the_null_space(seed):
 
 
 def test_corrections_of_few_digits_leave_no_gap_and_no_error():
-    """Newton's corrections are refined to 1e-6; the test of convergence is for all of them."""
+    """Newton's corrections are refined to 1e-6; the test of convergence looks at all entries."""
     system = assemble(net(7))
     rough, fine = (simulate(system, 0.05, HHT(0.005, newton_tolerance=x)) for x in (1e-10, 1e-12))
     gap = max(np.max(np.abs(system.constraint(t, q))) for t, q in zip(fine.t, fine.q, strict=True))

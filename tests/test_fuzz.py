@@ -60,6 +60,9 @@ GOOD = {
 def kinds() -> list[Callable[..., Any]]:
     """Public constructors and functions whose fields all have a type that is known here."""
     found = [getattr(import_module(home), name) for name, home in public_names().items()]
+    # Functions that formulas of a user call get arrays or symbols from the package.
+    inside = [getattr(ancfdae.extend, name) for name in ancfdae.extend.__all__]
+    found = [x for x in found if inspect.isclass(x) or not any(x is y for y in inside)]
     return [
         make
         for make in found

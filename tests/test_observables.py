@@ -143,6 +143,7 @@ LEAVES = {
     "maximum stress": maximum_von_mises("rod", 1e-5),
     "maximum stress without damping": maximum_von_mises("arm", 1e-4),
     "mass": mass("rod"),
+    "energy of the weight": gravitational_energy(),
     "mass times place": MassIntegral("rod", right=1),
     "mass times places": MassIntegral(None, left=0, right=1),
     "mass times square of a place": MassIntegral("arm", left=1, right=1),

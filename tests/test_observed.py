@@ -142,7 +142,7 @@ def test_wrong_input_is_refused_before_a_run(monkeypatch):
     refused("at: must lie in", at=[0.5, 2.0])
     with pytest.raises(InvalidInputError, match="observables, at: need `tolerance`"):
         simulate(scene, 1.0, HHT(0.1), observables=[centre])
-    with pytest.raises(InvalidInputError, match="integrator: must be an Integrator"):
+    with pytest.raises(InvalidInputError, match="integrator: must be of type Integrator"):
         simulate(scene, 1.0)
     with pytest.raises(InvalidInputError, match="t_end"):
         simulate(scene, -1.0, **good)

@@ -331,9 +331,7 @@ def test_arcs_turn_as_the_moments(planar, spatial):
     assert np.all(turns < 0)  # from y to x, as M < 0
     own = mechanism(*spatial, None, None)
     moments = {x.name: x for x in own.arrows if x.kind == "moment"}
-    np.testing.assert_allclose(
-        moments["torsional_moment(arm@0)"].vectors[0, 0], [0, 0, 1.5], atol=1e-12
-    )
+    np.testing.assert_allclose(moments["torque(arm@0)"].vectors[0, 0], [0, 0, 1.5], atol=1e-12)
     M = moments["moment(tip@1)"]
     np.testing.assert_allclose(M.vectors[0, 0], [0.1, -0.2, 0.3], atol=1e-12)
     arc = Glyphs(own).arc(M, 0)[:30] - M.places[0, 0]

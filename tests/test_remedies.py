@@ -37,7 +37,7 @@ from random_mechanisms import mechanism
 STOPS = [(33, 100), (59, 100)]
 
 
-def whip(load=1000.0, damping=0.0):
+def whip(load=500.0, damping=0.0):
     material = Material(2700.0, 1e8, 0.3, damping_time=damping)
     rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.02, 0.02), material)
     force = PointForce(rod.at_end, (0, load))

@@ -41,6 +41,7 @@ from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.observables import custom, observe, position
 from ancfdae.studies.parts import RunOfParts
+from validation.scenes import pendulum
 
 from scenes import clamped, planar_pair
 
@@ -300,5 +301,5 @@ def test_ctrl_c_in_a_run_restores_the_limits():
     timer = threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT))
     timer.start()
     with pytest.raises(KeyboardInterrupt):
-        simulate(planar_pair(), 1e4, HHT(2**-9))
+        simulate(pendulum(), 1e4, HHT(2**-9))
     assert counts() == {USER}

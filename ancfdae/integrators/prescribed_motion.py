@@ -176,13 +176,14 @@ def singular_position(system: MechanicalSystem, rows: Rows) -> float | None:
     stride = min(max(last // _FEW, 1), _MOST_STRIDE)
     some = np.append(np.arange(0, last, stride), last)
     changes = Changes(system)
-    for first in range(0, len(some) - 1, _MOST_ROWS):
-        block = some[first : first + _MOST_ROWS + 1]
-        for k in np.flatnonzero(changes.between(Rows(*(x[block] for x in rows)))):
-            within = Rows(*(x[block[k] : block[k + 1] + 1] for x in rows))
-            time = _singular_within(system, within)
-            if time is not None:
-                return time
+    with np.errstate(all="ignore"):
+        for first in range(0, len(some) - 1, _MOST_ROWS):
+            block = some[first : first + _MOST_ROWS + 1]
+            for k in np.flatnonzero(changes.between(Rows(*(x[block] for x in rows)))):
+                within = Rows(*(x[block[k] : block[k + 1] + 1] for x in rows))
+                time = _singular_within(system, within)
+                if time is not None:
+                    return time
     return None
 
 

@@ -36,9 +36,9 @@ def require_differentiable(system: MechanicalSystem, t: Array, q: Array, v: Arra
     if singular is not None:
         warnings.warn(
             f"The run passes a singular position at t = {singular:.6g} s, where Phi_q loses rank: "
-            "constraints have several branches there, neighbouring designs leave on different ones "
-            "or lock, and no derivative of the motion beyond exists. The gradient belongs to the "
-            "computed steps and depends on their size. End the run before, or change a length.",
+            "constraints have several branches there. Neighbouring designs may leave on others, "
+            "or lock: the motion beyond has no derivative then, and the gradient depends on the "
+            "steps. Compare two steps, end the run before, or change a length.",
             StabilityWarning,
             stacklevel=4,
         )

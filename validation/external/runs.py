@@ -24,6 +24,7 @@ from ancfdae.errors import (
     InvalidInputError,
     ManyStepsWarning,
     MissingPackageError,
+    StabilityWarning,
     UnfinishedRunError,
 )
 from ancfdae.extend import MechanicalSystem
@@ -185,7 +186,10 @@ def run(
 
     def call() -> Attempt:
         if sensitivities:
-            solution = differentiate(system, t_end, integrator)
+            with warnings.catch_warnings():
+                # Of the singular position that the double four-bar passes.
+                warnings.simplefilter("ignore", StabilityWarning)
+                solution = differentiate(system, t_end, integrator)
         else:
             solution = simulate(system, t_end, integrator)
         note = FINISHED if solution.outcome.success else solution.outcome.verdict.value

@@ -77,10 +77,6 @@ _CHANGE = 1e-6
 # Unknowns up to which the matrix is dense: a factorisation of SuperLU_MT starts a thread, which
 # takes a millisecond however small the matrix.
 _MOST_DENSE = 100
-# Tolerances of states and of derivatives in ln b, in the scale of states and per unit of rtol. They
-# are absolute: relative ones would weigh components, and the steps would depend on how a scene is
-# turned. Errors of motions are about as with a relative tolerance of rtol beside 1e-2 of it.
-_SHARES = 0.1, 0.03
 # Corrector iterations per step: the sensitivities are linear in themselves, so they need one more
 # than the states.
 _ITERATIONS = 6
@@ -162,8 +158,7 @@ class _IdaMarch(March):
     def _set_up(self, settings: IDA) -> Any:
         import sksundae
 
-        states, derivatives = (self._form.tolerances(settings.rtol, x) for x in _SHARES)
-        tolerances = np.concatenate([states, np.tile(derivatives, self._m)])
+        tolerances = np.tile(self._form.tolerances(settings.rtol), self._m + 1)
         size = len(self._y)
         rows, columns = self._storage.sparsity()
         options: dict[str, Any] = {"linsolver": "dense"}
@@ -177,7 +172,7 @@ class _IdaMarch(March):
                 self._fill_residual,
                 jacfn=self._fill_jacobian,
                 **options,
-                rtol=0.0,
+                rtol=settings.rtol,
                 atol=tolerances,
                 max_nonlin_iters=_ITERATIONS,
             )

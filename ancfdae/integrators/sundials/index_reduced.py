@@ -117,13 +117,10 @@ class IndexReduced(abc.ABC):
         """Entries of these blocks."""
 
     @final
-    def tolerances(self, rtol: float, share: float = _SMALL) -> Array:
-        """Return absolute tolerances of scaled unknowns, (n,), a share of rtol.
-
-        They control q and v only.
-        """
+    def tolerances(self, rtol: float) -> Array:
+        """Return absolute tolerances of scaled unknowns, (n,); they control q and v only."""
         tested = 2 * self._system.n_q
-        return np.repeat([share * rtol, _LOOSE], [tested, self.n - tested])
+        return np.repeat([_SMALL * rtol, _LOOSE], [tested, self.n - tested])
 
     # -- scaled --------------------------------------------------------------------------------
 
