@@ -16,11 +16,16 @@ from ancfdae import (
     ComplexStep,
     ContinuousAdjoint,
     DirectDifferentiation,
+    Distance,
     FiniteDifference,
     Integral,
+    Pin,
+    PointOnLine,
     Radau,
     Responses,
     RigidBody,
+    Scene,
+    assemble,
     check_system,
     differentiate,
     gradient,
@@ -511,3 +516,18 @@ def test_points_of_rigid_bodies_take_their_coordinates_one_by_one():
     body = RigidBody("wheel", (0.0, 0.0, 0.0), mass=1.0, inertia=(0.4, 0.5, 0.6))
     with pytest.raises(InvalidInputError, match=r"given one by one; got \(0, 0, 0\)"):
         body.at((0, 0, 0))
+
+
+def test_trees_of_bodies_have_no_loops():
+    first, second, third = (RigidBody(f"b{k}", (k, 0), mass=1.0, inertia=0.1) for k in range(3))
+    tree = [
+        Pin(first.at(-0.5, 0)),
+        Pin(first.at(0.5, 0), second.at(-0.5, 0)),
+        Pin(first.at(0.2, 0), third.at(-1.8, 0)),
+    ]
+    bodies = [first, second, third]
+    assert not assemble(Scene([], tree, bodies=bodies)).has_loops
+    closed = [*tree, Distance(second.at(0.5, 0), third.at(0.5, 0))]
+    assert assemble(Scene([], closed, bodies=bodies)).has_loops
+    held = [*tree, PointOnLine(third.at(0.5, 0), direction=(1, 0))]
+    assert assemble(Scene([], held, bodies=bodies)).has_loops

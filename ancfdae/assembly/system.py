@@ -139,6 +139,24 @@ class AncfSystem(PlannedSystem):
         t = np.linspace(0.0, t_end, SAMPLES + 1)
         return (*self.traits.breakpoints, *find_pulses(t, self.over_time(t, True)).stops)
 
+    @cached_property
+    def has_loops(self) -> bool:  # type: ignore[override]  # computed where it is asked for
+        """Whether joints close loops of bodies and ground."""
+        joined: dict[str, str] = {}
+
+        def root(name: str) -> str:
+            while name in joined:
+                name = joined[name]
+            return name
+
+        for joint in self._scene.joints:
+            names = [point.beam for point in joint.points]
+            first, second = (root(x) for x in (*names, "")[:2])
+            if first == second:
+                return True
+            joined[first] = second
+        return False
+
     def over_time(self, t: Array, unmarked: bool = False) -> Array:
         """Return the values of all, or of the `unmarked`, laws of time at t, shape (k, n_laws)."""
         parts = (*self._scene.joints, *self._scene.loads)

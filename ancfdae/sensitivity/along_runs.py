@@ -30,7 +30,7 @@ def require_differentiable(system: MechanicalSystem, t: Array, q: Array, v: Arra
         some = np.unique(np.linspace(0, len(t) - 1, _STATES).astype(int))
         for each in some:
             system.require_derivatives_at(float(t[each]), q[each], v[each])
-    if system.traits.linear_constraints or not system.n_lam:
+    if system.traits.linear_constraints or not system.n_lam or not system.has_loops:
         return
     singular = singular_position(system, Rows(t, q, v))
     if singular is not None:

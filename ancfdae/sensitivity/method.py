@@ -233,9 +233,9 @@ class Run:
         system, traits = self.system, self.system.traits
         if sensitivities and (system.called_functions or not traits.linear_constraints):
             require_differentiable(system, run.t, run.q, run.v)
-        ended = run.outcome.success and run.sensitivities is not None
-        if ended and not np.all(np.isfinite(run.sensitivities.v_b[-1:])):
-            wrong = np.any(~np.isfinite(run.sensitivities.v_b), axis=(1, 2))
+        slopes = run.sensitivities if run.outcome.success else None
+        if slopes is not None and not np.all(np.isfinite(slopes.v_b[-1:])):
+            wrong = np.any(~np.isfinite(slopes.v_b), axis=(1, 2))
             time = float(run.t[np.argmax(wrong)])
             raise NonFiniteObjectiveError("motion", "a design derivative", time)
         return run
