@@ -527,7 +527,7 @@ def test_trees_of_bodies_have_no_loops():
     ]
     bodies = [first, second, third]
     assert not assemble(Scene([], tree, bodies=bodies)).has_loops
-    closed = [*tree, Distance(second.at(0.5, 0), other=third.at(0.5, 0))]
+    closed = [*tree, Distance(second.at(0.5, 0), 1.0, other=third.at(0.5, 0))]
     assert assemble(Scene([], closed, bodies=bodies)).has_loops
     held = [*tree, PointOnLine(third.at(0.5, 0), direction=(1, 0))]
     assert assemble(Scene([], held, bodies=bodies)).has_loops
