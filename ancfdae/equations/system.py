@@ -146,7 +146,7 @@ class MechanicalSystem(ComplexSteps):
     vector_size: int = 1
     #: Names of functions of a user that are called with complex numbers at each evaluation.
     called_functions: tuple[str, ...] = ()
-    #: Whether joints may close loops: those of a tree of bodies keep the rank of Phi_q.
+    #: Whether joints may close loops; a tree of bodies keeps the rank of Phi_q.
     has_loops: bool = True
 
     @cached_property
