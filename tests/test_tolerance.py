@@ -112,7 +112,7 @@ def test_many_variables_take_the_adjoint():
 def test_either_an_integrator_or_a_tolerance():
     with pytest.raises(InvalidInputError, match="tolerance: must be given without `integrator`"):
         gradient(SliderCrank(), ANGLE, 1.0, HHT(0.1), tolerance=1e-3)
-    with pytest.raises(InvalidInputError, match="integrator: must be an Integrator"):
+    with pytest.raises(InvalidInputError, match="integrator: must be of type Integrator"):
         gradient(SliderCrank(), ANGLE, 1.0)
     for wrong in (0.0, -1.0, 1.0, 1e-13, float("nan")):
         with pytest.raises(InvalidInputError, match="tolerance"):
