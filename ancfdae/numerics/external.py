@@ -232,7 +232,7 @@ class Called:
         return values
 
     def _at(self, x: Array, along: list[Array]) -> Array:
-        if x.dtype == complex and (along or self._by_partials):
+        if x.dtype == complex and (along or self._by_partials or self._real):
             return self._perturbed(x, along)
         if not along:
             return self.function(x)
