@@ -68,8 +68,17 @@ OF_COMPLEX(sqrt)
 OF_COMPLEX(tan)
 OF_COMPLEX(tanh)
 #undef OF_COMPLEX
+/* Whole exponents are products: the logarithm of a negative number would lose the imaginary part of a
+ * complex step, which is far below round-off. */
 inline Complex pow(Complex x, Complex y)
 {
+    if (y.im == 0 && y.re == std::floor(y.re) && std::fabs(y.re) <= 1e9) {
+        Complex power = 1.0, factor = y.re < 0 ? 1.0 / x : x;
+        for (int n = (int)std::fabs(y.re); n > 0; n /= 2, factor = factor * factor)
+            if (n % 2)
+                power = power * factor;
+        return power;
+    }
     return of_library(std::pow(of_library(x), of_library(y)));
 }
 
