@@ -4,7 +4,18 @@ from dataclasses import dataclass
 
 import pytest
 
-from ancfdae import HHT, Adjoint, DirectDifferentiation, Radau, RigidBody, Scene, Terminal, gradient
+from ancfdae import (
+    HHT,
+    Adjoint,
+    DirectDifferentiation,
+    Radau,
+    RigidBody,
+    Scene,
+    Terminal,
+    assemble,
+    gradient,
+)
+from ancfdae.errors import InvalidInputError
 from ancfdae.extend import LAW_FIELD, Load, MaterialPoint, Quantity, design_numbers
 from ancfdae.observables import position
 
@@ -51,3 +62,29 @@ def test_the_gradient_is_the_limit_of_differences(n, integrator):
     for method in (DirectDifferentiation(), Adjoint()):
         found = gradient(pulled(k, n), END, 0.25, integrator, design=["pull.k"], method=method)
         assert found.gradient[0] == pytest.approx(difference, rel=1e-5)
+
+
+@dataclass(frozen=True)
+class Pull(Load):
+    """One force for two points, which has no opposite."""
+
+    point: MaterialPoint
+    other: MaterialPoint
+    k: float
+
+    kind = "pull"
+    design_fields = (*design_numbers("k"), LAW_FIELD)
+
+    def vectors(self, elements):
+        return ((self.point, Quantity.POSITION), (self.other, Quantity.POSITION))
+
+    def force(self, U, V, p, U_o):
+        return -p[0] * (U[..., 0, :] - U[..., 1, :])
+
+
+def test_one_force_for_two_points_is_refused():
+    """It was broadcast to both points without a word."""
+    other = RigidBody("other", (1.0, 0.2), mass=2.0, inertia=0.1)
+    load = Pull(BODY.at(0, 0), other.at(0, 0), 3.0, name="pull")
+    with pytest.raises(InvalidInputError, match="pull': must have the shape"):
+        assemble(Scene([], [], (0, 0), bodies=[BODY, other], loads=[load]))

@@ -75,7 +75,11 @@ class LoadInput:
         """
         shape = self.reference.shape
         try:
-            return np.broadcast_to(U.numbers(F), shape)
+            numbers = np.asarray(U.numbers(F))
+            # On several vectors one force would act without its opposite.
+            if shape[0] > 1 and numbers.shape != shape:
+                raise ValueError(numbers.shape)
+            return np.broadcast_to(numbers, shape)
         except InvalidInputError:
             raise
         except (TypeError, ValueError) as error:
