@@ -83,7 +83,7 @@ class Pull(Load):
 
 
 def test_one_force_for_two_points_is_refused():
-    """It was broadcast to both points without a word."""
+    """Broadcasting would let one force act on both points without its opposite."""
     other = RigidBody("other", (1.0, 0.2), mass=2.0, inertia=0.1)
     load = Pull(BODY.at(0, 0), other.at(0, 0), 3.0, name="pull")
     with pytest.raises(InvalidInputError, match="pull': must have the shape"):
