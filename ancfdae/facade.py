@@ -53,6 +53,8 @@ def public_module(name: str, file: str, others: Iterable[str] = ()) -> PublicMod
         return value
 
     names = [*homes, *others]
+    # As of a package the import system asks the module for names; else its text replaces ours.
+    vars(module).setdefault("__path__", [])
     module.__class__ = _Names
     return PublicModule(homes, names, get, lambda: sorted({*vars(module), *names}))
 

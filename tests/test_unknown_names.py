@@ -84,6 +84,8 @@ def test_a_name_of_old_or_of_another_module_is_told_where_it_is(name, serves):
         getattr(ancfdae, name)
     with pytest.raises(AttributeError, match=re.escape(serves)):
         getattr(ancfdae.results, name)
+    with pytest.raises(ImportError, match=re.escape(serves)):
+        exec(f"from ancfdae.results import {name}")
 
 
 def test_every_renamed_name_is_one_of_today():
