@@ -86,7 +86,7 @@ class Adjoint(GradientMethod):
         if not isinstance(integrator, AdjointIntegrator):
             rule, repair = (
                 "needs an integrator with an adjoint",
-                "Use HHT or IDAS, or DirectDifferentiation().",
+                "Use HHT, Radau or IDAS, or DirectDifferentiation().",
             )
             raise InvalidInputError("Adjoint", rule, repr(integrator), repair)
         if self.memory is not None:

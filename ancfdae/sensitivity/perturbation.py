@@ -150,7 +150,7 @@ class ComplexStep(Perturbation):
                 "ComplexStep",
                 "needs an integrator that computes in complex numbers",
                 repr(run.integrator),
-                "Use HHT, or FiniteDifference().",
+                "Use HHT or Radau, or FiniteDifference().",
             )
 
     def _changed(self, run: Run, solution: Solution) -> list[tuple[float, list[Run]]]:
