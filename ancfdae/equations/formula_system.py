@@ -360,15 +360,15 @@ class FormulaSystem(ListedSystem):
 
     def _found(self) -> SystemProperties:
         """Return the traits with what the formulas show."""
-        traits, depends = self.traits, self._formulas.depends
-        linear = traits.linear_constraints or not depends(Formulas.constraint_q, 0, on="q")
-        moved = any(depends(Formulas.constraint, 0, on=x) for x in "tb")
+        traits, shown = self.traits, self._formulas.shown
+        linear = traits.linear_constraints or shown.linear_constraints
+        constant = traits.constant_constraints or (linear and shown.constant_constraints)
         return replace(
             traits,
-            constant_mass=traits.constant_mass or not depends(Formulas.mass, on="q"),
+            constant_mass=traits.constant_mass or shown.constant_mass,
             linear_constraints=linear,
-            constant_constraints=traits.constant_constraints or (linear and not moved),
-            velocity_forces=traits.velocity_forces and depends(Formulas.force, on="v"),
+            constant_constraints=constant,
+            velocity_forces=traits.velocity_forces and shown.velocity_forces,
         )
 
     # -- members of the protocol -----------------------------------------------------------------

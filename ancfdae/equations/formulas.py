@@ -29,6 +29,7 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations.complex_steps import FORGOTTEN
+from ancfdae.equations.system import SystemProperties
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import OperationList, list_values
 from ancfdae.numerics.arrays import Array
@@ -299,6 +300,17 @@ class Formulas:
             self._list([rate], *state, "b"),
             self._list([self._along(Phi, **moved)], *state, *changes),
             self._list([self._along(rate, **moved)], *state, *changes),
+        )
+
+    @cached_property
+    def shown(self) -> SystemProperties:
+        """Properties that the formulas show, whatever b is; "constant" as without t and b."""
+        still = not any(self.depends(Formulas.constraint, 0, on=x) for x in "tb")
+        return SystemProperties(
+            constant_mass=not self.depends(Formulas.mass, on="q"),
+            linear_constraints=not self.depends(Formulas.constraint_q, 0, on="q"),
+            constant_constraints=still,
+            velocity_forces=self.depends(Formulas.force, on="v"),
         )
 
     def right_side(self) -> tuple[Operations, dict[str, Array], dict[str, Array]]:
