@@ -553,7 +553,7 @@ class Symbols(np.ndarray):
 
 
 # Functions that NumPy looks for among the methods of entries, which plain numbers do not have.
-_METHODS = frozenset(f for f in _CODES if isinstance(f, np.ufunc) and hasattr(Traced, f.__name__))
+_METHODS = frozenset(f for f in _CODES if isinstance(f, np.ufunc) and f.__name__ in vars(Traced))
 _METHODS |= {np.arctan2, np.arcsin, np.arccos, np.hypot}
 
 
