@@ -36,9 +36,10 @@ from ancfdae.kernels import (
     STAGES_SOLVED,
     Model,
     OperationList,
+    explicit_march,
+    explicit_stages,
     index_1_projected,
     index_1_rows,
-    index_1_stages,
     list_values,
 )
 from ancfdae.numerics.extrapolation import scaled_derivative
@@ -605,18 +606,36 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
         "states": np.ones((2, 2, 11, 4)),
     }
     if wrong == "stages":
-        step = np.zeros(3), np.zeros((3, 2, 5)), np.zeros((5, 44)), np.zeros((3, 2, 11, 4))
-        out = np.zeros((3, 11, 6))
-        fixed = [arguments[x] for x in ("lists", "b", "scale")]
-        assert index_1_stages(*fixed, *step, out, 0, 0) == 0
-        for i in range(4):
-            short = [x[:-1] if k == i else x for k, x in enumerate(step)]
-            with pytest.raises(ValueError, match=r"fit|shape|time|large"):
-                index_1_stages(*fixed, *short, out, 0, 3)
-        with pytest.raises(ValueError, match="shape"):
-            index_1_stages(*fixed, *step, out[:, :, ::2], 0, 3)
-        with pytest.raises(ValueError, match="large"):
-            index_1_stages(*fixed, *step, out, 0, 4)
+        step = [np.zeros((18, 44)), np.zeros((16, 2, 11, 4)), np.zeros((16, 11, 6)), np.zeros(6)]
+        tables = [np.zeros((16, 2, 18)), np.zeros((2, 2, 12)), np.zeros(16)]
+        equations = tuple(arguments[x] for x in ("lists", "b", "scale"))
+        assert explicit_stages(equations, tuple(tables), tuple(step), 0, 0) == 0
+        for arrays in (step, tables):
+            for i in range(len(arrays)):
+                short = [
+                    tuple(x[:-1] if x is arrays[i] else x for x in these)
+                    for these in (tables, step)
+                ]
+                with pytest.raises(ValueError, match=r"fit|shape"):
+                    explicit_stages(equations, *short, 0, 3)
+        with pytest.raises(ValueError, match="sixteen"):
+            explicit_stages(equations, tuple(tables), tuple(step), 0, 17)
+        kept = [np.zeros((2, 2)), np.zeros((2, 1, 2, 11, 4)), np.zeros((2, 1, 11, 2))]
+        kept.append(np.zeros(1, dtype=np.int32))
+        tolerances = [1e-3, np.ones((2, 11, 4)), np.zeros(4), 1]
+        fixed = equations, tuple(tables), tuple(step)
+        assert explicit_march(*fixed, tuple(tolerances), 0.0, 1.0, 2, tuple(kept)) == (0, 0)
+        for i, bad in ((1, np.ones((2, 11, 3))), (2, np.zeros(3)), (3, 3), (3, 0)):
+            changed = (*tolerances[:i], bad, *tolerances[i + 1 :])
+            with pytest.raises(ValueError, match="tolerances do not fit"):
+                explicit_march(*fixed, changed, 0.0, 1.0, 2, tuple(kept))
+        for i, bad in ((0, np.zeros((1, 2))), (1, np.zeros((2, 2, 2, 11, 4)))):
+            changed = (*kept[:i], bad, *kept[i + 1 :])
+            with pytest.raises(ValueError, match="no room"):
+                explicit_march(*fixed, tuple(tolerances), 0.0, 1.0, 2, changed)
+        beyond = (*kept[:3], np.full(1, 16, dtype=np.int32))
+        with pytest.raises(ValueError, match="no room"):
+            explicit_march(*fixed, tuple(tolerances), 0.0, 1.0, 2, beyond)
         return
     for function in (index_1_rows, index_1_projected):
         function(*arguments.values())

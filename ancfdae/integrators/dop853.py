@@ -5,17 +5,19 @@ stages have Y_i' = U_i, those of y are linear in the accelerations K_j of the st
 
     U_i = u + h sum_j A_ij K_j,    Y_i = y + c_i h u + h^2 sum_j (A A)_ij K_j,
 
-so that a stage is one product of a matrix, 2 x (2 + i), with the rows y, u, K_1, ..., K_i.
+so that a stage is one product of a matrix, 2 x (2 + i), with the rows y, u, K_1, ..., K_i. A kernel
+takes the steps and chooses their lengths (`kernels/explicit.h`).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple, TypeAlias, final
+from typing import NamedTuple, final
 
 import numpy as np
 import scipy
 
+from ancfdae.integrators.index_1 import Accelerations
+from ancfdae.kernels import explicit_march, explicit_stages
 from ancfdae.numerics.arrays import Array
 
 # Stages of a step, the state after it (which is the first stage of the next), and those that only
@@ -25,23 +27,23 @@ STAGES, _AFTER, _ALL = 12, 12, 16
 EXPONENT = -1 / 8
 # Which factors of the terms x, x (1 - x), x^2 (1 - x), ... of the dense output are 1 - x.
 _TURNED = np.arange(7) % 2 == 1
+# Places in the control of a step; its last numbers are of evaluations and projections.
+_T, _END, _H, _ERROR = range(4)
+# An error that counts as no less, in tolerances.
+_NO_ERROR_BEFORE = 1e-4
 
 
-#: Computes stages together; see `Dop853`.
-Stages: TypeAlias = Callable[[Array, tuple[Array, ...], int, int], None]
+class Tables(NamedTuple):
+    """Coefficients of y, h u and h^2 K in Y, and of y, u and h K in U; of errors; and nodes."""
 
-
-class _Tableau(NamedTuple):
-    """Coefficients of y, h u and h^2 K in Y, and of y, u and h K in U; of errors likewise."""
-
-    c: Array
     stages: Array
     errors: Array
-    between: Array
+    nodes: Array
 
 
 @cache
-def _tableau() -> _Tableau:
+def tables() -> Tables:
+    """Return the coefficients of the method for equations of second order."""
     method = scipy.integrate.DOP853
     A = np.zeros((_ALL, _ALL))
     A[:STAGES, :STAGES], A[_AFTER, :STAGES], A[_AFTER + 1 :] = method.A, method.B, method.A_EXTRA
@@ -50,8 +52,7 @@ def _tableau() -> _Tableau:
     stages[:, 0, 0] = stages[:, 1, 1] = 1.0
     stages[:, 0, 1], stages[:, 0, 2:], stages[:, 1, 2:] = c, A @ A, A
     E = np.stack([method.E5, method.E3])[:, :STAGES]
-    errors = np.stack([E @ A[:STAGES, :STAGES], E], axis=1)
-    return _Tableau(c, stages, errors, method.D)
+    return Tables(stages, np.stack([E @ A[:STAGES, :STAGES], E], axis=1), c)
 
 
 @final
@@ -73,113 +74,131 @@ class Between:
         return state
 
 
+class Tolerances(NamedTuple):
+    """Tolerances of a step, relative to the size of each vector, and absolute as (2, rows, n).
+
+    Sizes of positions count from the `place` of the system, (n,); `vector` coordinates in a row are
+    those of one vector.
+    """
+
+    rtol: float
+    floor: Array
+    place: Array
+    vector: int
+
+
+class Kept(NamedTuple):
+    """What is kept of accepted steps: begin and end, states and multipliers of the stages `used`.
+
+    Shapes (k, 2), (k, used, 2, rows, n) and (k, used, rows, m).
+    """
+
+    spans: Array
+    states: Array
+    lam: Array
+    used: Array
+
+    @staticmethod
+    def room(count: int, used: Array, rows: int, n: int, m: int) -> "Kept":
+        """Return room for so many steps."""
+        shape = (count, len(used), rows)
+        states = np.empty((count, len(used), 2, rows, n))
+        return Kept(np.empty((count, 2)), states, np.empty((*shape, m)), used)
+
+    def part(self, which: slice) -> "Kept":
+        """Return the part of some steps."""
+        return Kept(self.spans[which], self.states[which], self.lam[which], self.used)
+
+
 @final
 class Dop853:
-    """One step after the other; who calls it chooses their lengths.
+    """One step after the other, of lengths that keep their errors within tolerances.
 
     Parameters
     ----------
-    accelerations : callable
-        Return a, shape (...), at a time and a state (y, u) of shape (2, ...). What it raises
-        leaves the state before the step as it was.
+    accelerations : Accelerations
+        Equations whose (a, lam) and projections a step takes.
     t : float
         Time of the start; s.
-    state : array, shape (2, ...)
-        y and u at t = 0; units of the equations.
-    stages : callable, optional
-        Compute stages from a first to a last one together: the accelerations and the states, from
-        their times, and from factors, rows and states as above; state shape (2, rows, n).
+    state : array, shape (2, rows, n)
+        y and u at the start, above their derivatives; units of the equations.
+    found : array, shape (rows, n + m)
+        a and lam of that state.
+    h : float
+        Length of the first step that is tried; s.
 
     Attributes
     ----------
-    t, end : float
-        Times at which the step begins and ends; s.
-    states, accelerations : array, shape (16, 2, ...) and (16, ...)
-        States and accelerations at the stages, in units of the coordinates: before the step, within
-        and after it, and at the points that only `between` needs.
+    states : array, shape (16, 2, rows, n)
+        States at the stages: before the step, within and after it, and at the points that only
+        `between` needs.
     """
 
     def __init__(
-        self,
-        accelerations: Callable[[float, Array], Array],
-        t: float,
-        state: Array,
-        stages: Stages | None = None,
+        self, accelerations: Accelerations, t: float, state: Array, found: Array, h: float
     ) -> None:
-        self._evaluated, self._together = accelerations, stages
-        n = state[0].size
-        self._rows = np.empty((2 + _ALL, n))
-        self.states = np.empty((_ALL, *state.shape))
-        self._flat = self.states.reshape(_ALL, 2, n)
-        self.accelerations = self._rows[2:].reshape(_ALL, *state.shape[1:])
-        self._powers, self._factors = np.ones((2, 2 + _ALL)), _tableau().stages.copy()
-        # Of each: factors, the rows they multiply, and where the state and its acceleration go.
-        self._stages = [
-            (self._factors[i, :, : 2 + i], self._rows[: 2 + i], self._flat[i], *kept)
-            for i, kept in enumerate(zip(self.states, self.accelerations, strict=True))
-        ]
-        self.t, self.end = t, t
-        self._enter(state, accelerations(t, state))
+        self._accelerations, self._equations = accelerations, accelerations.for_kernel
+        _, rows, n = state.shape
+        self._rows, self.states = np.zeros((2 + _ALL, rows * n)), np.zeros((_ALL, *state.shape))
+        self._found = np.zeros((_ALL, *found.shape))
+        self.states[0], self._found[0] = state, found
+        self._rows[:2], self._rows[2] = state.reshape(2, -1), found[:, :n].ravel()
+        self._control = np.array([t, t, h, _NO_ERROR_BEFORE, 0.0, 0.0])
+        self._step = self._rows, self.states, self._found, self._control
 
-    def _enter(self, state: Array, acceleration: Array) -> None:
-        self.states[0], self.accelerations[0] = state, acceleration
-        self._rows[:2] = self._flat[0]
+    @property
+    def t(self) -> float:
+        """Time at which the last step begins; s."""
+        return float(self._control[_T])
+
+    @property
+    def end(self) -> float:
+        """Time at which the last step ends; s."""
+        return float(self._control[_END])
+
+    @property
+    def error(self) -> float:
+        """Error of the last step, in tolerances, at least 1e-4."""
+        return float(self._control[_ERROR])
 
     @property
     def after(self) -> Array:
-        """State (positions, velocities) after the step, shape (2, ...)."""
+        """State (positions, velocities) after the step, shape (2, rows, n)."""
         state: Array = self.states[_AFTER]
         return state
 
-    def times(self) -> Array:
-        """Return the times of the states."""
-        return self.t + (self.end - self.t) * _tableau().c
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations of accelerations."""
+        return int(self._control[-2])
 
-    def attempt(self, end: float) -> Array:
-        """Compute the stages of a step; return the state after it."""
-        self.end, h = end, end - self.t
-        self._powers[0, 1], self._powers[0, 2:], self._powers[1, 2:] = h, h * h, h
-        np.multiply(_tableau().stages, self._powers, out=self._factors)
-        self._evaluate(1, STAGES)
-        factors, rows, flat, *_ = self._stages[_AFTER]
-        np.dot(factors, rows, out=flat)
-        return self.after
+    def march(
+        self, tolerances: Tolerances, target: float, stop: float, kept: Kept
+    ) -> tuple[int, int]:
+        """Take steps until one reaches the target or the stop, at most those there is room for.
 
-    def _evaluate(self, first: int, last: int) -> None:
-        if self._together is not None:
-            self._together(self.times(), (self._factors, self._rows, self.states), first, last)
-            return
-        times = self.times().tolist()
-        for i in range(first, last):
-            factors, rows, flat, state, acceleration = self._stages[i]
-            np.dot(factors, rows, out=flat)
-            acceleration[:] = self._evaluated(times[i], state)
+        Return why there are no more, zero where there may be, and how many were taken.
+        """
+        before, at_once = self._control[-2:].copy(), self._accelerations.steps_at_once
+        count = min(len(kept.spans), at_once)
+        fixed = self._equations, tables(), self._step, tolerances
+        found = explicit_march(*fixed, target, stop, count, kept)
+        self._accelerations.count(*(self._control[-2:] - before).astype(int).tolist())
+        return found
 
-    def errors(self) -> Array:
-        """Return the two error estimates, of order 5 and 3, each of the shape of a state."""
-        E = _tableau().errors * self._powers[:, 2:3]
-        return (E @ self._rows[2 : 2 + STAGES]).reshape(2, *self.states.shape[1:])
-
-    def accept(self, state: Array) -> Array:
-        """Set the state after the step, corrected by projection; return its accelerations."""
-        self.states[_AFTER] = state
-        after: Array = self.accelerations[_AFTER]
-        after[:] = self._evaluated(self.end, self.after)
-        return after
-
-    def advance(self) -> None:
-        """Begin the next step where the accepted one ends."""
-        self.t = self.end
-        self._enter(self.after, self.accelerations[_AFTER])
-
-    def between(self) -> Between:
-        """Return the dense output of the accepted step."""
-        self._evaluate(_AFTER + 1, _ALL)
-        h, start, end = self.end - self.t, self._flat[0], self._flat[_AFTER]
+    def between(self) -> Between | None:
+        """Return the dense output of the accepted step; None where its equations fail."""
+        before = self.evaluations
+        failed = explicit_stages(self._equations, tables(), self._step, _AFTER + 1, _ALL)
+        self._accelerations.count(self.evaluations - before, 0)
+        if failed:
+            return None
+        flat = self.states.reshape(_ALL, 2, -1)
+        h, start, end = self.end - self.t, flat[0], flat[_AFTER]
         terms = np.empty((len(_TURNED), *start.shape))
         # Rates of y and of u at the stages.
-        for k, rates in enumerate((self._flat[:, 1], self._rows[2:])):
+        for k, rates in enumerate((flat[:, 1], self._rows[2:])):
             rise, first, last = end[k] - start[k], h * rates[0], h * rates[_AFTER]
             terms[:3, k] = rise, first - rise, 2 * rise - first - last
-            terms[3:, k] = h * np.dot(_tableau().between, rates)
+            terms[3:, k] = h * np.dot(scipy.integrate.DOP853.D, rates)
         return Between(self.t, h, self.states[0].copy(), terms)

@@ -15,40 +15,39 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 import scipy
 
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
-from ancfdae.integrators.dop853 import EXPONENT, Between, Dop853
+from ancfdae.integrators.dop853 import EXPONENT, Between, Dop853, Kept, Tolerances, tables
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
-from ancfdae.integrators.index_1 import ListedAccelerations, stacked
+from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrand import Points, Rule
 from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
-from ancfdae.kernels import finite
+from ancfdae.kernels import ERROR_TEST, NOT_FINITE, SINGULAR, finite
 from ancfdae.numerics.arrays import Array
 
 # Below this, the round-off of a step is as large as its error.
 _LEAST_RTOL = 3e-14
 # Absolute tolerance relative to the scales, per unit of rtol.
 _SMALL = 1e-2
-# Change of the step: part of what the error estimate asks for, least and largest. The error before
-# takes part (Soderlind's PI.4.2): near the stability limit, or where the error estimate oscillates,
-# the step then settles below the limit instead of being rejected repeatedly.
-_SAFETY, _LEAST, _LARGEST = 0.95, 0.2, 10.0
-_NOW, _BEFORE = 0.6, -0.2
-# Errors that count as no less, now and before.
-_NO_ERROR, _NO_ERROR_BEFORE = 1e-10, 1e-4
-# Shortest step, in gaps between floating-point numbers at its begin.
-_SHORTEST = 10
 # Panels of a step whose stages are too few.
 _PANELS = (1, 4, 16)
 # Steps that are taken into the integrals together: an evaluation of observables costs half a step.
 # Where stages are too few, these steps are repeated, and the next ones keep their dense output.
 _TOGETHER = 8
+# Steps of a part of the run where nothing is kept of them but their ends.
+_PART = 64
+_NONE = np.zeros(0, dtype=np.int32)
+_VERDICTS = {
+    NOT_FINITE: Verdict.NOT_FINITE,
+    SINGULAR: Verdict.SINGULAR,
+    ERROR_TEST: Verdict.ERROR_TEST,
+}
 
 
 @final
@@ -72,22 +71,8 @@ class DOP853(HighOrder):
 def _weighted() -> tuple[Array, Rule]:
     """Return which stages carry weight, the first is the state before, and their quadrature."""
     method = scipy.integrate.DOP853
-    used = np.flatnonzero(method.B)
+    used = np.flatnonzero(method.B).astype(np.int32)
     return used, Rule(method.B[used], method.E5[used], method.E3[used])
-
-
-class _Step(NamedTuple):
-    """A step from left to right, the state before it, and its stages that carry weight.
-
-    Multipliers and their derivatives are rows, (k, 1 + n_b, n_lam).
-    """
-
-    left: float
-    right: float
-    t: Array
-    states: Array
-    multipliers: Array
-    between: Between | None
 
 
 @final
@@ -98,107 +83,76 @@ class _ExplicitMarch(March):
         self, settings: DOP853, problem: InitialValueProblem, t_end: float, quadrature: Quadrature
     ) -> None:
         super().__init__(problem, t_end, settings.max_steps)
-        self._quadrature, self._problem, self._rtol = quadrature, problem, settings.rtol
-        self._trouble, self._multipliers = Verdict.ERROR_TEST, list[Array]()
-        self._wanted = quadrature.wanted
-        self._steps, self._dense, self._between = list[_Step](), False, list[Between]()
+        self._quadrature, self._problem, self._wanted = quadrature, problem, quadrature.wanted
         first, b, s = problem.initial, problem.derivative, problem.scales
-        rows = stacked(first.q, first.v, *(b or ())[:2])
-        variables = np.concatenate([[1.0], s.b])[: rows.shape[1], None]
-        self._floor = _SMALL * self._rtol * np.stack([s.q, s.v])[:, None] / variables
-        self._method = self._dop853(0.0, rows)
-        self._before = self._multipliers[:1]
-        self._h, self._error = self._first_step(), _NO_ERROR_BEFORE
+        state = stacked(first.q, first.v, *(b or ())[:2])
+        _, rows, n = state.shape
+        variables = np.concatenate([[1.0], s.b])[:rows, None]
+        rtol, floor = settings.rtol, _SMALL * settings.rtol * np.stack([s.q, s.v])[:, None]
+        place = np.broadcast_to(s.place, n)
+        self._tolerances = Tolerances(rtol, floor / variables, place, problem.system.vector_size)
+        found = self._accelerations(0.0, state)
+        h = self._first_step(state, found[:, :n])
+        self._method = Dop853(problem.accelerations, 0.0, state, found, h)
+        used = _weighted()[0] if self._wanted else _NONE
+        count = _TOGETHER if self._wanted else _PART
+        self._kept = Kept.room(count, used, rows, n, problem.system.n_lam)
+        # Steps that wait for their integrals, and their dense output where that is kept.
+        self._waiting, self._dense, self._between = 0, False, list[Between | None]()
+        self._last: Between | None = None
+        self._failed = 0
 
-    def _dop853(self, t: float, rows: Array) -> Dop853:
-        together = isinstance(self._problem.accelerations, ListedAccelerations)
-        return Dop853(self._accelerations, t, rows, self._stages if together else None)
-
-    def _first_step(self) -> float:
+    def _first_step(self, state: Array, acceleration: Array) -> float:
         """Guess the first step (Hairer, Norsett & Wanner, II.4); the unit of time is t_end."""
-        method, T = self._method, self._t_end
-        state = method.states[0]
-        rate = T * np.stack([state[1], method.accelerations[0]])
-        sizes = self._sizes(state)
-        scale = self._floor + self._rtol * sizes
+        T, (rtol, floor, place, vector) = self._t_end, self._tolerances
+        rate = T * np.stack([state[1], acceleration])
+        centred = state.copy()
+        centred[0, 0] -= place
+        sizes = vector_sizes(centred, vector)
+        scale = floor + rtol * sizes
         size, speed = _mean(sizes / scale), _mean(rate / scale)
         share = 1e-6 if min(size, speed) < 1e-5 else min(0.01 * size / speed, 1.0)
         moved = state + share * rate
         try:
-            later = T * np.stack([moved[1], self._accelerations(share * T, moved)])
+            found = self._accelerations(share * T, moved)
         except (NotFinite, SingularMatrix):
             return share * T
+        later = T * np.stack([moved[1], found[:, : state.shape[2]]])
         fastest = max(_mean((later - rate) / scale) / share, speed)
         if not math.isfinite(fastest):
             return share * T
         longest = (0.01 / fastest) ** -EXPONENT if fastest > 0 else 1.0
         return T * min(100 * share, longest, 1.0)
 
-    def _step(self) -> Verdict | None:
-        method, largest = self._method, _LARGEST
-        self._trouble = Verdict.ERROR_TEST
-        if self.steps:
-            method.advance()
-        stop = self._stop
-        while self._h >= _SHORTEST * math.ulp(method.t):
-            error = self._attempt(min(method.t + self._h, stop))
-            h = method.end - method.t
-            if error < 1:
-                ratio = max(error, _NO_ERROR) ** _NOW * self._error**_BEFORE
-                self._h = h * min(largest, _SAFETY * ratio**EXPONENT)
-                self._error = max(error, _NO_ERROR_BEFORE)
-                self._accept()
-                return None
-            self._h, largest = h * max(_LEAST, _SAFETY * error**EXPONENT), 1.0
-        return self._trouble
-
-    def _attempt(self, end: float) -> float:
-        """Try a step and return its error, in tolerances; infinite where the equations fail."""
-        method = self._method
-        self._multipliers.clear()
-        try:
-            after = method.attempt(end)
-            scale = np.maximum(self._sizes(method.states[0]), self._sizes(after))
-            scale *= self._rtol
-            scale += self._floor
-            fine, coarse = map(_mean, method.errors() / scale)
-            error = fine * (fine / (math.hypot(fine, 0.1 * coarse) or 1.0))
-            if error < 1 and not finite(method.accept(self._projected(end, after))):
-                raise NotFinite
-        except NotFinite:
-            self._trouble = Verdict.NOT_FINITE
-        except SingularMatrix:
-            self._trouble = Verdict.SINGULAR
-        else:
-            return error
-        return np.inf
-
-    def _sizes(self, rows: Array) -> Array:
-        """Return the sizes of vectors of a state, of positions from the place of the system."""
-        rows = rows.copy()
-        rows[0, 0] -= self._problem.scales.place
-        return vector_sizes(rows, self._problem.system.vector_size)
-
-    def _accept(self) -> None:
-        """Accept the step; store its stages for the dense output if integrals are wanted."""
-        method = self._method
-        self.steps += 1
-        self._t, self._between = method.end, []
-        if not self._wanted:
-            return
-        used, t = _weighted()[0], method.times()
-        multipliers = np.array([*self._before, *self._multipliers])
-        self._before = self._multipliers[-1:]
-        between = self._dense_output() if self._dense else None
-        kept = t[used], method.states[used], multipliers[used], between
-        self._steps.append(_Step(method.t, method.end, *kept))
-        if len(self._steps) == _TOGETHER:
-            self.finish()
+    def _steps(self, target: float) -> list[float] | Verdict:
+        if self._failed:
+            return _VERDICTS[self._failed]
+        method, first = self._method, self._waiting if self._wanted else 0
+        count = 1 if self._dense else self._max_steps - self.steps
+        kept = self._kept.part(slice(first, first + count))
+        evaluations = method.evaluations
+        self._failed, taken = method.march(self._tolerances, target, self._stop, kept)
+        self.residuals += method.evaluations - evaluations
+        self.steps += taken
+        if not taken:
+            return _VERDICTS[self._failed]
+        self._last = None
+        if self._wanted:
+            self._waiting += taken
+            self._between += [self._dense_output() if self._dense else None] * taken
+            if self._waiting == _TOGETHER:
+                self.finish()
+        ends: list[float] = kept.spans[:taken, 1].tolist()
+        return ends
 
     def _dense_output(self) -> Between:
-        if not self._between:
-            self._between = [self._method.between()]
-        return self._between[0]
+        if self._last is None:
+            before = self._method.evaluations
+            self._last = self._method.between()
+            self.residuals += self._method.evaluations - before
+        if self._last is None:
+            raise NotFinite
+        return self._last
 
     def _states(self, times: Array) -> Array:
         method = self._method
@@ -214,63 +168,50 @@ class _ExplicitMarch(March):
 
     def finish(self) -> None:
         self._dense = False
-        if self._steps:
-            self._quadrature.add(self._choices(self._steps))
-            self._steps = []
+        if self._waiting:
+            steps = self._kept.part(slice(0, self._waiting))
+            self._quadrature.add(self._choices(steps, self._between))
+            self._waiting, self._between = 0, []
 
-    def _choices(self, steps: list[_Step]) -> Iterator[Points]:
+    def _choices(self, steps: Kept, dense: list[Between | None]) -> Iterator[Points]:
         """Points within steps: their stages, then their dense output on ever more panels."""
-        h = np.array([x.right - x.left for x in steps])
-        t, states, multipliers = (
-            np.concatenate(parts)
-            for parts in zip(*((x.t, x.states, x.multipliers) for x in steps), strict=True)
-        )
-        points = _points(_weighted()[1], h, t, states)
-        lam, lam_b = multipliers[:, 0], multipliers[:, 1:].swapaxes(1, 2)
-        yield replace(points, lam=lam, lam_b=None if points.q_b is None else lam_b)
+        used, rule = _weighted()
+        left, h = steps.spans[:, 0], np.diff(steps.spans, axis=1)[:, 0]
+        t = left[:, None] + h[:, None] * tables().nodes[used]
+        states, lam = (x.reshape(t.size, *x.shape[2:]) for x in (steps.states, steps.lam))
+        points, lam_b = _points(rule, h, t.ravel(), states), lam[:, 1:].swapaxes(1, 2)
+        yield replace(points, lam=lam[:, 0], lam_b=None if points.q_b is None else lam_b)
         self._dense = True
-        dense = [x.between or self._repeated(x) for x in steps]
+        between = [x or self._repeated(steps, k) for k, x in enumerate(dense)]
         for n in _PANELS:
             shares = (np.arange(n)[:, None] + SHARES).ravel() / n
-            within = [np.minimum(x.left + shares * (x.right - x.left), x.right) for x in steps]
-            rows = [between(times) for between, times in zip(dense, within, strict=True)]
+            within = [np.minimum(a + shares * (b - a), b) for a, b in steps.spans]
+            rows = [x(times) for x, times in zip(between, within, strict=True)]
             yield _points(
                 KRONROD, np.repeat(h / n, n), np.concatenate(within), np.concatenate(rows)
             )
 
-    def _repeated(self, step: _Step) -> Between:
+    def _repeated(self, steps: Kept, k: int) -> Between:
         """Return the dense output of a step that was accepted before."""
-        method = self._dop853(step.left, step.states[0])
-        method.accept(self._projected(step.right, method.attempt(step.right)))
-        return method.between()
-
-    def _projected(self, t: float, rows: Array) -> Array:
-        if not finite(rows):
+        (left, right), state = steps.spans[k].tolist(), steps.states[k, 0]
+        found = self._accelerations(left, state)
+        method = Dop853(self._problem.accelerations, left, state, found, 2 * (right - left))
+        any_error = self._tolerances._replace(floor=np.full_like(self._tolerances.floor, np.inf))
+        nothing = Kept.room(1, _NONE, state.shape[1], state.shape[2], steps.lam.shape[-1])
+        method.march(any_error, right, right, nothing)
+        self.residuals += method.evaluations
+        between = method.between()
+        if between is None:
             raise NotFinite
-        problem = self._problem
-        return problem.accelerations.projected(t, rows) if problem.system.n_lam else rows
+        return between
 
-    def _accelerations(self, t: float, rows: Array) -> Array:
-        """Return a above a_b, and keep the multipliers."""
+    def _accelerations(self, t: float, state: Array) -> Array:
+        """Return (a, lam) above its derivatives, shape (rows, n + m)."""
         self.residuals += 1
-        if not finite(rows):
+        found = self._problem.accelerations.rows(t, *state) if finite(state) else state
+        if not finite(found):
             raise NotFinite
-        problem = self._problem
-        x, n = problem.accelerations.rows(t, rows[0], rows[1]), rows.shape[2]
-        if self._wanted:
-            self._multipliers.append(x[:, n:])
-        return x[:, :n]
-
-    def _stages(self, times: Array, step: tuple[Array, ...], first: int, last: int) -> None:
-        """Compute stages together, and keep the multipliers."""
-        accelerations, n = self._problem.accelerations, step[2].shape[3]
-        assert isinstance(accelerations, ListedAccelerations)
-        self.residuals += last - first
-        x = accelerations.stages(times, step, first, last)[first:last]
-        if not finite(x):
-            raise NotFinite
-        if self._wanted:
-            self._multipliers.extend(x[:, :, n:])
+        return found
 
 
 def _mean(x: Array) -> float:

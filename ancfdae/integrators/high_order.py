@@ -92,16 +92,17 @@ class March(abc.ABC):
             while self._t < times[0]:
                 if self.steps == self._max_steps:
                     return Verdict.STEP_LIMIT
-                trouble = self._step()
-                if trouble is not None:
-                    return trouble
-                if self._pace.stalls(self._t):
-                    return Verdict.ERROR_TEST
+                ends = self._steps(times[0])
+                if isinstance(ends, Verdict):
+                    return ends
+                for self._t in ends:
+                    if self._pace.stalls(self._t):
+                        return Verdict.ERROR_TEST
             return self._states(times[: max(1, np.searchsorted(times, self._t, side="right"))])
 
     @abc.abstractmethod
-    def _step(self) -> Verdict | None:
-        """Take a step, or return why there is none."""
+    def _steps(self, target: float) -> list[float] | Verdict:
+        """Take steps, the last one of which may pass the target; return their ends, or why not."""
 
     @abc.abstractmethod
     def _states(self, times: Array) -> Array:

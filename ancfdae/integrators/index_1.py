@@ -23,15 +23,13 @@ import numpy as np
 from ancfdae.equations import ListedSystem, MechanicalSystem, reaction
 from ancfdae.equations.held import acceleration_side, held_totals
 from ancfdae.errors.kinds import SingularMatrix
-from ancfdae.kernels import OperationList, index_1_projected, index_1_rows, index_1_stages
+from ancfdae.kernels import SINGULAR, OperationList, index_1_projected, index_1_rows
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
 # Up to this size a product with the inverse takes a third of the time of a band solve (measured:
 # 106 unknowns, six columns, 6 against 27 us).
 _INVERTED_SIZE = 200
-# What a kernel returns for a singular matrix.
-_SINGULAR = 2
 
 # Solves for rows of right sides, (..., n_q) and (..., n_lam); None for zeros, not for both.
 Solve: TypeAlias = Callable[[Array | None, Array | None], Array]
@@ -137,6 +135,30 @@ class Accelerations:
         pairs = zip(t.tolist(), states, strict=True)
         return np.array([self.projected(s, state) for s, state in pairs])
 
+    #: Steps that a kernel takes at once: here every evaluation calls Python.
+    steps_at_once: int = 1
+
+    @property
+    def for_kernel(self) -> tuple[object, ...]:
+        """The equations as `explicit_march` takes them."""
+
+        def told(
+            function: Callable[[float, Array], Array],
+        ) -> Callable[[float, Array], Array | int]:
+            def call(t: float, state: Array) -> Array | int:
+                try:
+                    return function(t, state)
+                except SingularMatrix:
+                    return SINGULAR
+
+            return call
+
+        found = told(lambda t, state: self.rows(t, *state))
+        return found, told(self.projected), self._system.n_lam
+
+    def count(self, evaluations: int, projections: int) -> None:
+        """Count what a kernel did; here the functions that it calls do."""
+
     @property
     def weights(self) -> Array:
         """Least masses of the coordinates, shape (n_q,)."""
@@ -151,6 +173,8 @@ class Accelerations:
 @final
 class ListedAccelerations(Accelerations):
     """Accelerations of a system whose lists of operations a kernel evaluates."""
+
+    steps_at_once = 64
 
     def __init__(
         self, system: ListedSystem, matrices: SaddlePoint, lists: tuple[OperationList, ...]
@@ -179,21 +203,18 @@ class ListedAccelerations(Accelerations):
         self.factorisations += len(t)
         if not isinstance(found, int):
             return found
-        if found == _SINGULAR:
+        if found == SINGULAR:
             raise SingularMatrix
         return np.full((*states.shape[:-1], size), np.nan)
 
-    def stages(self, times: Array, step: tuple[Array, ...], first: int, last: int) -> Array:
-        """Fill in stages of a step (`Dop853`); return (a, lam) of all stages."""
-        factors, rows, states = step
-        out = np.empty((len(states), states.shape[2], self._matrices.size))
-        self.factorisations += last - first
-        found = index_1_stages(*self._of, times, factors, rows, states, out, first, last)
-        if found == _SINGULAR:
-            raise SingularMatrix
-        if found:
-            out[first:last] = np.nan
-        return out
+    @property
+    def for_kernel(self) -> tuple[object, ...]:
+        """The equations as `explicit_march` takes them."""
+        return self._of
+
+    def count(self, evaluations: int, projections: int) -> None:
+        """Count the matrices that a kernel factorised."""
+        self.factorisations += evaluations + (projections if self._system.n_lam else 0)
 
 
 def accelerations(system: MechanicalSystem, matrices: SaddlePoint) -> Accelerations:

@@ -65,6 +65,12 @@ try:
         eliminate as eliminate,
     )
     from ancfdae.kernels._kernels import (
+        explicit_march as explicit_march,
+    )
+    from ancfdae.kernels._kernels import (
+        explicit_stages as explicit_stages,
+    )
+    from ancfdae.kernels._kernels import (
         finite as finite,
     )
     from ancfdae.kernels._kernels import (
@@ -93,9 +99,6 @@ try:
     )
     from ancfdae.kernels._kernels import (
         index_1_rows as index_1_rows,
-    )
-    from ancfdae.kernels._kernels import (
-        index_1_stages as index_1_stages,
     )
     from ancfdae.kernels._kernels import (
         ldl_factor as ldl_factor,
@@ -254,6 +257,9 @@ class MatrixLayout(NamedTuple):
 #: Why a march ends: with all steps, or before one that it does not solve, that needs factors at
 #: Gauss points, whose matrix needs a band, or that no time is left for.
 ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME = range(5)
+
+#: How an evaluation or a step of DOP853 ends.
+EVALUATED, NOT_FINITE, SINGULAR, ERROR_TEST = range(4)
 
 #: How Newton's method for the stages of a step ends.
 STAGES_SOLVED, STAGES_DIVERGED, STAGES_NOT_FINITE, STAGES_SINGULAR = range(4)

@@ -187,24 +187,40 @@ def index_1_projected(
 ) -> Array | int:
     """Return states moved onto the constraints, or what prevents it."""
 
-def index_1_stages(
-    lists: tuple[OperationList, ...],
-    b: Array,
-    scale: Array,
-    times: Array,
-    factors: Array,
-    rows: Array,
-    states: Array,
-    out: Array,
+def explicit_march(
+    equations: tuple[object, ...],
+    tables: tuple[Array, Array, Array],
+    step: tuple[Array, Array, Array, Array],
+    tolerances: tuple[float, Array, Array, int],
+    target: float,
+    stop: float,
+    count: int,
+    kept: tuple[Array, Array, Array, Array],
+    /,
+) -> tuple[int, int]:
+    """Take at most `count` steps of DOP853, until one reaches a time or the stop; explicit.h.
+
+    Return why the run ends, zero where it may go on, and how many steps were taken. Equations are
+    lists with b and the scale as above, or two functions of a time and a state, (2, rows, n), and
+    the number of multipliers: one returns (a, lam), (rows, n + m), the other the state on the
+    constraints, or each a number that says why not. Tables are the factors of stages, (16, 2, 18),
+    those of errors, (2, 2, 12), and nodes, (16,). The arrays of a step are written to: rows,
+    (18, rows n), states, (16, 2, rows, n), (a, lam), (16, rows, n + m), and t, end, h, error, and
+    the numbers of evaluations and projections. Tolerances: relative, absolute, (2, rows, n), the
+    place of the system, (n,), and the length of its vectors. Of accepted steps are kept begin and
+    end, (count, 2), states, (count, used, 2, rows, n), and multipliers, (count, used, rows, m), of
+    the stages that the last array names.
+    """
+
+def explicit_stages(
+    equations: tuple[object, ...],
+    tables: tuple[Array, Array, Array],
+    step: tuple[Array, Array, Array, Array],
     first: int,
     last: int,
     /,
 ) -> int:
-    """Fill in stages of a step; return 0, or what prevents it.
-
-    Stage k is `factors[k]`, (2, 2 + stages), times the rows before it, (2 + stages, rows n): y, u
-    and accelerations. It goes to `states[k]`, (2, rows, n), and (a, lam) there to `out[k]`.
-    """
+    """Fill in stages of the step from t to its end; return zero, or what prevents it."""
 
 def load_forces(plan: LoadPlan, factors: Array, q: Array, v: Array, /) -> Array:
     """Return Q of a load times a factor for each instant, (k, n_q)."""

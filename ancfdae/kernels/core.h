@@ -71,6 +71,7 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
 #include "lists.h"
 #include "index_1.h"
+#include "explicit.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"

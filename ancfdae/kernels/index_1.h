@@ -205,29 +205,3 @@ int index_1_projected(const Index1System *s, double t, double *state)
         }
     return SOLVED;
 }
-
-/* Stages of a Runge-Kutta step for (y, u)' = (u, a): each is a product of factors, (2, width), with
- * the rows before it, y, u and accelerations, (width, rows n). */
-int index_1_stages(const Index1System *s, Size first, Size last, Size width, const double *times,
-                   const double *factors, double *rows, double *states, double *out)
-{
-    Size count = s->rows * s->n, size = s->n + s->m;
-    for (Size k = first; k < last; k++) {
-        double *state = states + k * 2 * count;
-        memset(state, 0, (size_t)(2 * count) * sizeof *state);
-        for (int part = 0; part < 2; part++)
-            for (Size j = 0; j < 2 + k; j++) {
-                double factor = factors[(k * 2 + part) * width + j];
-                if (factor != 0)
-                    for (Size i = 0; i < count; i++)
-                        state[part * count + i] += factor * rows[j * count + i];
-            }
-        double *x = out + k * s->rows * size;
-        int trouble = index_1_rows(s, times[k], state, x);
-        if (trouble)
-            return trouble;
-        for (Size r = 0; r < s->rows; r++)
-            memcpy(rows + (2 + k) * count + r * s->n, x + r * size, (size_t)s->n * sizeof *x);
-    }
-    return SOLVED;
-}

@@ -166,18 +166,141 @@ Ref py_index_1(std::vector<Kept<OperationList>> lists, Array<double, 1> b, Array
     return Ref(out.release());
 }
 
-int py_index_1_stages(std::vector<Kept<OperationList>> lists, Array<double, 1> b,
-                      Array<double, 1> scale, Array<double, 1> times, Array<double, 3> factors,
-                      InPlace<double> rows, InPlace<double> states, InPlace<double> out, Size first,
-                      Size last)
+/* ---- steps of DOP853 (explicit.h) ----------------------------------------------------------- */
+
+struct ListAccelerations : Accelerations {
+    Index1Model model;
+
+    ListAccelerations(const std::vector<Kept<OperationList>> &all, const Array<double, 1> &design,
+                      const Array<double, 1> &scales, const npy_intp *shape)
+        : model(all, design, scales, shape)
+    {
+        rows = model.rows, n = model.n, m = model.m;
+    }
+    int solved(double t, const double *state, double *out) override
+    {
+        return index_1_rows(&model, t, state, out);
+    }
+    int projected(double t, double *state) override { return index_1_projected(&model, t, state); }
+};
+
+/* Accelerations and projected states from functions of Python, which return numbers or what
+ * prevents them. */
+struct CalledAccelerations : Accelerations {
+    Ref of_state, onto_constraints;
+
+    CalledAccelerations(Ref first, Ref second, Size multipliers, const npy_intp *shape)
+        : of_state(std::move(first)), onto_constraints(std::move(second))
+    {
+        rows = shape[1], n = shape[2], m = multipliers;
+    }
+    int called(const Ref &function, double t, const double *state, double *out, Size count)
+    {
+        auto given = zeros<double>({2, rows, n});
+        std::copy(state, state + given.size, given.data);
+        Ref time = made(PyFloat_FromDouble(t)), rows_given(given.release());
+        Ref found = made(PyObject_CallFunctionObjArgs(function.get(), time.get(),
+                                                      rows_given.get(), nullptr));
+        if (PyLong_Check(found.get()))
+            return (int)PyLong_AsLong(found.get());
+        Array<double> values(found.get());
+        must(values.size == count, "a function returns an array of another shape");
+        std::copy(values.data, values.data + count, out);
+        return all_finite(out, count) ? SOLVED : NOT_FINITE;
+    }
+    int solved(double t, const double *state, double *out) override
+    {
+        return called(of_state, t, state, out, rows * (n + m));
+    }
+    int projected(double t, double *state) override
+    {
+        return m ? called(onto_constraints, t, state, state, 2 * rows * n) : (int)SOLVED;
+    }
+};
+
+/* Lists with design and scale, or two functions with the number of multipliers. */
+using ListEquations =
+    std::tuple<std::vector<Kept<OperationList>>, Array<double, 1>, Array<double, 1>>;
+using CalledEquations = std::tuple<Ref, Ref, Size>;
+/* Tables of DOP853: factors of stages, (16, 2, 18), those of errors, (2, 2, 12), and nodes, (16,). */
+using ExplicitTables = std::tuple<Array<double, 3>, Array<double, 3>, Array<double, 1>>;
+/* Rows, states and (a, lam) of a step, and the control, which are written to. */
+using ExplicitState = std::tuple<InPlace<double>, InPlace<double>, InPlace<double>, InPlace<double>>;
+
+struct ExplicitModel : ExplicitSteps {
+    ExplicitTables tables;
+    ExplicitState state;
+    std::unique_ptr<Accelerations> equations;
+    std::unique_ptr<double[]> memory;
+    bool of_lists;
+
+    ExplicitModel(PyObject *of_equations, ExplicitTables all_tables, ExplicitState all_states)
+        : tables(std::move(all_tables)), state(std::move(all_states))
+    {
+        auto &[of_stages, of_errors, at] = tables;
+        auto &[all_rows, all, all_out, where] = state;
+        must(all.axes == 4 && all.has({ALL_STAGES, 2, -1, -1}), "states of stages do not fit");
+        const npy_intp *shape = all.shape + 1;
+        of_lists = PyTuple_Check(of_equations) && PyTuple_Size(of_equations) == 3 &&
+                   PyTuple_Check(PyTuple_GetItem(of_equations, 0));
+        if (of_lists) {
+            auto [lists, b, scales] = From<ListEquations>::object(of_equations);
+            equations = std::make_unique<ListAccelerations>(lists, b, scales, shape);
+        } else {
+            auto [first, second, m] = From<CalledEquations>::object(of_equations);
+            equations =
+                std::make_unique<CalledAccelerations>(std::move(first), std::move(second), m, shape);
+        }
+        of = equations.get();
+        Size numbers = of->rows * of->n;
+        must(of_stages.has({ALL_STAGES, 2, STEP_ROWS}) && of_errors.has({2, 2, STEP_STAGES}) &&
+                 at.has({ALL_STAGES}),
+             "tables do not fit");
+        must(all_rows.has({STEP_ROWS, numbers}) &&
+                 all_out.has({ALL_STAGES, of->rows, of->n + of->m}) &&
+                 where.has({(Size)(sizeof(StepControl) / sizeof(double))}),
+             "an array to write to has another shape");
+        factors = of_stages.data, errors = of_errors.data, nodes = at.data;
+        x = all_rows.data, states = all.data, out = all_out.data;
+        control = (StepControl *)where.data;
+        memory = room_for<double>(2 * numbers);
+        scale = memory.get();
+    }
+};
+
+/* Tolerances: relative, absolute as (2, rows, n), the place of the system, (n,), length of vectors. */
+using ExplicitTolerances = std::tuple<double, Array<double, 3>, Array<double, 1>, Size>;
+/* Spans, states and multipliers of accepted steps, written to, and which stages they are of. */
+using ExplicitKept =
+    std::tuple<InPlace<double>, InPlace<double>, InPlace<double>, Array<int32_t, 1>>;
+
+std::tuple<int, Size> py_explicit_march(Ref of_equations, ExplicitTables tables,
+                                        ExplicitState state, ExplicitTolerances tolerances,
+                                        double target, double stop, Size count, ExplicitKept kept)
 {
-    must(states.axes == 4, "states must be an array of four axes");
-    Size stages = states.length(0), width = stages + 2;
-    Index1Model s(lists, b, scale, states.shape + 1);
-    must(first <= last && last <= stages, "a number is negative or too large");
-    must(rows.has({width, s.rows * s.n}) && out.has({stages, s.rows, s.n + s.m}),
-         "an array to write to has another shape");
-    must(factors.ends({stages, 2, width}) && times.size >= last, "factors or times do not fit");
-    return index_1_stages(&s, first, last, width, times.data, factors.data, rows.data, states.data,
-                          out.data);
+    ExplicitModel s(of_equations.get(), std::move(tables), std::move(state));
+    auto &[rtol, floor, place, vector] = tolerances;
+    auto &[spans, states, lam, used] = kept;
+    Size rows = s.of->rows, n = s.of->n;
+    must(floor.has({2, rows, n}) && place.has({n}) && vector > 0 && n % vector == 0,
+         "tolerances do not fit");
+    must(spans.ends({2}) && spans.rows(1) >= count && states.ends({used.size, 2, rows, n}) &&
+             states.rows(4) >= count && lam.ends({used.size, rows, s.of->m}) &&
+             lam.rows(3) >= count && within(used, 0, ALL_STAGES - 1),
+         "there is no room for the steps");
+    s.rtol = rtol, s.floor = floor.data, s.place = place.data, s.vector = vector;
+    KeptSteps to = {spans.data, states.data, lam.data, used.data, used.size};
+    Size taken = 0;
+    Unlocked others(s.of_lists);
+    int trouble = explicit_march(&s, target, stop, count, &to, &taken);
+    return {trouble, taken};
+}
+
+int py_explicit_stages(Ref of_equations, ExplicitTables tables, ExplicitState state, Size first,
+                       Size last)
+{
+    ExplicitModel s(of_equations.get(), std::move(tables), std::move(state));
+    must(first <= last && last <= ALL_STAGES, "there are sixteen stages");
+    double t = s.control->t;
+    return explicit_stages(&s, t, s.control->end - t, first, last);
 }

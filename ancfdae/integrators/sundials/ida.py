@@ -125,19 +125,20 @@ class _IdaMarch(March):
         _keep(self._solver)
         self._solver.init_step(0.0, Y, Yp)
 
-    def _step(self) -> Verdict | None:
+    def _steps(self, target: float) -> list[float] | Verdict:
         result = self._solver.step(self._t_end, "onestep", self._stop)
         if not result.success:
             return verdict(result.status)
         if self.steps == 0:
             _release(self._solver)
         # After an interpolation IDA returns its last step once more before it goes on.
-        if result.t > self._t:
-            self.steps += 1
-            self._t, self._y = result.t, result.y.copy()
-            if self._points.wanted:
-                self._points.add(self._t, self._y, result.yp.copy())
-        return None
+        if not result.t > self._t:
+            return []
+        self.steps += 1
+        self._y = result.y.copy()
+        if self._points.wanted:
+            self._points.add(result.t, self._y, result.yp.copy())
+        return [result.t]
 
     def _states(self, times: Array) -> Array:
         return np.array([self._state(t) for t in times.tolist()])

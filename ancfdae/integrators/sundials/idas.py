@@ -77,7 +77,7 @@ class _IdasMarch(March):
         self._points = StepPoints(self._form, quadrature, self._m)
         self._points.add(0.0, np.append(start[0], Y.T), np.append(start[1], Yp.T))
 
-    def _step(self) -> Verdict | None:
+    def _steps(self, target: float) -> list[float] | Verdict:
         idas, e = self._bindings.idas, self._equations
         self._bindings.check(idas.IDASetStopTime(self._memory, self._stop))
         flag, reached = idas.IDASolve(self._memory, self._t_end, e.y, e.yp, idas.IDA_ONE_STEP)
@@ -85,10 +85,9 @@ class _IdasMarch(March):
         not_finite = e.guard.raise_kept()
         if flag < 0:
             return Verdict.NOT_FINITE if not_finite else verdict(flag)
-        self._t = reached
         if self._points.wanted:
             self._points.add(reached, *self._reached(reached))
-        return None
+        return [reached]
 
     def _states(self, times: Array) -> Array:
         return np.array([self._state(t) for t in times.tolist()])
