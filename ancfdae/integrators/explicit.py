@@ -37,11 +37,10 @@ _LEAST_RTOL = 3e-14
 _SMALL = 1e-2
 # Panels of a step whose stages are too few.
 _PANELS = (1, 4, 16)
-# Steps that are taken into the integrals together: an evaluation of observables costs half a step.
-# Where stages are too few, these steps are repeated, and the next ones keep their dense output.
-_TOGETHER = 8
-# Steps of a part of the run where nothing is kept of them but their ends.
-_PART = 64
+# Steps that are taken into the integrals together, at least and at most, and the numbers that their
+# states may be: an evaluation of observables costs several steps of a small system. Where stages
+# are too few, these steps are repeated, and the next ones keep their dense output.
+_LEAST_TOGETHER, _MOST_TOGETHER, _NUMBERS = 8, 64, 200_000
 _NONE = np.zeros(0, dtype=np.int32)
 _VERDICTS = {
     NOT_FINITE: Verdict.NOT_FINITE,
@@ -95,7 +94,8 @@ class _ExplicitMarch(March):
         h = self._first_step(state, found[:, :n])
         self._method = Dop853(problem.accelerations, 0.0, state, found, h)
         used = _weighted()[0] if self._wanted else _NONE
-        count = _TOGETHER if self._wanted else _PART
+        per_step = max(1, len(used)) * state.size
+        count = max(_LEAST_TOGETHER, min(_MOST_TOGETHER, _NUMBERS // per_step))
         self._kept = Kept.room(count, used, rows, n, problem.system.n_lam)
         # Steps that wait for their integrals, and their dense output where that is kept.
         self._waiting, self._dense, self._between = 0, False, list[Between | None]()
@@ -140,7 +140,7 @@ class _ExplicitMarch(March):
         if self._wanted:
             self._waiting += taken
             self._between += [self._dense_output() if self._dense else None] * taken
-            if self._waiting == _TOGETHER:
+            if self._waiting == len(self._kept.spans):
                 self.finish()
         ends: list[float] = kept.spans[:taken, 1].tolist()
         return ends
