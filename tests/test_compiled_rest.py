@@ -17,11 +17,12 @@ from ancfdae import (
     assemble,
     equilibrium,
 )
+from ancfdae.equations import prepared
+from ancfdae.equations.system import called_plan
 from ancfdae.kernels import RULES, Model, narrow_order
 from ancfdae.results import Verdict
 from ancfdae.sections import Rectangle
 from ancfdae.statics.balance import Balance
-from ancfdae.statics.compiled import CompiledRest
 
 SOFT = Material(1000.0, 1e7, 0.3)
 
@@ -70,7 +71,7 @@ def buckled():
 def test_both_ways_take_the_same_steps(make, monkeypatch):
     scene = make()
     compiled = equilibrium(scene)
-    monkeypatch.setattr(CompiledRest, "of", lambda *_: None)
+    monkeypatch.setattr(prepared, "planned", called_plan)
     plain = equilibrium(scene)
     ours, theirs = compiled.outcome, plain.outcome
     assert ours.success
@@ -105,7 +106,7 @@ def test_wrong_arrays_are_refused():
     system = assemble(held())
     balance = Balance.of(system, 0.0, system.start()[0], np.zeros(system.n_lam))
     plan = system.plan
-    model = Model(plan, balance.matrices.layout(band=True), np.zeros(RULES))
+    model = Model(plan, balance.matrices.layout(band=True), np.zeros(RULES), None)
     n_q, n_lam = system.n_q, system.n_lam
     q, lam = np.zeros(n_q), np.zeros(n_lam)
     factors = np.ones(1), *(plan.load_factors(np.zeros(1))[0] for _ in range(2))

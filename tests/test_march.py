@@ -1,9 +1,8 @@
-"""Steps by the kernel and by Python are the same steps, for every kind of part.
+"""Steps with equations of the kernel and of Python are the same steps, for every kind of part.
 
 SAME: elastic forces have the round-off eps E A, over the mass of a slope that of accelerations,
 2e-16 * 1e2 N / 1e-4 kg = 2e-10 m/s^2 beside 1e1 m/s^2, with a factor of 1e2 for six steps. A term
-that is missing or wrong in the kernel shows at 1e-3 and more, and would leave the step to Python,
-which `only_the_kernel` refuses.
+that is missing or wrong in the kernel shows at 1e-3 and more.
 """
 
 import threading
@@ -39,13 +38,13 @@ from ancfdae import (
     kernels,
     simulate,
 )
-from ancfdae.equations import reaction
+from ancfdae.equations import prepared, reaction
+from ancfdae.equations import system as equations_of_systems
 from ancfdae.equations.saddle_points import saddle_point
+from ancfdae.equations.system import called_plan
 from ancfdae.errors import InconsistentStartError, RedundantConstraintsError
 from ancfdae.extend import MaterialPoint
-from ancfdae.integrators.hht.compiled import CompiledPasses, CompiledSteps
-from ancfdae.integrators.hht.linear_passes import LinearSteps
-from ancfdae.integrators.hht.newton import StepSolver
+from ancfdae.integrators.hht import step
 from ancfdae.laws import Harmonic, UserLaw
 from ancfdae.model import joints, loads
 from ancfdae.model.bodies import Quantity
@@ -65,7 +64,8 @@ SECTION = Rectangle(0.05, 0.04)
 
 
 def by_python(monkeypatch):
-    monkeypatch.setattr(CompiledSteps, "of", classmethod(lambda *_: None))
+    """Let functions of Python evaluate the equations."""
+    monkeypatch.setattr(prepared, "planned", called_plan)
 
 
 def refuse(*_):
@@ -73,7 +73,8 @@ def refuse(*_):
 
 
 def only_the_kernel(monkeypatch):
-    monkeypatch.setattr(StepSolver, "_solve", refuse)
+    monkeypatch.setattr(equations_of_systems, "called_plan", refuse)
+    monkeypatch.setattr(step, "solved", refuse)
 
 
 def assert_same(system, one, other, tolerance=SAME):
@@ -279,15 +280,11 @@ def test_gradients_in_threads_are_those_alone_to_the_last_bit(method):
 
 
 def assert_same_passes(system, objective, integrator, t_end):
-    """Direct and adjoint derivatives by the kernel and by Python; round-off of sums, as SAME."""
+    """Direct and adjoint derivatives, with equations of the kernel and of Python; see SAME."""
     values = []
-    for fast in (True, False):
+    for patched in (only_the_kernel, by_python):
         with pytest.MonkeyPatch.context() as patch:
-            if fast:
-                patch.setattr(LinearSteps, "solve", refuse)
-                patch.setattr(LinearSteps, "solve_transposed", refuse)
-            else:
-                patch.setattr(CompiledPasses, "of", classmethod(lambda *_: None))
+            patched(patch)
             direct = differentiate(system, t_end, integrator).sensitivities
             adjoint = gradient(system, objective, t_end, integrator, method=Adjoint()).gradient
         values.append((direct.q_b, direct.v_b, direct.a_b, direct.lam_b, adjoint))
@@ -377,8 +374,6 @@ def test_passes_go_on_where_a_matrix_is_not_positive_definite(monkeypatch):
     monkeypatch.setattr(SaddlePoint, "layout", spoilt)
     with pytest.MonkeyPatch.context() as patch:
         only_the_kernel(patch)
-        patch.setattr(LinearSteps, "solve", refuse)
-        patch.setattr(LinearSteps, "solve_transposed", refuse)
         direct = gradient(
             system, objective, 4 * STEP, integrator, method=DirectDifferentiation()
         ).gradient
@@ -416,15 +411,19 @@ BROKEN = {
 @pytest.mark.parametrize("arguments", BROKEN.values(), ids=BROKEN)
 def test_what_does_not_fit_together_is_no_plan(arguments):
     with pytest.raises((ValueError, TypeError)):
-        kernels.Model(*arguments)
+        kernels.Model(*arguments, None)
 
 
 @pytest.mark.parametrize(
-    "spoilt", ["h", "q", "v", "lam", "of_joints", "matrices", "right", "z", "on", "mu"]
+    "spoilt",
+    [
+        *("h", "q", "v", "lam", "of_joints", "matrices", "right", "z", "on", "mu"),
+        *("small", "G", "g", "on_defects"),
+    ],
 )
 def test_passes_take_only_what_fits_their_plan(spoilt):
     n_q, n_lam = len(PLAN.gravity), 2
-    model = kernels.Model(PLAN, LAYOUT, RULES)
+    model = kernels.Model(PLAN, LAYOUT, RULES, None)
     shapes = {
         "h": (4,),
         "q": (4, n_q),
@@ -433,19 +432,26 @@ def test_passes_take_only_what_fits_their_plan(spoilt):
         "of_joints": (1, 1),
         "of_loads": (4, 0),
         "matrices": (4, 6, 4),
+        "small": (4,),
+        "G": (4, len(PLAN.B[1])),
+        "g": (4, n_lam, 3),
         "right": (4, 3, n_q + n_lam),
         "z": (4, 3, n_q),
-        "states": (4, 3, 3, n_q),
+        "states": (5, 3, 3, n_q),
         "lam_b": (4, 3, n_lam),
         "on": (6, n_q),
         "mu": (4, n_q),
         "zeta": (4, n_lam),
+        "on_defects": (4, 3, n_q),
     }
 
     def call(shapes):
-        *steps, right, z, states, lam_b, on, mu, zeta = (np.ones(x) for x in shapes.values())
-        model.differentiate_steps(tuple(steps), right, z, states, lam_b)
-        model.pull_back_steps(tuple(steps), (None, mu, zeta), on, mu, zeta)
+        *steps, small, G, g, right, z, states, lam_b, on, mu, zeta, on_defects = (
+            np.ones(x) for x in shapes.values()
+        )
+        packet = *steps, None, (small.astype(np.int32), G, g)
+        assert model.differentiate_steps(packet, right, z, states, lam_b, 0)[0] == 4
+        assert model.pull_back_steps(packet, (None, mu, zeta), on, mu, zeta, on_defects, 4)[0] == 0
 
     call(shapes)
     with pytest.raises(ValueError, match="shapes of a plan"):
@@ -453,7 +459,8 @@ def test_passes_take_only_what_fits_their_plan(spoilt):
 
 
 @pytest.mark.parametrize(
-    "spoilt", ["state", "h", "joints", "loads", "rows", "columns", "arguments"]
+    "spoilt",
+    ["state", "h", "joints", "loads", "rows", "columns", "arguments", "guess", "limits"],
 )
 def test_a_march_takes_only_what_fits_its_plan(spoilt):
     n_q, n_lam = len(PLAN.gravity), 2
@@ -467,8 +474,12 @@ def test_a_march_takes_only_what_fits_its_plan(spoilt):
         "loads": np.zeros((4, 2, 0)),
         "seconds": 1.0,
         "rows": tuple(rows),
+        "guess": None,
+        "limits": (1e-12, np.inf, 15),
     }
     changes = {
+        "guess": {"guess": (zeros[0][1:], zeros[3])},
+        "limits": {"limits": (1e-12, np.inf)},
         "arguments": {"more": None},
         "state": {"state": (zeros[0][1:], *zeros[1:])},
         "h": {"h": np.full((4, 1), STEP)},
@@ -477,7 +488,7 @@ def test_a_march_takes_only_what_fits_its_plan(spoilt):
         "rows": {"rows": tuple(row[1:] for row in rows)},
         "columns": {"rows": tuple(np.asfortranarray(row) for row in rows)},
     }
-    model = kernels.Model(PLAN, LAYOUT, RULES)
+    model = kernels.Model(PLAN, LAYOUT, RULES, None)
     model.march(*of.values())
     with pytest.raises((ValueError, TypeError)):
         model.march(*(of | changes[spoilt]).values())

@@ -43,10 +43,12 @@ from ancfdae import (
     taylor_test,
     work_precision,
 )
+from ancfdae.equations import prepared
+from ancfdae.equations import system as equations_of_systems
+from ancfdae.equations.system import called_plan
 from ancfdae.errors import InvalidInputError
 from ancfdae.extend import MaterialPoint
 from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.integrators.radau.newton import StageSolver
 from ancfdae.integrators.radau.tableau import BUTCHER, EMBEDDED, GAMMA, PLACES, continued
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.laws import Harmonic
@@ -279,13 +281,13 @@ def test_every_state_has_the_derivative_of_the_complex_step():
 
 
 def assert_same_by_the_kernel(scene, t_end=2.0**-8, **settings):
-    """Stages solved by the kernel and by Python; round-off of elastic forces, as `test_march`."""
+    """Stages with equations of the kernel and of Python; round-off of elastic forces."""
     system, integrator = assemble(scene), Radau(**(settings or {"step": 2.0**-9}))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StageSolver, "_iterated", None)
+        patch.setattr(equations_of_systems, "called_plan", None)
         fast = simulate(system, t_end, integrator)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StageSolver, "_prepared", lambda self: None)
+        patch.setattr(prepared, "planned", called_plan)
         slow = simulate(system, t_end, integrator)
     assert fast.outcome.verdict is slow.outcome.verdict is Verdict.FINISHED
     root, inertia = np.sqrt(system.weights), np.max(np.abs(slow.a * system.weights))

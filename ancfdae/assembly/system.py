@@ -166,8 +166,8 @@ class AncfSystem(PlannedSystem):
 
     @property
     def plan(self) -> Plan | None:
-        """Arrays for steps in the compiled kernel; None for complex b or a rotating frame."""
-        if np.iscomplexobj(self.b) or self._turning is not None:
+        """Arrays for steps in the compiled kernel; None for a rotating frame."""
+        if self._turning is not None:
             return None
         steady, rows = self._loads.timed()
         inertia, weights, factors = self._inertia, self.weights, self._constraints.factors

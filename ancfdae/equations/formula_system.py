@@ -391,10 +391,8 @@ class FormulaSystem(ListedSystem):
         return self._formulas.right_side()
 
     @cached_property
-    def list_plan(self) -> ListPlan | None:
-        """The lists that a kernel integrates; None where b is complex."""
-        if np.iscomplexobj(self.b):
-            return None
+    def list_plan(self) -> ListPlan:
+        """The lists that a kernel integrates."""
         velocity = self.traits.velocity_forces
         B, K = (_csr(pattern) for pattern in (self.constraint_pattern, self.pattern))
         weights = self.weights, 1 / self.weights

@@ -45,7 +45,7 @@ from ancfdae.equations.motion import StateDirection, States
 from ancfdae.equations.naming import Naming
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import ListPlan, OperationList, Plan
+from ancfdae.kernels import CalledPlan, ListPlan, OperationList, Plan
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
 
@@ -441,7 +441,7 @@ class PlannedSystem(MechanicalSystem):
     @property
     @abc.abstractmethod
     def plan(self) -> Plan | None:
-        """The same system as arrays; None at complex values of the design."""
+        """The same system as arrays; None for a system that cannot be given so."""
 
 
 class ListedSystem(MechanicalSystem):
@@ -454,15 +454,30 @@ class ListedSystem(MechanicalSystem):
 
     @property
     @abc.abstractmethod
-    def list_plan(self) -> ListPlan | None:
-        """The lists that a kernel integrates; None where b is complex."""
+    def list_plan(self) -> ListPlan:
+        """The lists that a kernel integrates."""
 
 
-def planned(system: MechanicalSystem) -> Plan | ListPlan | None:
-    """Return the system as what a kernel marches; None for one that it cannot."""
+def planned(system: MechanicalSystem) -> Plan | ListPlan | CalledPlan:
+    """Return the system as kernels take it: arrays, lists of operations, or functions to call."""
     if isinstance(system, ListedSystem):
         return system.list_plan
-    return system.plan if isinstance(system, PlannedSystem) else None
+    plan = system.plan if isinstance(system, PlannedSystem) else None
+    return plan or called_plan(system)
+
+
+def called_plan(system: MechanicalSystem) -> CalledPlan:
+    """Return a system by its functions; they run with the GIL while a kernel takes steps."""
+
+    def tangents(t: float, *states: Array) -> tuple[Array, Array | None]:
+        local = system.linearise(np.array([t]), *(x[None] for x in states))
+        return local.f_q[0], None if local.f_v is None else local.f_v[0]
+
+    values = system.mass, system.constraint_q, system.constraint, system.force
+    functions = *values, tangents, system.following_load
+    B, K = (x.rows_of(np.zeros(x.size)) for x in (system.constraint_pattern, system.pattern))
+    weights, velocity = system.weights, system.traits.velocity_forces
+    return CalledPlan(functions, weights, 1 / weights, B, K, velocity)
 
 
 def residual(

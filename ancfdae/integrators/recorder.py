@@ -47,7 +47,7 @@ class SolutionRecorder:
         before: Solution | None = None,
     ) -> None:
         self._system, self._degree = system, degree
-        dtype = np.result_type(system.b, system.start()[0], float)
+        self.dtype = dtype = np.result_type(system.b, system.start()[0], float)
         sizes = (system.n_q, system.n_q, system.n_q, system.n_lam)
         try:
             self._arrays = [np.zeros(rows), *(np.zeros((rows, n), dtype=dtype) for n in sizes)]

@@ -17,6 +17,9 @@ import numpy.typing as npt
 
 try:
     from ancfdae.kernels._kernels import (
+        ComplexModel as ComplexModel,
+    )
+    from ancfdae.kernels._kernels import (
         ConstraintPlan as ConstraintPlan,
     )
     from ancfdae.kernels._kernels import (
@@ -30,9 +33,6 @@ try:
     )
     from ancfdae.kernels._kernels import (
         add_scaled as add_scaled,
-    )
-    from ancfdae.kernels._kernels import (
-        balance as balance,
     )
     from ancfdae.kernels._kernels import (
         band_factor as band_factor,
@@ -57,9 +57,6 @@ try:
     )
     from ancfdae.kernels._kernels import (
         csr_rows_transposed as csr_rows_transposed,
-    )
-    from ancfdae.kernels._kernels import (
-        csr_subtract as csr_subtract,
     )
     from ancfdae.kernels._kernels import (
         eliminate as eliminate,
@@ -128,9 +125,6 @@ try:
         norm as norm,
     )
     from ancfdae.kernels._kernels import (
-        recombine as recombine,
-    )
-    from ancfdae.kernels._kernels import (
         relative as relative,
     )
     from ancfdae.kernels._kernels import (
@@ -181,7 +175,7 @@ Csr: TypeAlias = tuple[Array, Array, Array]
 
 
 class Plan(NamedTuple):
-    """A system of elements, joints and loads, for `march`.
+    """A system of elements, joints and loads, for `Model` and `ComplexModel`.
 
     `mass` is M on the system's pattern, `places` those of the elements' tangents on it, and M the
     same without zeros. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of
@@ -209,7 +203,7 @@ class Plan(NamedTuple):
 
 @final
 class ListPlan(NamedTuple):
-    """A system of lists of operations, for `Model`.
+    """A system of lists of operations, for `Model` and `ComplexModel`.
 
     Lists take t, q, v, A, lam and b, and return Phi_q, Phi, dPhi/dt, Q, M, and f_q with f_v behind
     it if forces use velocities. Values of matrices stand on the patterns B of Phi_q and K of all
@@ -218,6 +212,31 @@ class ListPlan(NamedTuple):
 
     lists: tuple[OperationList, ...]
     b: Array
+    weights: Array
+    inverse_weights: Array
+    B: Csr
+    K: Csr
+    velocity: bool
+
+    def joint_factors(self, t: Array, orders: int) -> Array:
+        """Return the instants in place of factors, (orders, k, 1)."""
+        return np.stack([t[:, None]] * orders)
+
+    def load_factors(self, t: Array) -> Array:
+        """Return the instants, (k, 1)."""
+        return t[:, None]
+
+
+@final
+class CalledPlan(NamedTuple):
+    """A system whose equations Python evaluates, for `Model` and `ComplexModel`.
+
+    The functions return M(q), Phi_q(t, q), Phi(t, q) or its rate Phi(t, q, v), and Q(t, q, v). Two
+    more return (f_q, f_v or None) of (t, q, v, a, lam), and (P, P_q) of (t, q), the loads that turn
+    with the motion. Values of matrices have the patterns B of Phi_q and K of all others.
+    """
+
+    functions: tuple[Callable[..., Any], ...]
     weights: Array
     inverse_weights: Array
     B: Csr
@@ -254,9 +273,34 @@ class MatrixLayout(NamedTuple):
     fronts: tuple[Array, Array, FrontArrays] | None = None
 
 
-#: Why a march ends: with all steps, or before one that it does not solve, that needs factors at
-#: Gauss points, whose matrix needs a band, or that no time is left for.
-ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME = range(5)
+@final
+class March(IntEnum):
+    """Why `march` ends: all steps are taken, or what the next one needs, or why it is not solved.
+
+    It may need factors at Gauss points or a band for its matrix, and the time may be used up.
+    """
+
+    ALL_TAKEN = 0
+    NEEDS_GAUSS = 1
+    INDEFINITE = 2
+    OUT_OF_TIME = 3
+    NO_CONVERGENCE = 4
+    NOT_FINITE = 5
+    SINGULAR = 6
+
+
+#: Factorises a matrix for `Model`: of terms, each a number and values of K, whose sum counts, and
+#: of B it makes a function of a right side and whether the matrix is transposed; None if the matrix
+#: is singular.
+Factorise: TypeAlias = Callable[
+    [tuple[tuple[float, Array], ...], Array], Callable[[Array, bool], Array] | None
+]
+
+#: The coupled matrix of stages: order and scale of the unknowns, places of blocks (i, j) in its K,
+#: and a band (half, flat, factors) as for `band_factor`, or what factorises.
+CoupledArrays: TypeAlias = tuple[
+    Array, Array, Array, tuple[int, Array, Array] | None, Factorise | None
+]
 
 #: How an evaluation or a step of DOP853 ends.
 EVALUATED, NOT_FINITE, SINGULAR, ERROR_TEST = range(4)
@@ -278,3 +322,15 @@ class Rest(IntEnum):
     SINGULAR = 3
     INDEFINITE = 4
     STUCK = 5
+
+
+def real_part(plan: Any) -> Any:
+    """Return a plan, or a part of one, with the real parts of its numbers, for `Model`."""
+    if isinstance(plan, np.ndarray):
+        return plan.real
+    if isinstance(plan, tuple):
+        return tuple(map(real_part, plan))
+    if isinstance(plan, ConstraintPlan | LoadPlan):
+        kind, arguments = plan.__reduce__()
+        return kind(*real_part(arguments))
+    return plan

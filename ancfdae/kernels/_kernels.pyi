@@ -7,7 +7,17 @@ shape (..., n, n_y, d), packed matrices (..., n, n_g).
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
-from ancfdae.kernels import Array, Block, FrontArrays, ListPlan, MatrixLayout, Plan
+from ancfdae.kernels import (
+    Array,
+    Block,
+    CalledPlan,
+    CoupledArrays,
+    Factorise,
+    FrontArrays,
+    ListPlan,
+    MatrixLayout,
+    Plan,
+)
 
 def relative(block: Block, q: Array, /) -> Array:
     """Return Y = R q."""
@@ -97,6 +107,7 @@ class ConstraintPlan:
         n_curved: int,
         /,
     ) -> None: ...
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]: ...
 
 def constraints(
     plan: ConstraintPlan, what: int, factors: Array, lam: Array | None, /, *motion: Array
@@ -148,6 +159,7 @@ class LoadPlan:
         n_values: int,
         /,
     ) -> None: ...
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]: ...
 
 class OperationList:
     """A list of operations on inputs and constants; `load_plan.h` has the codes of operations.
@@ -247,29 +259,8 @@ def narrow_order(first_K: Array, columns_K: Array, first_B: Array, columns_B: Ar
     The better of the one given and that of Cuthill and McKee, reversed; K has a symmetric pattern.
     """
 
-def csr_subtract(
-    first: Array,
-    columns: Array,
-    values: Array,
-    x: Array,
-    out: Array,
-    offset: int,
-    transposed: bool,
-    /,
-) -> None:
-    """Take M x, or M^T x, for rows of x, from rows of `out`, in place, from the offset on."""
-
-def recombine(matrix: Array, z: Array, after: Array, ahead: Array, /) -> None:
-    """Write matrix z, 6 x 4 times four rows, to three rows of `after` and three of `ahead`.
-
-    These may be rows of z.
-    """
-
 def norm(*pairs: Array) -> float:
     """Return sqrt(sum(weights x^2)) of the real part, the sum over pairs (x, weights)."""
-
-def balance(inertia: Array, reaction: Array, force: Array, constraint: Array, s: float, /) -> Array:
-    """Return inertia + reaction - force, and behind it s times the constraint."""
 
 def band_factor(
     K: Array, B: Array, factors: Array, flat: Array, n: int, half: int, /
@@ -351,16 +342,24 @@ def add_scaled(x: Array, s: Any, y: Array, /) -> Array:
 def finite(x: Array, /) -> bool:
     """Tell whether every entry is finite."""
 
-Steps: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, Array]
+#: Sizes, q, v and lam that steps arrived at, factors of joints (one row where nothing is driven)
+#: and of loads there, matrices of the recurrence (`step_matrices`); of a system of one's own M,
+#: f_q, f_v and Phi_q there; and where steps are small which, G and g (`ConstraintRow`).
+Steps: TypeAlias = tuple[
+    Array,
+    Array,
+    Array,
+    Array,
+    Array,
+    Array,
+    Array,
+    tuple[Array, Array, Array | None, Array] | None,
+    tuple[Array, Array, Array] | None,
+]
 
-class Model:
-    """A system with its matrices, checked once, and room for its steps.
+class Drivers:
+    """What models of real and of complex numbers have."""
 
-    The rules are hht_alpha, Newton's tolerance, most iterations and the other numbers of
-    `integrators/hht/newton.py` in the order of `MarchRules` in `march.h`.
-    """
-
-    def __init__(self, plan: Plan | ListPlan, layout: MatrixLayout, rules: Array, /) -> None: ...
     def march(
         self,
         state: tuple[Array, Array, Array, Array, Array],
@@ -370,46 +369,27 @@ class Model:
         of_loads: Array,
         seconds: float,
         rows: tuple[Array, Array, Array, Array],
+        guess: tuple[Array, Array] | None,
+        limits: tuple[float, float, int],
         /,
-    ) -> tuple[int, int, float, Array, tuple[int, int, int]]:
+    ) -> tuple[int, int, float, Array, tuple[int, int, int], float, float]:
         """Take steps of sizes h from (q, v, a, lam, A), as many as can be taken in so many seconds.
 
         Factors of joints are (k, instants, n_parts): at the end of each step, at its beginning, at
         the three Gauss points, and their time derivatives there; two instants do where no step is
-        small. Factors of loads are (k, 2, n_loads). Returns the number of steps taken, why it ends,
-        the motion and a of the last state, and counts of iterations, factorisations and steps that
-        round-off disturbs. The states after the steps, q, v, A and lam, are written to rows.
-        """
+        small. Factors of loads are (k, 2, n_loads). A guess of a and lam replaces the one made
+        here; limits are the tolerance, the factor by which corrections above round-off shrink at
+        least, and the most iterations.
 
-    def differentiate_steps(
-        self, steps: Steps, right: Array, z: Array, states: Array, lam_b: Array, /
-    ) -> tuple[int, int]:
-        """Take steps of direct differentiation; return their number, and why it ends as `march`.
-
-        Steps are sizes, q, v and lam that they arrived at, factors of joints (one row where nothing
-        is driven) and of loads there, and matrices of `recombine`, with k rows each. Rows of
-        `right`, (k, n_b, n), are what is known of the right sides, and overwritten, as is z, (4,
-        n_b, n_q); written are states, (k, 3, n_b, n_q), and lam_b, (k, n_b, n_lam).
-        """
-
-    def pull_back_steps(
-        self,
-        steps: Steps,
-        seeds: tuple[Array | None, Array | None, Array | None],
-        on: Array,
-        mu: Array,
-        zeta: Array,
-        /,
-    ) -> tuple[int, int]:
-        """Take the transposed steps back from the last; return as `differentiate_steps`.
-
-        Seeds are rows on q, v and lam, `on`, (6, n_q), is overwritten; written are rows of mu and
-        zeta.
+        Returns the number of steps taken, why it ends (`March`), the motion and a of the last
+        state, counts of iterations, factorisations and steps that round-off disturbs, and of the
+        last step the size of its last correction and the slowest rate of its corrections. The
+        states after the steps, q, v, A and lam, are written to rows.
         """
 
     def rest(
         self,
-        state: tuple[Array, Array, Array, Array],
+        state: tuple[Array, ...],
         known: tuple[Array, Array | None, Array, Array],
         factors: tuple[Array, Array, Array],
         rules: Array,
@@ -417,15 +397,17 @@ class Model:
     ) -> tuple[int, int, float, int]:
         """Solve for an equilibrium under part of the load, from q and lam, by Newton's method.
 
-        The state (q, lam, q_s, lam_s) is written in place. Known are (q_0, anchor or None, r_0,
-        Phi_0), factors those of constraints, of loads as they act, and of those that turn. Returns
+        The state (q, lam, q_s, lam_s) is written in place; where corrections have stopped shrinking
+        the last one stands in (q_s, lam_s). Known are (q_0, anchor or None, r_0,
+        Phi_0), factors those of constraints, of loads as they act, and of those that turn; of a
+        system of one's own the time, the time, and whether loads turn. Returns
         why it ends (`Rest`), iterations, the size of the last correction, and whether K is surely
         positive definite.
         """
 
     def solve_stages(
         self,
-        coupled: tuple[Array, Array, int, Array, Array, Array],
+        coupled: CoupledArrays,
         state: tuple[Array, Array, Array, Array],
         x: Array,
         lam: Array,
@@ -437,9 +419,55 @@ class Model:
     ) -> tuple[int, float, tuple[int, int, int]]:
         """Solve for the stages of a step of Radau IIA, from (q, v, a, lam) before it.
 
-        The coupled matrix is (order, scale, half, flat, factors) as in `band_factor`, and the
-        places of blocks (i, j) in its K. Factors are those at the stages and at the start, (4,
+        Factors are those at the stages and at the start, (4,
         n_parts) and (4, n_loads). The tableau is c, A^-1 and A^-2, the rules are `StageRules` in
         `stages.h`. Returns how it ends, the size of the last correction, and counts of iterations,
         factorisations and whether round-off ended it.
         """
+
+class Model(Drivers):
+    """A system with its matrices, checked once, and room for its steps.
+
+    The plan has real numbers (`real_part`). The rules are hht_alpha, Newton's tolerance, most
+    iterations and the other numbers of `integrators/hht/newton.py` in the order of `MarchRules` in
+    `march.h`. A function to factorise is called where the layout has no place for a matrix.
+    """
+
+    def __init__(
+        self, plan: Any, layout: MatrixLayout, rules: Array, factorise: Factorise | None, /
+    ) -> None: ...
+    def differentiate_steps(
+        self, steps: Steps, right: Array, z: Array, states: Array, lam_b: Array, first: int, /
+    ) -> tuple[int, int]:
+        """Take steps of direct differentiation from a first one on.
+
+        Returns the number of the next step, and why it ends as `march`. Rows of `right`, (k, n_b,
+        n), are what is known of the right sides, and overwritten, as is z, (4, n_b, n_q); written
+        are states, (k + 1, 3, n_b, n_q), but the row before the first step, and lam_b, (k, n_b,
+        n_lam).
+        """
+
+    def pull_back_steps(
+        self,
+        steps: Steps,
+        seeds: tuple[Array | None, Array | None, Array | None],
+        on: Array,
+        mu: Array,
+        zeta: Array,
+        on_defects: Array | None,
+        count: int,
+        /,
+    ) -> tuple[int, int]:
+        """Take the first steps, so many, of the transposed recurrence, the last of them first.
+
+        Returns how many are left, and why it ends as `march`. Seeds are rows on q, v and lam, `on`,
+        (6, n_q), is overwritten; written are rows of mu and zeta, and of covectors on the defects
+        of q, v and A, (k, 3, n_q), if asked for.
+        """
+
+class ComplexModel(Drivers):
+    """A system at complex numbers, with a model of their real parts that has its matrices."""
+
+    def __init__(
+        self, plan: Plan | ListPlan | CalledPlan, model: Model, rules: Array, /
+    ) -> None: ...

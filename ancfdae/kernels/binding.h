@@ -367,12 +367,12 @@ template <class R, class... A, R (*f)(A...)> struct Bound<f> {
 /* Whether an argument holds complex numbers, or one of its items, or a plan. */
 bool holds_complex(PyObject *const *args, Py_ssize_t count);
 
-/* Calls f, or g where one of the first arguments holds complex numbers. */
-template <auto f, auto g, Py_ssize_t FIRST = 64> struct Either {
+/* Calls f, or g where an argument holds complex numbers. */
+template <auto f, auto g> struct Either {
     static PyObject *call(PyObject *self, PyObject *const *args, Py_ssize_t count)
     {
-        return holds_complex(args, std::min(count, FIRST)) ? Bound<g>::call(self, args, count)
-                                                           : Bound<f>::call(self, args, count);
+        return holds_complex(args, count) ? Bound<g>::call(self, args, count)
+                                          : Bound<f>::call(self, args, count);
     }
 };
 

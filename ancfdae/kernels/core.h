@@ -13,6 +13,7 @@
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
+#include <tuple>
 #include <type_traits>
 
 /* Words that headers of Windows take. */
@@ -77,6 +78,7 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "symmetric.h"
 #include "orders.h"
 
+#include "equations.h"
 #include "march.h"
 #include "passes.h"
 #include "rest.h"

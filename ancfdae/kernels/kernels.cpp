@@ -148,11 +148,8 @@ PyMethodDef methods[] = {
     PLAIN(add_scaled),
     PLAIN(norm),
     PLAIN(finite),
-    OF_SCALARS(balance),
-    PLAIN(recombine),
     OF_SCALARS(csr_rows),
     OF_SCALARS(csr_rows_transposed),
-    method<Either<&py_csr_subtract<double>, &py_csr_subtract<Complex>, 4>>("csr_subtract"),
     PLAIN(narrow_order),
     OF_SCALARS(band_factor),
     SOLVER(band_solve),
@@ -176,9 +173,14 @@ PyMODINIT_FUNC PyInit__kernels(void)
     if (module &&
         !(type_added<ConstraintPlan>(module, {}) && type_added<LoadPlan>(module, {}) &&
           type_added<OperationList>(module, {}) &&
-          type_added<Model, &py_march, &py_differentiate_steps, &py_pull_back_steps, &py_rest,
-                     &py_solve_stages>(
-              module, {"march", "differentiate_steps", "pull_back_steps", "rest", "solve_stages"})))
+          type_added<Model, &py_march<double, Model>, &py_rest<double, Model>,
+                     &py_solve_stages<double, Model>, &py_differentiate_steps,
+                     &py_pull_back_steps>(
+              module,
+              {"march", "rest", "solve_stages", "differentiate_steps", "pull_back_steps"}) &&
+          type_added<ComplexModel, &py_march<Complex, ComplexModel>,
+                     &py_rest<Complex, ComplexModel>, &py_solve_stages<Complex, ComplexModel>>(
+              module, {"march", "rest", "solve_stages"})))
         Py_CLEAR(module);
     return module;
 }

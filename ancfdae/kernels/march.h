@@ -1,12 +1,11 @@
 /* Steps of HHT-I3 with Newton's method (docs/theory/05-hht-i3.md), for one scalar type.
  *
- * The formulas, and what stops an iteration, are those of `integrators/hht`: `newton.py` says why.
- * A step that is not solved here is left to them, which find out what is wrong with it, so that
- * nothing has to be told but how many steps were taken.
+ * States and residuals have the scalar. Matrices are real and belong to the real part of a state: an
+ * imaginary part is solved for as another column.
  */
 
-/* Settings of Newton's method in steps of HHT-I3, numbers only (`integrators/hht/newton.py`), with
- * the places and weights of the Gauss points of small steps. */
+/* Settings of Newton's method in steps of HHT-I3 (`integrators/hht/newton.py` has their values and
+ * reasons), with the places and weights of the Gauss points of small steps. */
 struct MarchRules {
     double alpha, tolerance, max_iterations, blur, slow, near, ahead, smooth, round_off, jump,
         quiet;
@@ -47,12 +46,24 @@ template <class T> INLINE void csr_times(const Csr<T> *m, const T *x, T *out)
 /* Rows of a table of factors, one table for each step: at its end, at its beginning, at the Gauss
  * points of small steps, and the time derivatives there. */
 enum { AT_END, AT_START, AT_GAUSS, RATE_AT_GAUSS = AT_GAUSS + 3, ALL_INSTANTS = RATE_AT_GAUSS + 3 };
-/* How a march ends: with all steps, or before one that is not solved, that needs factors at Gauss
- * points, whose matrix is indefinite, or that no time is left for. */
-enum { ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME };
+/* How a march ends: with all steps, or before one that needs factors at Gauss points, whose matrix
+ * is indefinite and needs a band, that no time is left for, or that is not solved: since Newton's
+ * method does not converge, a residual is not finite, or a matrix is singular. */
+enum {
+    ALL_TAKEN,
+    NEEDS_GAUSS,
+    INDEFINITE,
+    OUT_OF_TIME,
+    NO_CONVERGENCE,
+    RESIDUAL_NOT_FINITE,
+    MATRIX_SINGULAR
+};
 
-/* Corrections from a guess close to the solution shrink by this factor at least (`_CLOSE`). */
+/* Corrections from a guess close to the solution shrink by this factor at least. */
 #define CLOSE 0.5
+/* Iterations after the real part has settled: the imaginary part lags it by one, and one is for its
+ * round-off. */
+template <class T> constexpr int LAG = std::is_same<T, double>::value ? 0 : 2;
 
 /* A load that moves, and whether it uses velocities. */
 template <class T> struct MovingLoad {
@@ -61,21 +72,23 @@ template <class T> struct MovingLoad {
     int velocity;
 };
 
-/* A system of lists of operations in place of elements, joints and loads. All lists take t, q, v, A,
- * lam and b: Phi_q, Phi, dPhi/dt, Q, M, and f_q with f_v behind it where forces use velocities. */
-enum { OF_JACOBIAN, OF_PLACE, OF_RATE, OF_FORCE, OF_MASS, OF_TANGENTS, MARCH_LISTS };
-
-template <class T> struct Listed {
-    const Operations *of[MARCH_LISTS];
-    const T *constants[MARCH_LISTS], *b;
-    Size n_b;
+/* Matrices that are factorised outside of the core. */
+struct MatrixSolver {
+    virtual ~MatrixSolver() = default;
+    /* Whether a sum of numbers times values, with B, is singular. */
+    virtual bool fails(int terms, const double *numbers, const double *const *values,
+                       const double *B) = 0;
+    /* Rows of solutions for rows of right sides. */
+    virtual void solve(bool transposed, Size rows, const double *right, double *x) = 0;
 };
 
+template <class T> struct Room;
+
 /* A system with its matrices and the settings of Newton's method. `first` is nullptr without an
- * envelope, `Fronts` without these, `flat` without a band; `chosen`, `places` and `signs` belong to
- * the envelope or to the fronts. Factors are those of all loads, `velocity` tells whether forces
- * depend on it; coefficients of joints that are `still` are the same at all
- * instants. */
+ * envelope, `Fronts` without these, `flat` without a band, and so is `solver`; `chosen`, `places`
+ * and `signs` belong to the envelope or to the fronts. Factors are those of all loads, `velocity`
+ * tells whether forces depend on it; coefficients of joints that are `still` are the same at all
+ * instants. A system at complex numbers has its matrices in a plan of their real parts. */
 template <class T> struct Plan {
     Size n_q, n_lam, nnz, n_loads, n_moving, n_factors, n_chosen, half;
     int n_y, d, damped, velocity, still;
@@ -87,27 +100,44 @@ template <class T> struct Plan {
     const int32_t *index, *first, *chosen, *places;
     const int64_t *order, *flat;
     const Fronts *fronts;
-    const Listed<T> *listed; /* nullptr for a scene; its factors are the times */
+    Equations<T> *own; /* nullptr for a scene; else factors are the times */
+    MatrixSolver *solver;
     const T *gravity, *loads;
     const double *weights, *inverse, *signs, *scale, *factors;
-    Gbtrf<T> gbtrf;
-    Gbtrs<T> gbtrs;
+    Gbtrf<double> gbtrf;
+    Gbtrs<double> gbtrs;
     MarchRules rules;
+    const Plan<double> *real;
+    Room<double> *real_room;
 };
 
 /* Room for what an iteration writes. `ahead` holds dq of a small step; coefficients c belong to the
  * end of the step, those in `within` to instants in it, U to vectors of one joint. */
-enum { BY_ENVELOPE, BY_BAND, BY_FRONTS };
+enum { BY_ENVELOPE, BY_BAND, BY_FRONTS, BY_SOLVER };
 
 template <class T> struct Room {
     T *q_p, *dq_p, *v_p, *q, *v, *A, *a, *lam, *U, *B, *Q, *inner, *reaction, *ahead, *start;
     T *Phi, *rate, *defect, *R, *x, *force, *f_q, *f_v, *sum, *matrix, *work;
-    T *at_end, *within, *of_load, *numbers, *mass;
+    T *at_end, *within, *of_load, *mass, *turned;
     const T *c[1];
-    double *least, of_B;
+    double *least, *time_factors, *columns, of_B;
     FrontRoom in_fronts;
-    int *pivots, B_known, factored; /* How: by an envelope, by a band or by fronts. */
+    int *pivots, B_known, factored; /* How: by an envelope, a band, fronts or a solver. */
+    int exchanging;                 /* Whether fronts have failed in this step. */
     Size counts[3];                 /* iterations, factorisations, steps that round-off disturbs */
+};
+
+/* How a step is to be solved: from a guess, or from one made here where a is nullptr; corrections
+ * shrink by the factor `allowed` at least. */
+template <class T> struct Attempt {
+    const T *a, *lam;
+    double tolerance, allowed, iterations;
+};
+
+/* What is told of an attempt: the size of the motion, of the last correction relative to it, and
+ * the slowest rate at which corrections above round-off shrank. */
+struct Ending {
+    double motion, size, slowest;
 };
 
 /* The state before a step. */
@@ -124,40 +154,19 @@ template <class T> INLINE double size_of(Size n, const T *x, const double *weigh
     return sqrt(sum);
 }
 
-/* Outputs of a list at a state, of which it reads what is given. */
-template <class T>
-void listed_at(const Plan<T> *p, Room<T> *r, int which, T t, const T *q, const T *v, const T *A,
-               const T *lam, T *out, Size count)
-{
-    const Listed<T> *s = p->listed;
-    const Operations *of = s->of[which];
-    const T *parts[] = {&t, q, v, A, lam, s->b, s->constants[which]};
-    Size sizes[] = {1, p->n_q, p->n_q, p->n_q, p->n_lam, s->n_b, of->n_constants};
-    T *to = r->numbers;
-    for (int i = 0; i < 7; to += sizes[i++])
-        if (parts[i])
-            memcpy(to, parts[i], (size_t)sizes[i] * sizeof(T));
-    list_evaluated<T>(of, 1, r->numbers);
-    for (Size i = 0; i < count; i++)
-        out[i] = r->numbers[of->outputs[i]];
-}
-
-/* M, which moves in a system of lists. */
+/* M, which moves in a system of one's own. */
 template <class T> void mass_at(const Plan<T> *p, Room<T> *r, const T *q)
 {
-    if (p->listed)
-        listed_at<T>(p, r, OF_MASS, 0, q, nullptr, nullptr, nullptr, r->mass, p->nnz);
+    if (p->own)
+        p->own->mass(q, r->mass);
 }
 
 /* Phi_q on its pattern. */
 template <class T> void jacobian_at(const Plan<T> *p, Room<T> *r, const T *const *c, const T *q)
 {
     const T *X[] = {q};
-    if (p->listed) {
-        listed_at<T>(p, r, OF_JACOBIAN, *c[0], q, nullptr, nullptr, nullptr, r->B,
-                     p->constraints->n_values);
-        return;
-    }
+    if (p->own)
+        return p->own->jacobian(*c[0], q, r->B);
     if (r->B_known)
         return;
     memset(r->B, 0, (size_t)p->constraints->n_values * sizeof(T));
@@ -170,22 +179,20 @@ template <class T>
 void constraint_at(const Plan<T> *p, Room<T> *r, const T *const *c, const T *q, const T *v, T *Phi)
 {
     const T *X[] = {q, v};
-    if (p->listed) {
-        listed_at<T>(p, r, v ? OF_RATE : OF_PLACE, *c[0], q, v, nullptr, nullptr, Phi, p->n_lam);
-        return;
-    }
+    if (p->own)
+        return p->own->constraint(*c[0], q, v, Phi);
     memset(Phi, 0, (size_t)p->n_lam * sizeof(T));
     constraints<T>(p->constraints, p->numbers.l, RATE, v ? 1 : 0, c, X, nullptr, r->U, Phi);
 }
 
 /* Coefficients from a row of factors, and their rates from the third row on where asked for. */
 template <class T>
-void at_instant(const Plan<T> *p, Room<T> *r, const double *factors, int instant, int rates,
+void at_instant(const Plan<T> *p, Room<T> *r, const T *factors, int instant, int rates,
                 const T **c)
 {
-    c[0] = p->listed ? factors + instant : p->numbers.part_0;
+    c[0] = p->own ? factors + instant : p->numbers.part_0;
     c[rates] = rates ? nullptr : c[0];
-    if (p->listed)
+    if (p->own)
         return;
     if (!p->still)
         coefficients<T>(p->constraints, &p->numbers, rates, 0, RATE_AT_GAUSS - AT_GAUSS,
@@ -200,12 +207,10 @@ template <class T> void reaction_of(const Plan<T> *p, const Room<T> *r, const T 
 }
 
 template <class T>
-void force_at(const Plan<T> *p, Room<T> *r, const double *factors, const T *q, const T *v)
+void force_at(const Plan<T> *p, Room<T> *r, const T *factors, const T *q, const T *v)
 {
-    if (p->listed) {
-        listed_at<T>(p, r, OF_FORCE, factors[0], q, v, nullptr, nullptr, r->Q, p->n_q);
-        return;
-    }
+    if (p->own)
+        return p->own->force(factors[0], q, v, r->Q);
     memset(r->inner, 0, (size_t)p->n_q * sizeof(T));
     forces<T>(p->n_y, p->d, &p->block, q, p->damped ? v : nullptr, r->inner);
     for (Size i = 0; i < p->n_q; i++)
@@ -220,7 +225,7 @@ void force_at(const Plan<T> *p, Room<T> *r, const double *factors, const T *q, c
 
 /* Phi = defect + its integral over a small step along dq. */
 template <class T>
-void constraint_over(const Plan<T> *p, Room<T> *r, double h, const double *factors, const T *q,
+void constraint_over(const Plan<T> *p, Room<T> *r, double h, const T *factors, const T *q,
                      const T *dq, T *Phi)
 {
     const T *c[2];
@@ -246,8 +251,8 @@ template <class T> double motion_of(const Plan<T> *p, const Room<T> *r, const T 
 }
 
 template <class T>
-double motion_before(const Plan<T> *p, Room<T> *r, const Before<T> *b, const double *of_joints,
-                     const double *of_loads)
+double motion_before(const Plan<T> *p, Room<T> *r, const Before<T> *b, const T *of_joints,
+                     const T *of_loads)
 {
     if (b->motion < INFINITY)
         return b->motion;
@@ -298,7 +303,7 @@ template <class T> void look_ahead(const Plan<T> *p, Room<T> *r, const Before<T>
 /* The residual of eqs. (4) and (5) at a and lam; whether it is finite. */
 template <class T>
 int residual_at(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Before<T> *b,
-                const double *of_joints, const double *of_loads, int small)
+                const T *of_joints, const T *of_loads, int small)
 {
     T sum = 0, *R = r->R;
     state_of<T>(p, r, c, b->A, r->a, r->q, r->v, r->A);
@@ -326,10 +331,9 @@ int residual_at(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const B
     return sum == 0;
 }
 
-/* Factorise eq. (6) in a band, from values as below: 0 or NOT_SOLVED. */
-template <class T>
-int banded_sum(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const T *f_q, const T *f_v,
-               const T *B)
+/* Factorise eq. (6) in a band, from values as below: whether it is singular. */
+int banded_sum(const Plan<double> *p, Room<double> *r, const StepCoefficients *c,
+               const double *f_q, const double *f_v, const double *B)
 {
     Size n = p->n_q + p->n_lam, n_B = p->constraints->n_values;
     for (Size i = 0; i < p->nnz; i++)
@@ -337,119 +341,206 @@ int banded_sum(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const T 
     for (Size i = 0; f_v && i < p->nnz; i++)
         r->sum[i] += c->in_v * f_v[i];
     r->factored = BY_BAND;
-    memset(r->matrix, 0, (size_t)n * (3 * (size_t)p->half + 1) * sizeof(T));
-    return band_factor<T>(p->gbtrf, (int)n, (int)p->half, p->nnz, n_B, r->sum, B, p->factors,
-                          p->flat, r->matrix, r->pivots, &r->of_B)
-               ? NOT_SOLVED
-               : 0;
+    memset(r->matrix, 0, (size_t)n * (3 * (size_t)p->half + 1) * sizeof(double));
+    return band_factor<double>(p->gbtrf, (int)n, (int)p->half, p->nnz, n_B, r->sum, B, p->factors,
+                               p->flat, r->matrix, r->pivots, &r->of_B) != 0;
 }
 
-/* Factorise eq. (6) by fronts, from values as below: 0 or NOT_SOLVED. */
-template <class T>
-int sum_in_fronts(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const T *f_q, const T *B)
+/* Write the lower triangle of eq. (6) without f_v to places of an envelope or of fronts. */
+void placed_sum(const Plan<double> *p, const StepCoefficients *c, const double *f_q,
+                const double *B, double *to)
 {
-    FrontRoom *x = &r->in_fronts;
-    memset(x->a, 0, (size_t)p->fronts->column_at[p->fronts->n] * sizeof *x->a);
-    ldl_placed<T>(p->n_chosen, p->chosen, p->places, c->in_A, p->K.values, x->a);
-    ldl_placed<T>(p->n_chosen, p->chosen, p->places, c->in_q, f_q, x->a);
-    ldl_placed<T>(p->constraints->n_values, nullptr, p->places + p->n_chosen, 1, B, x->a);
-    r->factored = BY_FRONTS;
-    return fronts_factored(p->fronts, x, r->matrix) ? NOT_SOLVED : 0;
+    ldl_placed<double>(p->n_chosen, p->chosen, p->places, c->in_A, p->K.values, to);
+    ldl_placed<double>(p->n_chosen, p->chosen, p->places, c->in_q, f_q, to);
+    ldl_placed<double>(p->constraints->n_values, nullptr, p->places + p->n_chosen, 1, B, to);
 }
 
-/* Factorise eq. (6) from values of f_q, f_v, nullptr where there is none, and Phi_q: 0, NOT_SOLVED, or
- * INDEFINITE. */
-template <class T>
-int factor_sum(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const T *f_q, const T *f_v,
-               const T *B)
+/* Factorise eq. (6) as below, but not in an envelope. */
+int factor_sum_out_of_envelope(const Plan<double> *p, Room<double> *r, const StepCoefficients *c,
+                               const double *f_q, const double *f_v, const double *B)
 {
-    Size n = p->n_q + p->n_lam, n_B = p->constraints->n_values;
+    Size n = p->n_q + p->n_lam;
+    if (p->fronts && !f_v && !r->exchanging) {
+        memset(r->in_fronts.a, 0, (size_t)p->fronts->column_at[n] * sizeof(double));
+        placed_sum(p, c, f_q, B, r->in_fronts.a);
+        r->factored = BY_FRONTS;
+        if (!fronts_factored(p->fronts, &r->in_fronts, r->matrix))
+            return 0;
+    }
+    r->factored = BY_SOLVER;
+    if (p->solver) {
+        const double numbers[] = {c->in_A, c->in_q, c->in_v};
+        const double *const values[] = {p->K.values, f_q, f_v};
+        return p->solver->fails(f_v ? 3 : 2, numbers, values, B) ? MATRIX_SINGULAR : 0;
+    }
+    if (!p->flat)
+        return INDEFINITE;
+    return banded_sum(p, r, c, f_q, f_v, B) ? MATRIX_SINGULAR : 0;
+}
+
+/* Factorise eq. (6) from values of f_q, f_v, nullptr where there is none, and Phi_q: 0, INDEFINITE
+ * or MATRIX_SINGULAR. */
+int factor_sum(const Plan<double> *p, Room<double> *r, const StepCoefficients *c,
+               const double *f_q, const double *f_v, const double *B)
+{
+    Size n = p->n_q + p->n_lam;
     if (p->first && !f_v) {
-        memset(r->matrix, 0, (size_t)p->first[n] * sizeof(T));
-        ldl_placed<T>(p->n_chosen, p->chosen, p->places, c->in_A, p->K.values, r->matrix);
-        ldl_placed<T>(p->n_chosen, p->chosen, p->places, c->in_q, f_q, r->matrix);
-        ldl_placed<T>(n_B, nullptr, p->places + p->n_chosen, 1, B, r->matrix);
-        if (ldl_factor<T>(n, p->first, p->signs, r->matrix, r->least) == 0)
+        memset(r->matrix, 0, (size_t)p->first[n] * sizeof(double));
+        placed_sum(p, c, f_q, B, r->matrix);
+        if (ldl_factor<double>(n, p->first, p->signs, r->matrix, r->least) == 0)
             return r->factored = BY_ENVELOPE;
     }
-    if (p->fronts)
-        return f_v ? NOT_SOLVED : sum_in_fronts<T>(p, r, c, f_q, B);
-    return p->flat ? banded_sum<T>(p, r, c, f_q, f_v, B) : INDEFINITE;
+    return factor_sum_out_of_envelope(p, r, c, f_q, f_v, B);
 }
 
 /* Subtract Q_q, or Q_v, of loads that move. */
-template <class T>
-void load_tangents(const Plan<T> *p, Room<T> *r, const double *factors, int velocity, T *values)
+void load_tangents(const Plan<double> *p, Room<double> *r, const double *factors, int velocity,
+                   double *values)
 {
     for (Size k = 0; k < p->n_moving; k++)
         if (!velocity || p->moving[k].velocity)
-            load_tangent<T>(p->moving[k].plan, &p->moving[k].numbers, -factors[p->n_loads + k],
-                            r->q, r->v, velocity, r->of_load, values);
+            load_tangent<double>(p->moving[k].plan, &p->moving[k].numbers,
+                                 -factors[p->n_loads + k], r->q, r->v, velocity, r->of_load,
+                                 values);
 }
 
 /* Values of f_q and f_v at the state as it stands, from a row of factors of loads. */
-template <class T> void linearised(const Plan<T> *p, Room<T> *r, const double *factors)
+void linearised(const Plan<double> *p, Room<double> *r, const double *factors)
 {
-    const T *v = p->damped ? r->v : nullptr;
-    if (p->listed) {
-        /* f_v stands behind f_q. */
-        listed_at<T>(p, r, OF_TANGENTS, factors[0], r->q, r->v, r->A, r->lam, r->f_q,
-                     p->velocity ? 2 * p->nnz : p->nnz);
-        mass_at<T>(p, r, r->q);
-        return;
+    const double *v = p->damped ? r->v : nullptr;
+    if (p->own) {
+        p->own->tangents(factors[0], r->q, r->v, r->A, r->lam, r->f_q, r->f_v);
+        return mass_at<double>(p, r, r->q);
     }
-    memset(r->f_q, 0, (size_t)p->nnz * sizeof(T));
-    tangents<T>(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->f_q);
-    constraint_curvature<T>(p->constraints, p->numbers.l, r->c[0], r->lam, r->f_q);
-    load_tangents<T>(p, r, factors, 0, r->f_q);
+    memset(r->f_q, 0, (size_t)p->nnz * sizeof(double));
+    tangents<double>(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->f_q);
+    constraint_curvature<double>(p->constraints, p->numbers.l, r->c[0], r->lam, r->f_q);
+    load_tangents(p, r, factors, 0, r->f_q);
     if (!p->velocity)
         return;
-    memset(r->f_v, 0, (size_t)p->nnz * sizeof(T));
+    memset(r->f_v, 0, (size_t)p->nnz * sizeof(double));
     if (p->damped)
-        tangents<T>(p->n_y, p->d, &p->block, r->q, nullptr, 1, p->index, p->nnz, r->f_v);
-    load_tangents<T>(p, r, factors, 1, r->f_v);
+        tangents<double>(p->n_y, p->d, &p->block, r->q, nullptr, 1, p->index, p->nnz, r->f_v);
+    load_tangents(p, r, factors, 1, r->f_v);
 }
 
-/* Factorise eq. (6) at the state as it stands. */
-template <class T>
-int factorised(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const double *of_loads)
+/* Factorise eq. (6) at the state as it stands, from a row of factors of loads. */
+int factorised(const Plan<double> *p, Room<double> *r, const StepCoefficients *c,
+               const double *of_loads)
 {
-    r->counts[1]++;
-    linearised<T>(p, r, of_loads + AT_END * p->n_factors);
-    return factor_sum<T>(p, r, c, r->f_q, p->velocity ? r->f_v : nullptr, r->B);
+    linearised(p, r, of_loads);
+    return factor_sum(p, r, c, r->f_q, p->velocity ? r->f_v : nullptr, r->B);
 }
 
 /* Scale of an unknown of the band. */
-template <class T> INLINE double band_scale(const Plan<T> *p, const Room<T> *r, int64_t i)
+INLINE double band_scale(const Plan<double> *p, const Room<double> *r, int64_t i)
 {
     return i < p->n_q ? p->scale[i] : r->of_B * p->scale[i];
 }
 
-/* x = J^-1 right, or its transpose, for rows, by fronts with a residual `enough`: 0, or NOT_SOLVED
- * where refinement does not converge. */
-template <class T>
-int solve_rows(const Plan<T> *p, Room<T> *r, char how, double enough, Size rows, const T *right,
-               T *x)
+/* x = J^-1 right, or its transpose, for rows, by fronts with a residual `enough`: whether refinement
+ * does not converge there. */
+int solve_rows(const Plan<double> *p, Room<double> *r, char how, double enough, Size rows,
+               const double *right, double *x)
 {
     Size n = p->n_q + p->n_lam;
     if (r->factored == BY_FRONTS)
         return fronts_solve(enough, p->fronts, r->in_fronts.a, r->matrix, p->order,
                             r->in_fronts.scale, rows, 1, right, r->work,
-                            x) <= fmax(enough, UNREFINED)
-                   ? 0
-                   : NOT_SOLVED;
-    if (r->factored == BY_ENVELOPE) {
-        ldl_solve<T>(n, p->first, r->matrix, p->order, rows, 1, right, r->work, x);
-        return 0;
-    }
-    for (; rows > 0; rows--, right += n, x += n) {
+                            x) > fmax(enough, UNREFINED);
+    if (r->factored == BY_SOLVER)
+        p->solver->solve(how == 'T', rows, right, x);
+    if (r->factored == BY_ENVELOPE)
+        ldl_solve<double>(n, p->first, r->matrix, p->order, rows, 1, right, r->work, x);
+    for (; r->factored == BY_BAND && rows > 0; rows--, right += n, x += n) {
         for (Size i = 0; i < n; i++)
-            r->work[i] = band_scale<T>(p, r, p->order[i]) * right[p->order[i]];
-        band_solve<T>(p->gbtrs, how, (int)n, (int)p->half, 1, r->matrix, r->pivots, r->work);
+            r->work[i] = band_scale(p, r, p->order[i]) * right[p->order[i]];
+        band_solve<double>(p->gbtrs, how, (int)n, (int)p->half, 1, r->matrix, r->pivots, r->work);
         for (Size i = 0; i < n; i++)
-            x[p->order[i]] = band_scale<T>(p, r, p->order[i]) * r->work[i];
+            x[p->order[i]] = band_scale(p, r, p->order[i]) * r->work[i];
     }
     return 0;
+}
+
+/* The same; where fronts do not refine a solution the matrix of the values as they stand is
+ * factorised with exchanges: 0, or as `factor_sum`. */
+int solved_rows(const Plan<double> *p, Room<double> *r, const StepCoefficients *c, char how,
+                double enough, Size rows, const double *right, double *x)
+{
+    if (!solve_rows(p, r, how, enough, rows, right, x))
+        return 0;
+    r->exchanging = 1;
+    int failed = factor_sum(p, r, c, r->f_q, p->velocity ? r->f_v : nullptr, r->B);
+    if (!failed)
+        solve_rows(p, r, how, enough, rows, right, x);
+    return failed;
+}
+
+/* The real part of a state as it stands, with the plan and the row of factors of loads for it. */
+struct RealState {
+    const Plan<double> *plan;
+    Room<double> *room;
+    const double *of_loads;
+};
+
+RealState real_state(const Plan<double> *p, Room<double> *r, const double *of_loads)
+{
+    return {p, r, of_loads};
+}
+
+RealState real_state(const Plan<Complex> *p, const Room<Complex> *from, const Complex *of_loads)
+{
+    Room<double> *r = p->real_room;
+    const std::tuple<Size, const Complex *, double *> all[] = {
+        {p->n_q, from->q, r->q},
+        {p->n_q, from->v, r->v},
+        {p->n_q, from->A, r->A},
+        {p->n_lam, from->lam, r->lam},
+        {p->constraints->n_values, from->B, r->B},
+        {p->constraints->n_c, from->c[0], r->at_end},
+        {p->n_factors, of_loads, r->time_factors}};
+    for (auto &[size, x, to] : all)
+        for (Size i = 0; x && i < size; i++)
+            to[i] = x[i].re;
+    r->c[0] = from->c[0] ? r->at_end : nullptr;
+    return {p->real, r, r->time_factors};
+}
+
+const Plan<double> *real_plan(const Plan<double> *p) { return p; }
+const Plan<double> *real_plan(const Plan<Complex> *p) { return p->real; }
+Room<double> *real_room(const Plan<double> *, Room<double> *r) { return r; }
+Room<double> *real_room(const Plan<Complex> *p, Room<Complex> *) { return p->real_room; }
+
+/* Rows of the parts of a number: its real part, and its imaginary one if it has any. */
+template <class T> constexpr Size PARTS = sizeof(T) / sizeof(double);
+
+template <class T> void parted(Size n, const T *x, double *to)
+{
+    for (Size part = 0; part < PARTS<T>; part++)
+        for (Size i = 0; i < n; i++)
+            to[part * n + i] = part ? imaginary_part(x[i]) : real_part(x[i]);
+}
+
+double joined(const double *x, Size, double) { return *x; }
+Complex joined(const double *x, Size n, Complex) { return {x[0], x[n]}; }
+
+/* r->x = J^-1 r->R, with J at the real part of the state as it stands where it is to be `fresh`:
+ * 0, or as `factor_sum`. */
+template <class T>
+int corrected(const Plan<T> *of, Room<T> *from, const StepCoefficients *c, const T *of_loads,
+              int fresh)
+{
+    auto [p, r, loads] = real_state(of, from, of_loads);
+    Size n = p->n_q + p->n_lam;
+    double *right = r->columns, *x = right + 2 * n;
+    from->counts[1] += fresh;
+    int failed = fresh ? factorised(p, r, c, loads) : 0;
+    parted<T>(n, from->R, right);
+    if (!failed)
+        failed = solved_rows(p, r, c, 'N', ENOUGH, PARTS<T>, right, x);
+    for (Size i = 0; i < n; i++)
+        from->x[i] = joined(x + i, n, T(0));
+    return failed;
 }
 
 /* Whether round-off of elastic forces leaves less than seven digits of the motion. */
@@ -461,50 +552,40 @@ template <class T> int blurred(const Plan<T> *p, Room<T> *r)
     return size_of<T>(p->n_q, r->force, p->inverse) < p->rules.blur;
 }
 
-/* The residual at the guess a, or where that is far from balance at the state before the step, as
- * `_from_rest` in `newton.py`; `close` tells whether corrections must shrink quickly then. */
-template <class T>
-int residual_at_guess(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Before<T> *b,
-                      const double *of_joints, const double *of_loads, int small, double motion,
-                      int *close)
+/* How far forces are from balance. */
+template <class T> double unbalanced(const Plan<T> *p, const Room<T> *r)
 {
-    int finite = residual_at<T>(p, r, c, b, of_joints, of_loads, small);
-    double unbalanced = size_of<T>(p->n_q, r->R, p->inverse);
-    *close = !(unbalanced <= p->rules.jump * motion);
-    if (!*close)
-        return finite;
-    for (Size i = 0; i < p->n_q; i++)
-        r->a[i] = -r->dq_p[i] / c->in_q;
-    finite = residual_at<T>(p, r, c, b, of_joints, of_loads, small);
-    *close = !(size_of<T>(p->n_q, r->R, p->inverse) > p->rules.smooth * unbalanced);
-    if (*close)
-        return finite;
-    look_ahead<T>(p, r, b, motion);
-    return residual_at<T>(p, r, c, b, of_joints, of_loads, small);
+    return size_of<T>(p->n_q, r->R, p->inverse);
 }
 
-/* Newton's method for one step; the solution stands in a and lam. */
+/* Newton's method for one step from the guess in a and lam, where the solution stands then; whether
+ * the residual there is finite comes with it.
+ *
+ * The matrix evaluated at the predictor is kept while corrections shrink quickly (measured at 1e-14:
+ * 2 iterations a step; 5 with the matrix of the previous step, 3 if that is reused once only). */
 template <class T>
 int iterated(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Before<T> *b,
-             const double *of_joints, const double *of_loads, int small, double motion_before,
-             double *motion_after)
+             const T *of_joints, const T *of_loads, int small, double motion_before, int finite,
+             const Attempt<T> *how, Ending *ending)
 {
-    double last = INFINITY;
-    double motion = motion_before > DBL_MIN ? p->rules.jump * motion_before : INFINITY;
-    int fresh = 1, close = 0;
-    for (Size i = 0; i < p->rules.max_iterations; i++) {
+    const MarchRules *rules = &p->rules;
+    double last = INFINITY, tolerance = how->tolerance;
+    double motion = motion_before > DBL_MIN ? rules->jump * motion_before : INFINITY;
+    int fresh = 1, settled = 0, lag = tolerance == rules->tolerance ? LAG<T> : 0;
+    ending->size = INFINITY, ending->slowest = 0;
+    for (Size i = 0; i < how->iterations + lag; i++) {
         r->counts[0]++;
-        if (!(i ? residual_at<T>(p, r, c, b, of_joints, of_loads, small)
-                : residual_at_guess<T>(p, r, c, b, of_joints, of_loads, small, motion_before,
-                                       &close)))
-            return NOT_SOLVED;
-        int failed = fresh ? factorised<T>(p, r, c, of_loads) : 0;
-        if (failed || (failed = solve_rows<T>(p, r, 'N', ENOUGH, 1, r->R, r->x)))
+        if (!(i ? residual_at<T>(p, r, c, b, of_joints, of_loads, small) : finite))
+            return RESIDUAL_NOT_FINITE;
+        int failed = corrected(p, r, c, of_loads + AT_END * p->n_factors, fresh);
+        if (failed)
             return failed;
         for (Size k = 0; k < p->n_q; k++)
             r->a[k] -= r->x[k];
         for (Size k = 0; k < p->n_lam; k++)
             r->lam[k] -= r->x[p->n_q + k];
+        /* A diverging iterate has huge forces; measured against those any correction looks small.
+         * So the smallest motion met counts. */
         double now = motion_of<T>(p, r, r->a);
         motion = now < motion ? now : motion;
         reaction_of<T>(p, r, r->x + p->n_q, r->force);
@@ -512,30 +593,80 @@ int iterated(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befo
             (size_of<T>(p->n_q, r->x, p->weights) + size_of<T>(p->n_q, r->force, p->inverse)) /
             motion;
         double rate = last > 0 && last < INFINITY ? fmin(size / last, 1) : size > 0;
-        if (close && last < INFINITY && size > p->rules.round_off && rate > CLOSE)
-            return NOT_SOLVED;
-        int stuck = fresh && rate > 0.5 && size <= p->rules.round_off &&
-                    size_of<T>(p->n_q, r->R, p->inverse) <= p->rules.round_off * now;
-        double left = size * (fresh ? fmin(1, rate * rate) : rate / fmax(1 - rate, 1e-3));
-        if (stuck || left <= p->rules.tolerance || size <= p->rules.tolerance) {
-            r->counts[2] += stuck || blurred<T>(p, r);
-            *motion_after = now;
-            return 0;
+        ending->size = size;
+        if (last < INFINITY && size > rules->round_off) {
+            ending->slowest = fmax(ending->slowest, rate);
+            if (rate > how->allowed)
+                return NO_CONVERGENCE;
         }
-        if (last < INFINITY)
-            fresh = rate > p->rules.slow ||
-                    (size < p->rules.near && size * (rate * rate * rate) > p->rules.tolerance);
+        /* Corrections of a fresh matrix are round-off; of stiff bodies far from balance corrections
+         * are small too, and forces must balance. */
+        int stuck = fresh && rate > 0.5 && size <= rules->round_off &&
+                    unbalanced<T>(p, r) <= rules->round_off * now;
+        /* Quadratic convergence squares the rate again. */
+        double left = size * (fresh ? fmin(1, rate * rate) : rate / fmax(1 - rate, 1e-3));
+        if (settled || stuck || left <= tolerance || size <= tolerance) {
+            if (settled++ == 0)
+                r->counts[2] += stuck || blurred<T>(p, r);
+            ending->motion = now;
+            if (settled > lag)
+                return 0;
+            fresh = settled == 1; /* The matrix of the solution serves the imaginary part. */
+        } else if (last < INFINITY)
+            fresh = rate > rules->slow ||
+                    (size < rules->near && size * (rate * rate * rate) > tolerance);
         else
-            fresh = size > p->rules.slow;
+            fresh = size > rules->slow || how->allowed < INFINITY;
         last = size;
     }
-    return NOT_SOLVED;
+    return NO_CONVERGENCE;
+}
+
+/* The same from the guess that is asked for, or a step ahead. Where that is far from balance it is
+ * tried from the state before the step first.
+ *
+ * A wave far faster than the steps (omega h >> 1) has accelerations omega^2 u, and the line through
+ * them leads (omega h)^2/2 times its amplitude u away: sections are turned inside out there, and
+ * Newton's method finds the solution that they have so. Where corrections from the state before do
+ * not shrink quickly from the first one on, the solution that they lead to may be another one. */
+template <class T>
+int guessed(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Before<T> *b,
+            const T *of_joints, const T *of_loads, int small, double motion,
+            const Attempt<T> *how, Ending *ending)
+{
+    auto residual = [&] { return residual_at<T>(p, r, c, b, of_joints, of_loads, small); };
+    auto solved = [&](int finite, const Attempt<T> *way) {
+        return iterated<T>(p, r, c, b, of_joints, of_loads, small, motion, finite, way, ending);
+    };
+    if (how->a) {
+        memcpy(r->a, how->a, (size_t)p->n_q * sizeof(T));
+        memcpy(r->lam, how->lam, (size_t)p->n_lam * sizeof(T));
+        return solved(residual(), how);
+    }
+    look_ahead<T>(p, r, b, motion);
+    int finite = residual();
+    double ahead = unbalanced<T>(p, r);
+    if (ahead <= p->rules.jump * motion)
+        return solved(finite, how);
+    for (Size i = 0; i < p->n_q; i++)
+        r->a[i] = -r->dq_p[i] / c->in_q;
+    finite = residual();
+    if (!(unbalanced<T>(p, r) > p->rules.smooth * ahead)) { /* Else a load has grown. */
+        const Attempt<T> close = {nullptr, nullptr, p->rules.tolerance, CLOSE,
+                                  p->rules.max_iterations};
+        int failed = solved(finite, &close);
+        if (!failed || failed == INDEFINITE)
+            return failed;
+    }
+    look_ahead<T>(p, r, b, motion);
+    return solved(residual(), how);
 }
 
 /* One step from b; of the state after it a stays in the room. */
 template <class T>
 int stepped(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Before<T> *b,
-            const double *of_joints, Size instants, const double *of_loads, double *motion_after)
+            const T *of_joints, Size instants, const T *of_loads, const Attempt<T> *how,
+            Ending *ending)
 {
     double motion = motion_before<T>(p, r, b, of_joints, of_loads);
     double noise = DBL_EPSILON * size_of<T>(p->n_q, b->q, p->weights);
@@ -543,8 +674,8 @@ int stepped(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befor
     int small = p->n_lam && !(noise <= allowed);
     if (small && instants < ALL_INSTANTS)
         return NEEDS_GAUSS;
+    real_room(p, r)->exchanging = 0;
     predict<T>(p, r, c, b);
-    look_ahead<T>(p, r, b, motion);
     if (small) {
         const T *at_start[1];
         at_instant<T>(p, r, of_joints, AT_START, 0, at_start);
@@ -552,26 +683,27 @@ int stepped(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befor
         for (Size i = 0; i < p->n_lam; i++)
             r->defect[i] *= allowed / noise;
     }
-    r->c[0] = p->listed ? of_joints + AT_END : p->numbers.part_0;
-    if (!p->still && !p->listed)
+    r->c[0] = p->own ? of_joints + AT_END : p->numbers.part_0;
+    if (!p->still && !p->own)
         coefficients<T>(p->constraints, &p->numbers, 0, 0, 1,
                         of_joints + AT_END * p->constraints->n_parts, r->at_end, r->c);
-    return iterated<T>(p, r, c, b, of_joints, of_loads, small, motion, motion_after);
+    return guessed<T>(p, r, c, b, of_joints, of_loads, small, motion, how, ending);
 }
 
 /* As many of k steps of sizes h as can be taken until the clock says so; the states after them are
  * rows of q, v, A and lam. Tables of factors have `instants` rows of joints, two of loads, or are
- * empty. `ends` tells why no more are taken; what stands in b belongs to the last state then. */
+ * empty. `ends` tells why no more are taken; what stands in b belongs to the last state then. What a
+ * step alone costs counts even where it is not solved. */
 template <class T>
 Size marched(const Plan<T> *p, Room<T> *r, Before<T> *b, Size k, const double *h, Size instants,
-             const double *of_joints, const double *of_loads, double until, T *const out[4], T *a,
-             int *ends)
+             const T *of_joints, const T *of_loads, double until, const Attempt<T> *how,
+             T *const out[4], T *a, int *ends, Ending *ending)
 {
     Size sizes[] = {p->n_q, p->n_q, p->n_q, p->n_lam}, n_q = p->n_q;
     for (Size n = 0; n < k; n++) {
         StepCoefficients c = coefficients_of_step(h[n], p->rules.alpha);
         Size counts[3];
-        double motion = 0, ratio = n ? h[n] / h[n - 1] : 1;
+        double ratio = n ? h[n] / h[n - 1] : 1;
         if (n && seconds_now() > until)
             return *ends = OUT_OF_TIME, n;
         Before<T> begin = *b;
@@ -582,9 +714,10 @@ Size marched(const Plan<T> *p, Room<T> *r, Before<T> *b, Size k, const double *h
         }
         memcpy(counts, r->counts, sizeof counts);
         *ends = stepped<T>(p, r, &c, &begin, of_joints + n * instants * p->constraints->n_parts,
-                           instants, of_loads + n * 2 * p->n_factors, &motion);
+                           instants, of_loads + n * 2 * p->n_factors, how, ending);
         if (*ends) {
-            memcpy(r->counts, counts, sizeof counts);
+            if (k > 1 || *ends < NO_CONVERGENCE)
+                memcpy(r->counts, counts, sizeof counts);
             return n;
         }
         T *row[4];
@@ -593,7 +726,7 @@ Size marched(const Plan<T> *p, Room<T> *r, Before<T> *b, Size k, const double *h
         state_of<T>(p, r, &c, b->A, r->a, row[0], row[1], row[2]);
         memcpy(row[3], r->lam, (size_t)p->n_lam * sizeof(T));
         memcpy(a, r->a, (size_t)n_q * sizeof(T));
-        Before<T> after = {row[0], row[1], a, row[3], row[2], motion};
+        Before<T> after = {row[0], row[1], a, row[3], row[2], ending->motion};
         *b = after;
     }
     *ends = ALL_TAKEN;

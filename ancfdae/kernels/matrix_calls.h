@@ -56,21 +56,6 @@ Ref py_add_scaled(Ref x, Ref s, Ref y)
     return Ref(out.release());
 }
 
-/* inertia + reaction - force, and behind it s times the constraint. */
-template <class T>
-Array<T> py_balance(Array<T, 1> inertia, Array<T, 1> reaction, Array<T, 1> force,
-                    Array<T, 1> constraint, double s)
-{
-    Size n = inertia.size;
-    must(reaction.size == n && force.size == n, "forces must have one size");
-    auto out = zeros<T>({n + constraint.size});
-    for (Size i = 0; i < n; i++)
-        out.data[i] = inertia.data[i] + reaction.data[i] - force.data[i];
-    for (Size i = 0; i < constraint.size; i++)
-        out.data[n + i] = s * constraint.data[i];
-    return out;
-}
-
 bool py_finite(Parts x)
 {
     Size size = x.size * x.stride, i = 0;
@@ -84,18 +69,6 @@ bool py_finite(Parts x)
     for (int k = 1; k < 8; k++)
         sum[0] += sum[k];
     return sum[0] == 0;
-}
-
-/* Rows of a matrix times z: three of them to `after`, and three to `ahead`. */
-void py_recombine(Array<double, 2> matrix, InPlace<double> z, InPlace<double> after,
-                  InPlace<double> ahead)
-{
-    Size size = z.size / 4;
-    must(matrix.has({6, 4}) && z.axes > 0 && z.length(0) == 4 && after.axes > 0 &&
-             after.length(0) == 3 && after.size == 3 * size && ahead.axes > 0 &&
-             ahead.length(0) == 3 && ahead.size == 3 * size,
-         "there must be a matrix of 6 x 4, four rows in place and twice three");
-    recombined(matrix.data, z.data, size, after.data, ahead.data);
 }
 
 /* ---- sparse rows ---------------------------------------------------------------------------- */
@@ -143,19 +116,6 @@ Array<T> py_csr_rows_transposed(Indices first, Indices columns, Array<T, 1> valu
     auto out = zeros_like<T>(x, 1, {size});
     csr_added<T>(first, columns, values, x, true, 1, size, out.data);
     return out;
-}
-
-/* Takes M x, or M^T x, from rows of out, in place, at the numbers from the offset on. */
-template <class T>
-void py_csr_subtract(Indices first, Indices columns, Array<T, 1> values, Array<T, 1> x,
-                     InPlace<T> out, Size offset, bool transposed)
-{
-    Size width = out.axes > 0 ? out.length(-1) : 0, left = width - offset, n = first.size - 1;
-    must(out.axes > 0 && out.rows(1) == x.rows(1) && left >= 0 &&
-             (transposed ? x.length(-1) == n : left >= n),
-         "out must be rows of the type of the product, one for each of x");
-    check_csr(first, columns, values.size, transposed ? left : x.length(-1));
-    csr_added<T>(first, columns, values, x, transposed, -1, width, out.data + offset);
 }
 
 Array<int64_t> py_narrow_order(Indices first_K, Indices columns_K, Indices first_B,

@@ -4,9 +4,9 @@
  */
 
 /* A matrix (first, columns, values). */
-using CsrArguments = std::tuple<Indices, Indices, Array<double, 1>>;
+template <class T> using CsrArguments = std::tuple<Indices, Indices, Array<T, 1>>;
 
-Csr<double> csr_of(const CsrArguments &x, Size n, Size n_columns)
+template <class T> Csr<T> csr_of(const CsrArguments<T> &x, Size n, Size n_columns)
 {
     auto &[first, columns, values] = x;
     must(n < 0 || first.size == n + 1, "a matrix of a plan has another size");
@@ -16,13 +16,19 @@ Csr<double> csr_of(const CsrArguments &x, Size n, Size n_columns)
 
 /* A scene: (block, places, M, K, gravity, loads, weights, inverse, constraints, B, two functions,
  * loads that move, each with whether it uses velocities, and which of them turn). */
+template <class T>
 using SceneArguments =
-    std::tuple<BlockArguments<double>, Indices, CsrArguments, CsrArguments, Array<double>,
-               Array<double, 2>, Array<double>, Array<double>, Kept<ConstraintPlan>, CsrArguments,
-               Ignored, Ignored, std::vector<std::tuple<Kept<LoadPlan>, bool>>, Ignored>;
+    std::tuple<BlockArguments<T>, Indices, CsrArguments<T>, CsrArguments<T>, Array<T>, Array<T, 2>,
+               Array<double>, Array<double>, Kept<ConstraintPlan>, CsrArguments<double>, Ignored,
+               Ignored, std::vector<std::tuple<Kept<LoadPlan>, bool>>, Ignored>;
 /* A system of lists: (lists, b, weights, inverse, B, K, whether forces use velocities). */
-using ListArguments = std::tuple<std::vector<Kept<OperationList>>, Array<double, 1>, Array<double>,
-                                 Array<double>, CsrArguments, CsrArguments, bool>;
+template <class T>
+using ListArguments =
+    std::tuple<std::vector<Kept<OperationList>>, Array<T, 1>, Array<double>, Array<double>,
+               CsrArguments<double>, CsrArguments<double>, bool>;
+/* The same of functions of Python: (functions, weights, inverse, B, K, velocities). */
+using CalledArguments = std::tuple<std::vector<Ref>, Array<double>, Array<double>,
+                                   CsrArguments<double>, CsrArguments<double>, bool>;
 /* (order, scale, envelope, band, fronts): an envelope is (first, chosen, places, signs), a band
  * (half, flat, factors), and fronts (chosen, places, arrays). */
 using LayoutArguments =
@@ -31,50 +37,165 @@ using LayoutArguments =
                std::optional<std::tuple<Size, Longs, Array<double>>>,
                std::optional<std::tuple<Indices, Indices, FrontArguments>>>;
 
-struct Model {
-    static constexpr const char *NAME = "ancfdae.kernels._kernels.Model";
-    static constexpr const char *MISSING = "the first argument must be a model";
-    using Arguments = std::tuple<Ref, LayoutArguments, Array<double>>;
+/* While this lives, Python may be run. */
+class Locked
+{
+    PyGILState_STATE state = PyGILState_Ensure();
 
-    std::optional<SceneArguments> scene;
-    std::optional<ListArguments> lists;
-    LayoutArguments layout;
-    std::vector<MovingLoad<double>> moving;
-    Listed<double> listed = {};
-    ConstraintTable sizes = {}; /* of lists */
-    Plan<double> plan = {};
-    Room<double> room = {};
-    std::vector<double> memory;
+  public:
+    ~Locked() { PyGILState_Release(state); }
+};
 
-    explicit Model(Arguments arguments) : layout(std::move(std::get<1>(arguments)))
+template <class T> Ref copied(Size n, const T *x)
+{
+    auto array = zeros<T>({n});
+    std::copy(x, x + n, array.data);
+    return Ref(array.release());
+}
+
+Ref number_of(double x) { return made(PyFloat_FromDouble(x)); }
+
+/* What a function returns for these arguments. */
+template <class... A> Ref called(PyObject *function, const A &...arguments)
+{
+    return made(PyObject_CallFunctionObjArgs(function, arguments.get()..., nullptr));
+}
+
+/* Equations that functions of Python evaluate: mass, Phi_q, Phi or its rate, Q, (f_q, f_v or None),
+ * and loads that turn with their derivative. Where T is double the real parts of what they return
+ * count. */
+template <class T> struct Called final : Equations<T> {
+    enum { MASS, JACOBIAN, CONSTRAINT, FORCE, TANGENTS, FOLLOWING, FUNCTIONS };
+    PyObject *of[FUNCTIONS];
+    Size n_q, n_lam, n_B, nnz;
+
+    static void taken(Ref found, Size n, T *to)
     {
-        auto &[object, of_layout, rules] = arguments;
-        PyObject *x = object.get();
-        must(rules.size == sizeof(MarchRules) / sizeof(double), "there are other rules of marches");
-        memcpy(&plan.rules, rules.data, sizeof plan.rules);
-        if (PyTuple_Check(x) && PyTuple_Size(x) == std::tuple_size<ListArguments>::value)
-            take_lists(lists.emplace(From<ListArguments>::object(x)));
-        else
-            take_scene(scene.emplace(From<SceneArguments>::object(x)));
-        take_layout();
-        give_room();
-        if (plan.listed)
-            plan.K.values = room.mass, plan.M = plan.K;
-        if (plan.flat)
-            plan.gbtrf = gbtrf_of<double>(), plan.gbtrs = gbtrs_of<double>();
+        if (std::is_same<T, double>::value && is_complex(found.get()))
+            found = made(PyObject_GetAttrString(found.get(), "real"));
+        Array<T> x(found.get());
+        must(x.size == n, "a function of a system returns an array of another size");
+        std::copy(x.data, x.data + n, to);
     }
 
-    void take_scene(SceneArguments &x)
+    void mass(const T *q, T *M) override
     {
-        Plan<double> *p = &plan;
+        Locked python;
+        taken(called(of[MASS], copied(n_q, q)), nnz, M);
+    }
+    void jacobian(T t, const T *q, T *B) override
+    {
+        Locked python;
+        taken(called(of[JACOBIAN], number_of(real_part(t)), copied(n_q, q)), n_B, B);
+    }
+    void constraint(T t, const T *q, const T *v, T *Phi) override
+    {
+        Locked python;
+        Ref time = number_of(real_part(t)), place = copied(n_q, q);
+        taken(v ? called(of[CONSTRAINT], time, place, copied(n_q, v))
+                : called(of[CONSTRAINT], time, place),
+              n_lam, Phi);
+    }
+    void force(T t, const T *q, const T *v, T *Q) override
+    {
+        Locked python;
+        taken(called(of[FORCE], number_of(real_part(t)), copied(n_q, q), copied(n_q, v)), n_q, Q);
+    }
+    void tangents(T t, const T *q, const T *v, const T *A, const T *lam, T *f_q, T *f_v) override
+    {
+        Locked python;
+        Ref found = called(of[TANGENTS], number_of(real_part(t)), copied(n_q, q), copied(n_q, v),
+                           copied(n_q, A), copied(n_lam, lam));
+        auto parts = From<std::tuple<Ref, Ref>>::object(found.get());
+        taken(std::move(std::get<0>(parts)), nnz, f_q);
+        if (std::get<1>(parts).get() != Py_None)
+            taken(std::move(std::get<1>(parts)), nnz, f_v);
+    }
+    bool following(T t, const T *q, T *P, T *P_q) override
+    {
+        Locked python;
+        Ref found = called(of[FOLLOWING], number_of(real_part(t)), copied(n_q, q));
+        auto parts = From<std::tuple<Ref, Ref>>::object(found.get());
+        taken(std::move(std::get<0>(parts)), n_q, P);
+        if (P_q)
+            taken(std::move(std::get<1>(parts)), nnz, P_q);
+        return true;
+    }
+};
+
+/* A function of Python that factorises: of terms, each a number and values, and of B, it makes a
+ * function of a right side and whether the matrix is transposed, or None. */
+struct CalledSolver final : MatrixSolver {
+    Ref function, factors;
+    Size n, nnz, n_B;
+
+    CalledSolver(Ref of, Size unknowns, Size values, Size values_of_B)
+        : function(std::move(of)), n(unknowns), nnz(values), n_B(values_of_B)
+    {
+    }
+    ~CalledSolver() override = default;
+    bool fails(int terms, const double *numbers, const double *const *values,
+               const double *B) override
+    {
+        Locked python;
+        Ref sum = made(PyTuple_New(terms));
+        for (int i = 0; i < terms; i++) {
+            PyObject *term = Py_BuildValue("(dN)", numbers[i], copied(nnz, values[i]).release());
+            PyTuple_SetItem(sum.get(), i, made(term).release());
+        }
+        factors = called(function.get(), sum, copied(n_B, B));
+        return factors.get() == Py_None;
+    }
+    void solve(bool transposed, Size rows, const double *right, double *x) override
+    {
+        Locked python;
+        Ref turn(Py_NewRef(transposed ? Py_True : Py_False));
+        for (Size i = 0; i < rows; i++) {
+            Array<double> found(called(factors.get(), copied(n, right + i * n), turn));
+            must(found.size == n, "a function that solves returns an array of another size");
+            std::copy(found.data, found.data + n, x + i * n);
+        }
+    }
+};
+
+/* A plan of a system with its room. */
+template <class T> struct Planned {
+    std::optional<SceneArguments<T>> scene;
+    std::optional<ListArguments<T>> lists;
+    std::optional<CalledArguments> functions;
+    std::vector<MovingLoad<T>> moving;
+    Listed<T> listed = {};
+    Called<T> callers = {};
+    ConstraintTable sizes = {}; /* of a system of one's own */
+    Plan<T> plan = {};
+    Room<T> room = {};
+    std::vector<T> memory;
+
+    Planned(PyObject *x, const Array<double> &rules)
+    {
+        must(rules.size == sizeof(MarchRules) / sizeof(double), "there are other rules of marches");
+        memcpy(&plan.rules, rules.data, sizeof plan.rules);
+        Py_ssize_t items = PyTuple_Check(x) ? PyTuple_Size(x) : 0;
+        if (items == std::tuple_size<ListArguments<T>>::value)
+            take_lists(lists.emplace(From<ListArguments<T>>::object(x)));
+        else if (items == std::tuple_size<CalledArguments>::value)
+            take_functions(functions.emplace(From<CalledArguments>::object(x)));
+        else
+            take_scene(scene.emplace(From<SceneArguments<T>>::object(x)));
+    }
+
+    void take_scene(SceneArguments<T> &x)
+    {
+        Plan<T> *p = &plan;
         auto &[block, index, M, K, gravity, loads, weights, inverse, constraints, B, of_joints,
                of_loads, moves, turning] = x;
-        const Block<double> &b = block.block;
+        const Block<T> &b = block.block;
         const ConstraintTable &c = constraints->plan;
         Size size = (Size)(block.n_y + 1) * block.d;
+        constexpr bool in_complex = std::is_same<T, Complex>::value;
         p->block = b, p->block.k = 1;
         p->n_y = block.n_y, p->d = block.d, p->n_q = b.n_q, p->damped = b.tau != nullptr;
-        p->M = csr_of(M, p->n_q, p->n_q), p->K = csr_of(K, p->n_q, p->n_q),
+        p->M = csr_of<T>(M, p->n_q, p->n_q), p->K = csr_of<T>(K, p->n_q, p->n_q),
         p->nnz = std::get<2>(K).size;
         must(index.size == b.n * size * size && within(index, 0, p->nnz - 1),
              "an index of a plan is too large");
@@ -84,46 +205,153 @@ struct Model {
              "gravity, loads and weights must have a number for each coordinate");
         p->gravity = gravity.data, p->weights = weights.data, p->inverse = inverse.data;
         p->loads = loads.data, p->n_loads = loads.length(0);
-        must(!constraints->complex_ && c.n_q == p->n_q && c.n_curved == p->nnz,
+        must((in_complex || !constraints->complex_) && c.n_q == p->n_q && c.n_curved == p->nnz,
              "constraints must be real, and those of the coordinates");
-        p->constraints = &c, p->numbers = constraints->in_real;
+        p->constraints = &c, p->numbers = constraints->template in<T>();
         p->n_lam = c.n_lam, p->still = c.n_parts == 1;
-        p->B = csr_of(B, p->n_lam, p->n_q);
+        take_jacobian(B, p->n_lam);
         must(p->B.first[p->n_lam] == c.n_values,
              "there must be a value for each entry of the constraint Jacobian");
         p->velocity = p->damped;
         for (auto &[load, velocity] : moves) {
-            must(!load->complex_ && load->plan.n_q == p->n_q && load->plan.n_values == p->nnz,
+            must((in_complex || !load->complex_) && load->plan.n_q == p->n_q &&
+                     load->plan.n_values == p->nnz,
                  "loads must be real, and those of the coordinates");
-            moving.push_back({&load->plan, load->in_real, velocity});
+            moving.push_back({&load->plan, *load->template in<T>(), velocity});
             p->velocity |= velocity;
         }
         p->moving = moving.data(), p->n_moving = (Size)moving.size();
         p->n_factors = p->n_loads + p->n_moving;
     }
 
-    void take_lists(ListArguments &x)
+    void take_jacobian(const CsrArguments<double> &B, Size rows)
     {
-        Plan<double> *p = &plan;
-        auto &[own, b, weights, inverse, B, K, velocity] = x;
+        Csr<double> pattern = csr_of<double>(B, rows, plan.n_q);
+        plan.B = {pattern.n, pattern.first, pattern.columns, nullptr};
+    }
+
+    /* Sizes of a system of one's own, whose factors are the times. */
+    void take_sizes(const Array<double> &weights, const Array<double> &inverse,
+                    const CsrArguments<double> &B, const CsrArguments<double> &K, bool velocity)
+    {
+        Plan<T> *p = &plan;
         Size n = p->n_q = weights.size;
         must(inverse.size == n, "weights and their inverses must have one size");
         p->weights = weights.data, p->inverse = inverse.data, p->velocity = velocity;
-        p->B = csr_of(B, -1, n), p->K = csr_of(K, n, n);
+        take_jacobian(B, -1);
+        Csr<double> pattern = csr_of<double>(K, n, n);
+        p->K = {pattern.n, pattern.first, pattern.columns, nullptr};
         p->n_lam = p->B.n, p->nnz = p->K.first[n];
         sizes.n_q = n, sizes.n_lam = p->n_lam, sizes.n_values = p->B.first[p->n_lam];
         p->constraints = &sizes, p->n_factors = sizes.n_parts = 1;
-        Size outputs[] = {
-            sizes.n_values, p->n_lam, p->n_lam, n, p->nnz, (velocity ? 2 : 1) * p->nnz};
+    }
+
+    void take_lists(ListArguments<T> &x)
+    {
+        auto &[own, b, weights, inverse, B, K, velocity] = x;
+        take_sizes(weights, inverse, B, K, velocity);
+        Size n = plan.n_q, nnz = plan.nnz, n_lam = plan.n_lam;
+        Size outputs[] = {sizes.n_values, n_lam, n_lam, n, nnz, (velocity ? 2 : 1) * nnz};
         must(own.size() == MARCH_LISTS, "a plan must have six lists of operations");
         for (size_t i = 0; i < MARCH_LISTS; i++) {
             const Operations *of = listed.of[i] = &own[i]->list;
-            listed.constants[i] = own[i]->constants<double>();
-            must(of->n_inputs == 1 + 3 * n + p->n_lam + b.size && of->n_outputs == outputs[i],
+            listed.constants[i] = own[i]->template constants<T>();
+            must(of->n_inputs == 1 + 3 * n + n_lam + b.size && of->n_outputs == outputs[i],
                  "lists must be those of the coordinates");
         }
-        listed.b = b.data, listed.n_b = b.size;
-        p->listed = &listed;
+        listed.b = b.data;
+        listed.n_q = n, listed.n_lam = n_lam, listed.n_b = b.size;
+        plan.own = &listed;
+    }
+
+    void take_functions(CalledArguments &x)
+    {
+        auto &[own, weights, inverse, B, K, velocity] = x;
+        take_sizes(weights, inverse, B, K, velocity);
+        must(own.size() == Called<T>::FUNCTIONS, "a plan must have six functions");
+        for (size_t i = 0; i < own.size(); i++)
+            callers.of[i] = own[i].get();
+        callers.n_q = plan.n_q, callers.n_lam = plan.n_lam, callers.nnz = plan.nnz;
+        callers.n_B = sizes.n_values;
+        plan.own = &callers;
+    }
+
+    /* Rooms of states and of what an iteration writes. */
+    std::vector<std::pair<T **, Size>> rooms()
+    {
+        const Plan<T> *p = &plan;
+        const ConstraintTable *c = p->constraints;
+        Room<T> *r = &room;
+        Size n_q = p->n_q, n_lam = p->n_lam, n = n_q + n_lam, of_load = 0;
+        for (auto &load : moving)
+            of_load = std::max(of_load, load_work<T>(load.plan, load.plan->n_U));
+        return {{&r->q_p, n_q},
+                {&r->dq_p, n_q},
+                {&r->v_p, n_q},
+                {&r->q, n_q},
+                {&r->v, n_q},
+                {&r->A, n_q},
+                {&r->a, n_q},
+                {&r->lam, n_lam},
+                {&r->U, 2 * c->most},
+                {&r->B, c->n_values},
+                {&r->Q, n_q},
+                {&r->inner, n_q},
+                {&r->reaction, n_q},
+                {&r->ahead, n_q},
+                {&r->start, n_q},
+                {&r->Phi, n_lam},
+                {&r->rate, n_lam},
+                {&r->defect, n_lam},
+                {&r->R, n},
+                {&r->x, n},
+                {&r->force, n_q},
+                {&r->at_end, c->n_c},
+                {&r->within, 2 * c->n_c},
+                {&r->mass, p->own ? p->nnz : 0},
+                {&r->turned, p->own ? p->nnz : 0},
+                {&listed.numbers, lists ? listed.room() : 0},
+                {&r->of_load, of_load}};
+    }
+
+    /* Give room to pointers, one behind the other, and return what is left. */
+    T *give_room(const std::vector<std::pair<T **, Size>> &to, Size left)
+    {
+        Size total = left;
+        for (auto &[pointer, size] : to)
+            total += size;
+        memory.resize((size_t)total);
+        T *at = memory.data();
+        for (auto &[pointer, size] : to)
+            *pointer = at, at += size;
+        if (plan.own)
+            plan.K.values = room.mass, plan.M = plan.K;
+        return at;
+    }
+};
+
+/* A system at real numbers, with its matrices. */
+struct Model : Planned<double> {
+    static constexpr const char *NAME = "ancfdae.kernels._kernels.Model";
+    static constexpr const char *MISSING = "the first argument must be a model";
+    using Arguments = std::tuple<Ref, LayoutArguments, Array<double>, Ref>;
+
+    LayoutArguments layout;
+    std::optional<CalledSolver> solver;
+
+    explicit Model(Arguments arguments)
+        : Planned<double>(std::get<0>(arguments).get(), std::get<2>(arguments)),
+          layout(std::move(std::get<1>(arguments)))
+    {
+        Ref &function = std::get<3>(arguments);
+        Size n = plan.n_q + plan.n_lam;
+        if (function.get() != Py_None)
+            solver.emplace(std::move(function), n, plan.nnz, plan.constraints->n_values);
+        plan.solver = solver ? &*solver : nullptr;
+        take_layout();
+        give_all_room();
+        if (plan.flat)
+            plan.gbtrf = gbtrf_of<double>(), plan.gbtrs = gbtrs_of<double>();
     }
 
     /* Places of the lower triangle in an envelope or in fronts, of `size` numbers. */
@@ -140,7 +368,8 @@ struct Model {
         Plan<double> *p = &plan;
         auto &[order, scale, envelope, band, fronts] = layout;
         Size n = p->n_q + p->n_lam;
-        must(envelope || band || fronts, "a layout must have an envelope, a band or fronts");
+        must(envelope || band || fronts || solver,
+             "a layout must have an envelope, a band or fronts");
         must(order.size == n && within(order, 0, n - 1) && scale.size == n,
              "order and scale must have a number for each unknown");
         p->order = order.data, p->scale = scale.data;
@@ -167,77 +396,55 @@ struct Model {
         }
     }
 
-    /* Give room to pointers, one behind the other. */
-    void give_room()
+    void give_all_room()
     {
         const Plan<double> *p = &plan;
-        const ConstraintTable *c = p->constraints;
         const Fronts *f = p->fronts;
         Room<double> *r = &room;
-        Size n_q = p->n_q, n_lam = p->n_lam, n = n_q + n_lam, nnz = p->nnz, of_load = 0,
-             numbers = 0;
-        Size lower = f ? f->column_at[n] : 0, most = f ? f->most : 0;
+        Size n = p->n_q + p->n_lam, lower = f ? f->column_at[n] : 0, most = f ? f->most : 0;
         Size matrix =
             std::max({p->first ? (Size)p->first[n] : 0, p->flat ? n * (3 * p->half + 1) : 0,
                       f ? (Size)f->factor_at[f->count] : 0});
-        for (auto &load : moving)
-            of_load = std::max(of_load, load_work<double>(load.plan, load.plan->n_U));
-        for (int i = 0; p->listed && i < MARCH_LISTS; i++)
-            numbers = std::max(numbers, p->listed->of[i]->n_numbers);
-        const std::pair<double **, Size> rooms[] = {{&r->q_p, n_q},
-                                                    {&r->dq_p, n_q},
-                                                    {&r->v_p, n_q},
-                                                    {&r->q, n_q},
-                                                    {&r->v, n_q},
-                                                    {&r->A, n_q},
-                                                    {&r->a, n_q},
-                                                    {&r->lam, n_lam},
-                                                    {&r->U, 2 * c->most},
-                                                    {&r->B, c->n_values},
-                                                    {&r->Q, n_q},
-                                                    {&r->inner, n_q},
-                                                    {&r->reaction, n_q},
-                                                    {&r->ahead, n_q},
-                                                    {&r->start, n_q},
-                                                    {&r->Phi, n_lam},
-                                                    {&r->rate, n_lam},
-                                                    {&r->defect, n_lam},
-                                                    {&r->R, n},
-                                                    {&r->x, n},
-                                                    {&r->force, n_q},
-                                                    {&r->f_q, nnz},
-                                                    {&r->f_v, p->velocity ? nnz : 0},
-                                                    {&r->sum, p->flat ? nnz : 0},
-                                                    {&r->matrix, matrix},
-                                                    {&r->work, 12 * n + 4 * most},
-                                                    {&r->in_fronts.a, lower},
-                                                    {&r->in_fronts.perturbed, lower},
-                                                    {&r->in_fronts.scale, f ? n : 0},
-                                                    {&r->in_fronts.room, 5 * most},
-                                                    {&r->in_fronts.stack, f ? f->stack : 0},
-                                                    {&r->at_end, c->n_c},
-                                                    {&r->within, 2 * c->n_c},
-                                                    {&r->least, n},
-                                                    {&r->mass, p->listed ? nnz : 0},
-                                                    {&r->numbers, numbers},
-                                                    {&r->of_load, of_load}};
-        Size total = n + (f ? n : 0);
-        for (auto &[to, size] : rooms)
-            total += size;
-        memory.resize((size_t)total);
-        double *at = memory.data();
-        for (auto &[to, size] : rooms)
-            *to = at, at += size;
-        r->pivots = (int *)at;
-        r->in_fronts.at = (int32_t *)(at + n);
+        auto all = rooms();
+        all.insert(all.end(), {{&r->f_q, p->nnz},
+                               {&r->f_v, p->velocity ? p->nnz : 0},
+                               {&r->sum, p->flat ? p->nnz : 0},
+                               {&r->matrix, matrix},
+                               {&r->work, 12 * n + 4 * most},
+                               {&r->in_fronts.a, lower},
+                               {&r->in_fronts.perturbed, lower},
+                               {&r->in_fronts.scale, f ? n : 0},
+                               {&r->in_fronts.room, 5 * most},
+                               {&r->in_fronts.stack, f ? f->stack : 0},
+                               {&r->least, n},
+                               {&r->time_factors, p->n_factors},
+                               {&r->columns, 4 * n}});
+        double *left = give_room(all, n + (f ? n : 0));
+        r->pivots = (int *)left;
+        r->in_fronts.at = (int32_t *)(left + n);
     }
 };
 
-/* A model of a scene. */
-struct SceneModel : Kept<Model> {
-    explicit SceneModel(PyObject *object) : Kept<Model>(object)
+/* A system at complex numbers, with a model of their real parts. */
+struct ComplexModel : Planned<Complex> {
+    static constexpr const char *NAME = "ancfdae.kernels._kernels.ComplexModel";
+    static constexpr const char *MISSING = "the first argument must be a complex model";
+    using Arguments = std::tuple<Ref, Kept<Model>, Array<double>>;
+
+    Kept<Model> model;
+
+    explicit ComplexModel(Arguments arguments)
+        : Planned<Complex>(std::get<0>(arguments).get(), std::get<2>(arguments)),
+          model(std::move(std::get<1>(arguments)))
     {
-        must(!(**this).plan.listed, "lists of operations only march");
+        const Plan<double> &real = model->plan;
+        must(real.n_q == plan.n_q && real.n_lam == plan.n_lam && real.nnz == plan.nnz &&
+                 real.n_factors == plan.n_factors &&
+                 real.constraints->n_values == plan.constraints->n_values &&
+                 real.constraints->n_c == plan.constraints->n_c,
+             "the model of the real parts is that of another system");
+        plan.real = &real, plan.real_room = &model->room;
+        give_room(rooms(), 0);
     }
 };
 
@@ -245,101 +452,141 @@ const char *const UNFIT = "states, tables and rows must have the shapes of a pla
 
 using Counts = std::tuple<Size, Size, Size>;
 
-/* As many steps as can be taken; returns their number, why it ends, the size of the motion, a, and
- * counts. */
-std::tuple<Size, int, double, Array<double>, Counts> py_march(
-    Kept<Model> model,
-    std::tuple<Array<double>, Array<double>, Array<double>, Array<double>, Array<double>> state,
-    double motion, Array<double> h, Array<double, 3> of_joints, Array<double, 3> of_loads,
-    double seconds,
-    std::tuple<InPlace<double>, InPlace<double>, InPlace<double>, InPlace<double>> rows)
+/* As many steps as can be taken, from a guess or None, with (tolerance, allowed rate, iterations);
+ * returns their number, why it ends, the size of the motion, a, counts, and the size and the slowest
+ * rate of the last corrections. */
+template <class T, class M>
+std::tuple<Size, int, double, Array<T>, Counts, double, double> py_march(
+    Kept<M> model, std::tuple<Array<T>, Array<T>, Array<T>, Array<T>, Array<T>> state,
+    double motion, Array<double> h, Array<T, 3> of_joints, Array<T, 3> of_loads, double seconds,
+    std::tuple<InPlace<T>, InPlace<T>, InPlace<T>, InPlace<T>> rows,
+    std::optional<std::tuple<Array<T>, Array<T>>> guess, std::tuple<double, double, Size> limits)
 {
-    const Plan<double> *p = &model->plan;
-    Room<double> *r = &model->room;
+    const Plan<T> *p = &model->plan;
+    Room<T> *r = &model->room;
     Size k = h.size, n_q = p->n_q, n_lam = p->n_lam;
     auto &[q, v, a, lam, A] = state;
     auto &[of_q, of_v, of_A, of_lam] = rows;
+    auto [tolerance, allowed, iterations] = limits;
     must(h.has({k}) && q.has({n_q}) && v.has({n_q}) && a.has({n_q}) && lam.has({n_lam}) &&
              A.has({n_q}) && of_q.has({k, n_q}) && of_v.has({k, n_q}) && of_A.has({k, n_q}) &&
              of_lam.has({k, n_lam}) && of_loads.has({k, 2, p->n_factors}) &&
-             of_joints.has({p->still ? -1 : k, -1, p->constraints->n_parts}),
+             of_joints.has({p->still ? -1 : k, -1, p->constraints->n_parts}) &&
+             (!guess || (std::get<0>(*guess).has({n_q}) && std::get<1>(*guess).has({n_lam}))),
          UNFIT);
     Size instants = p->still ? +ALL_INSTANTS : of_joints.length(1), steps;
     must(instants >= 2, "a table must tell the factors at both ends of a step");
-    auto last = zeros<double>({n_q});
-    double *const to[] = {of_q.data, of_v.data, of_A.data, of_lam.data};
-    Before<double> b = {q.data, v.data, a.data, lam.data, A.data, motion};
+    auto last = zeros<T>({n_q});
+    T *const to[] = {of_q.data, of_v.data, of_A.data, of_lam.data};
+    Before<T> b = {q.data, v.data, a.data, lam.data, A.data, motion};
+    Attempt<T> how = {nullptr, nullptr, tolerance, allowed, (double)iterations};
+    if (guess)
+        how.a = std::get<0>(*guess).data, how.lam = std::get<1>(*guess).data;
+    Ending ending = {motion, INFINITY, 0};
     int ends = ALL_TAKEN;
     memset(r->counts, 0, sizeof r->counts);
     {
         Unlocked others;
-        steps = marched<double>(p, r, &b, k, h.data, instants, of_joints.data, of_loads.data,
-                                seconds_now() + seconds, to, last.data, &ends);
+        steps = marched<T>(p, r, &b, k, h.data, instants, of_joints.data, of_loads.data,
+                           seconds_now() + seconds, &how, to, last.data, &ends, &ending);
     }
-    return {steps, ends, b.motion, std::move(last),
-            Counts{r->counts[0], r->counts[1], r->counts[2]}};
+    return {steps,
+            ends,
+            b.motion,
+            std::move(last),
+            Counts{r->counts[0], r->counts[1], r->counts[2]},
+            ending.size,
+            ending.slowest};
 }
 
 /* ---- passes --------------------------------------------------------------------------------- */
 
-/* (h, q, v, lam, of_joints, of_loads, matrices) of k steps. */
-using StepArguments = std::tuple<InPlace<double>, InPlace<double>, InPlace<double>, InPlace<double>,
-                                 InPlace<double>, InPlace<double>, InPlace<double>>;
+/* (h, q, v, lam, of_joints, of_loads, matrices) of k steps; (M, f_q, f_v or None, Phi_q) there, for
+ * a system of one's own; and (which are small, G, g), if any is. */
+using StepArguments = std::tuple<
+    InPlace<double>, InPlace<double>, InPlace<double>, InPlace<double>, InPlace<double>,
+    InPlace<double>, InPlace<double>,
+    std::optional<std::tuple<Array<double>, Array<double>, Maybe<double>, Array<double>>>,
+    std::optional<std::tuple<Array<int32_t>, Array<double>, Array<double>>>>;
 
 ComputedSteps steps_of(const StepArguments &x, const Plan<double> &p)
 {
-    auto &[h, q, v, lam, of_joints, of_loads, matrices] = x;
-    Size k = h.size;
+    auto &[h, q, v, lam, of_joints, of_loads, matrices, local, small] = x;
+    Size k = h.size, n_B = p.constraints->n_values;
     must(h.has({k}) && q.has({k, p.n_q}) && v.has({k, p.n_q}) && lam.has({k, p.n_lam}) &&
              of_joints.has({p.still ? -1 : k, p.constraints->n_parts}) &&
-             of_loads.has({k, p.n_factors}) && matrices.has({k, 6, 4}),
+             of_loads.has({k, p.n_factors}) && matrices.has({k, 6, 4}) &&
+             local.has_value() == (p.own != nullptr),
          UNFIT);
-    return {k, h.data, q.data, v.data, lam.data, of_joints.data, of_loads.data, matrices.data};
+    ComputedSteps s = {};
+    s.k = k, s.h = h.data, s.q = q.data, s.v = v.data, s.lam = lam.data;
+    s.of_joints = of_joints.data, s.of_loads = of_loads.data, s.matrices = matrices.data;
+    if (local) {
+        auto &[M, f_q, f_v, Phi_q] = *local;
+        must(M.ends({p.nnz}) && (M.rows(1) == 1 || M.rows(1) == k) && f_q.has({k, p.nnz}) &&
+                 f_v.has_value() == (p.velocity != 0) && (!f_v || f_v->has({k, p.nnz})) &&
+                 Phi_q.has({k, n_B}),
+             UNFIT);
+        s.M = M.data, s.rows_of_M = M.rows(1), s.f_q = f_q.data, s.f_v = data_of(f_v);
+        s.Phi_q = Phi_q.data;
+    }
+    if (small) {
+        auto &[which, G, g] = *small;
+        must(which.has({k}) && G.has({k, n_B}) && g.has({k, p.n_lam, -1}), UNFIT);
+        s.small = which.data, s.G = G.data, s.g = g.data;
+    }
+    return s;
 }
 
-/* How many steps are differentiated, and why it ends. */
-std::tuple<Size, int> py_differentiate_steps(SceneModel model, StepArguments steps,
+/* How many steps from step `first` on are differentiated, and why it ends. */
+std::tuple<Size, int> py_differentiate_steps(Kept<Model> model, StepArguments steps,
                                              InPlace<double> right, InPlace<double> z,
-                                             InPlace<double> states, InPlace<double> lam_b)
+                                             InPlace<double> states, InPlace<double> lam_b,
+                                             Size first)
 {
     const Plan<double> *p = &model->plan;
     ComputedSteps s = steps_of(steps, *p);
+    auto &small = std::get<8>(steps);
     must(z.has({4, -1, p->n_q}), UNFIT);
     Size n = p->n_q + p->n_lam, n_b = z.length(1), taken;
-    must(right.has({s.k, n_b, n}) && states.has({s.k, 3, n_b, p->n_q}) &&
-             lam_b.has({s.k, n_b, p->n_lam}),
+    must(right.has({s.k, n_b, n}) && states.has({s.k + 1, 3, n_b, p->n_q}) &&
+             lam_b.has({s.k, n_b, p->n_lam}) && first <= s.k &&
+             (!small || std::get<2>(*small).length(2) == n_b),
          UNFIT);
     auto work = room_for<double>(n_b * n);
     int ends = ALL_TAKEN;
     {
         Unlocked others;
-        taken = differentiated(p, &model->room, &s, n_b, right.data, z.data, states.data,
+        taken = differentiated(p, &model->room, &s, first, n_b, right.data, z.data, states.data,
                                lam_b.data, work.get(), &ends);
     }
     return {taken, ends};
 }
 
-/* How many steps are pulled back, and why it ends. */
+/* How many of the first `count` steps are left, from the last one back, and why it ends. */
 using Seed = std::optional<InPlace<double>>;
-std::tuple<Size, int> py_pull_back_steps(SceneModel model, StepArguments steps,
+std::tuple<Size, int> py_pull_back_steps(Kept<Model> model, StepArguments steps,
                                          std::tuple<Seed, Seed, Seed> seeds, InPlace<double> on,
-                                         InPlace<double> mu, InPlace<double> zeta)
+                                         InPlace<double> mu, InPlace<double> zeta, Seed on_defects,
+                                         Size count)
 {
     const Plan<double> *p = &model->plan;
     ComputedSteps s = steps_of(steps, *p);
     auto &[on_q, on_v, on_lam] = seeds;
     must((!on_q || on_q->has({s.k, p->n_q})) && (!on_v || on_v->has({s.k, p->n_q})) &&
              (!on_lam || on_lam->has({s.k, p->n_lam})) && on.has({6, p->n_q}) &&
-             mu.has({s.k, p->n_q}) && zeta.has({s.k, p->n_lam}),
+             mu.has({s.k, p->n_q}) && zeta.has({s.k, p->n_lam}) &&
+             (!on_defects || on_defects->has({s.k, 3, p->n_q})) && count <= s.k,
          UNFIT);
     const double *const given[] = {data_of(on_q), data_of(on_v), data_of(on_lam)};
     int ends = ALL_TAKEN;
-    Size taken;
+    Size left;
     {
         Unlocked others;
-        taken = pulled_back(p, &model->room, &s, given, on.data, mu.data, zeta.data, &ends);
+        left = pulled_back(p, &model->room, &s, count, given, on.data, mu.data, zeta.data,
+                           data_of(on_defects), &ends);
     }
-    return {taken, ends};
+    return {left, ends};
 }
 
 /* ---- equilibria ----------------------------------------------------------------------------- */
@@ -347,14 +594,13 @@ std::tuple<Size, int> py_pull_back_steps(SceneModel model, StepArguments steps,
 /* Newton's method from a state (q, lam, q_s, lam_s), written in place, with (q_0, anchor or None,
  * r_0, Phi_0): why it ends, iterations, the size of the last correction, and whether K is known to
  * be positive definite there. */
+template <class T, class M>
 std::tuple<int, int, double, int>
-py_rest(SceneModel model,
-        std::tuple<InPlace<double>, InPlace<double>, InPlace<double>, InPlace<double>> state,
-        std::tuple<InPlace<double>, Seed, InPlace<double>, InPlace<double>> known,
-        std::tuple<InPlace<double>, InPlace<double>, InPlace<double>> factors,
-        InPlace<double> rules)
+py_rest(Kept<M> model, std::tuple<InPlace<T>, InPlace<T>, InPlace<T>, InPlace<T>> state,
+        std::tuple<Array<T>, Maybe<T>, Array<T>, Array<T>> known,
+        std::tuple<Array<T>, Array<T>, Array<T>> factors, Array<double> rules)
 {
-    const Plan<double> *p = &model->plan;
+    const Plan<T> *p = &model->plan;
     Size n_q = p->n_q, n_lam = p->n_lam;
     auto &[q, lam, q_s, lam_s] = state;
     auto &[q_0, anchor, r_0, Phi_0] = known;
@@ -365,38 +611,52 @@ py_rest(SceneModel model,
              of_loads.has({p->n_factors}) && of_turning.has({p->n_factors}) &&
              rules.has({sizeof(RestRules) / sizeof(double)}),
          UNFIT);
-    RestProblem own = {{},         q_0.data,       data_of(anchor), r_0.data,
-                       Phi_0.data, of_joints.data, of_loads.data,   of_turning.data};
-    RestState to = {q.data, lam.data, q_s.data, lam_s.data, INFINITY, 0, 0};
+    RestProblem<T> own = {{},         q_0.data,       data_of(anchor), r_0.data,
+                          Phi_0.data, of_joints.data, of_loads.data,   of_turning.data};
+    RestState<T> to = {q.data, lam.data, q_s.data, lam_s.data, INFINITY, 0, 0};
     memcpy(&own.rules, rules.data, sizeof own.rules);
     int why;
     {
         Unlocked others;
-        why = rested(p, &model->room, &own, &to);
+        why = rested<T>(p, &model->room, &own, &to);
     }
     return {why, to.iterations, to.size, to.definite};
 }
 
 /* ---- stages --------------------------------------------------------------------------------- */
 
-/* (order, scale, half, flat, factors, places) of the coupled matrix; (q, v, a, lam) before. Returns
- * how it ends, size of the last correction, and counts. */
+/* (order, scale, places, (half, flat, factors) or None, a function that factorises or None) of the
+ * coupled matrix; (q, v, a, lam) before. Returns how it ends, size of the last correction, and
+ * counts. */
+template <class T, class M>
 std::tuple<int, double, Counts> py_solve_stages(
-    Kept<Model> model, std::tuple<Longs, Array<double>, Size, Longs, Array<double>, Longs> coupled,
-    std::tuple<InPlace<double>, InPlace<double>, InPlace<double>, InPlace<double>> state,
-    InPlace<double> x, InPlace<double> lam, InPlace<double> of_joints, InPlace<double> of_loads,
-    InPlace<double> tableau, InPlace<double> rules)
+    Kept<M> model,
+    std::tuple<Longs, Array<double>, Longs,
+               std::optional<std::tuple<Size, Longs, Array<double>>>, Ref>
+        coupled,
+    std::tuple<Array<T>, Array<T>, Array<T>, Array<T>> state, InPlace<T> x, InPlace<T> lam,
+    Array<T> of_joints, Array<T> of_loads, InPlace<double> tableau, InPlace<double> rules)
 {
-    const Plan<double> *p = &model->plan;
-    Size n_q = p->n_q, n_lam = p->n_lam, n = STAGES * (n_q + n_lam);
-    auto &[order, scale, half, flat, factors, places] = coupled;
+    const Plan<T> *p = &model->plan;
+    Size n_q = p->n_q, n_lam = p->n_lam, n = STAGES * (n_q + n_lam), width = 0;
+    auto &[order, scale, places, band, function] = coupled;
     auto &[q, v, a, lam_before] = state;
     Size n_B = STAGES * p->constraints->n_values, size_K = STAGES * STAGES * p->nnz;
-    must(half <= MOST_HALF && n <= INT_MAX && scale.has({n}) && factors.has({size_K + 2 * n_B}) &&
-             order.size == n && within(order, 0, n - 1) && flat.size == factors.size &&
-             within(flat, 0, n * (3 * half + 1) - 1) && places.size == size_K &&
-             within(places, 0, size_K - 1),
+    std::optional<CalledSolver> solver;
+    StageStep<T> s = {};
+    StageMatrix *m = &s.matrix;
+    must(n <= INT_MAX && scale.has({n}) && order.size == n && within(order, 0, n - 1) &&
+             places.size == size_K && within(places, 0, size_K - 1) &&
+             (band || function.get() != Py_None),
          "the matrix of stages is not that of the plan");
+    if (band) {
+        auto &[half, flat, factors] = *band;
+        must(half <= MOST_HALF && factors.has({size_K + 2 * n_B}) && flat.size == factors.size &&
+                 within(flat, 0, n * (3 * half + 1) - 1),
+             "the matrix of stages is not that of the plan");
+        m->half = half, m->flat = flat.data, m->factors = factors.data, width = 3 * half + 1;
+    } else
+        m->solver = &solver.emplace(std::move(function), n, size_K, n_B);
     must(q.has({n_q}) && v.has({n_q}) && a.has({n_q}) && lam_before.has({n_lam}) &&
              x.has({STAGES, n_q}) && lam.has({STAGES, n_lam}) &&
              (p->still ? of_joints.axes == 2
@@ -405,24 +665,22 @@ std::tuple<int, double, Counts> py_solve_stages(
              tableau.has({sizeof(StageTableau) / sizeof(double)}) &&
              rules.has({sizeof(StageRules) / sizeof(double)}),
          UNFIT);
-    Size band = n * (3 * half + 1);
-    auto room = room_for<double>(4 * n + n_B + size_K + band);
+    auto room = room_for<T>(2 * n + n_B);
+    auto reals = room_for<double>(3 * n + n_B + size_K + n * width);
     auto pivots = room_for<int>(n);
-    StageStep s = {};
     s.plan = p, s.room = &model->room;
     s.tableau = (const StageTableau *)tableau.data, s.rules = (const StageRules *)rules.data;
     s.q = q.data, s.v = v.data, s.a = a.data, s.lam_before = lam_before.data;
-    s.of_joints = of_joints.data, s.of_loads = of_loads.data;
-    s.scale = scale.data, s.factors = factors.data;
-    s.order = order.data, s.flat = flat.data, s.places = places.data;
-    s.gbtrf = gbtrf_of<double>(), s.gbtrs = gbtrs_of<double>();
-    s.half = half, s.size_K = size_K, s.x = x.data, s.lam = lam.data;
-    s.R = room.get(), s.change = s.R + n, s.work = s.change + n, s.B = s.work + n;
-    s.K = s.B + n_B, s.band = s.K + size_K, s.pivots = pivots.get();
+    s.of_joints = of_joints.data, s.of_loads = of_loads.data, s.x = x.data, s.lam = lam.data;
+    s.R = room.get(), s.change = s.R + n, s.B = s.change + n;
+    m->scale = scale.data, m->order = order.data, m->places = places.data;
+    m->gbtrf = gbtrf_of<double>(), m->gbtrs = gbtrs_of<double>(), m->size_K = size_K;
+    m->work = reals.get(), m->B = m->work + 3 * n, m->K = m->B + n_B, m->band = m->K + size_K;
+    m->pivots = pivots.get();
     int ends;
     {
         Unlocked others;
-        ends = stages_iterated(&s);
+        ends = stages_iterated<T>(&s);
     }
     return {ends, s.size, Counts{s.iterations, s.factorisations, s.stuck}};
 }

@@ -10,6 +10,7 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.kernels import CoupledArrays
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.patterns import SparsityPattern
@@ -72,12 +73,11 @@ class CoupledSaddlePoints:
         self._matrices = SaddlePoint(pattern, constraints, *scales, order=order)
 
     @property
-    def arrays(self) -> tuple[Array, Array, int, Array, Array, Array] | None:
-        """Order, scale and band of the unknowns, and places of K; None where the band is wide."""
-        layout = self._matrices.layout(band=True)
-        if layout is None or layout.band is None:
-            return None
-        return layout.order, layout.scale, *layout.band, self._places.ravel()
+    def arrays(self) -> CoupledArrays:
+        """The matrix as kernels take it."""
+        layout = self._matrices.layout(band=True) or self._matrices.layout_out_of_band()
+        places, factorise = self._places.ravel(), self._matrices.exchanging(layout)
+        return layout.order, layout.scale, places, layout.band, factorise
 
     def factor(self, K: Array, B: Array) -> CoupledFactors:
         """Factorise for values K, (s, s, size of the pattern), and B, (s, size).

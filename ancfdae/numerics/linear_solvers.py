@@ -34,6 +34,7 @@ import scipy
 
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.kernels import (
+    Factorise,
     MatrixLayout,
     add_scaled,
     band_factor,
@@ -184,12 +185,23 @@ class SaddlePoint:
         envelope = self._envelope.arrays if self._envelope else None
         return MatrixLayout(self._places.order, self.scale, envelope, band_map)
 
-    def layout_in_fronts(self) -> MatrixLayout | None:
-        """Return the positions of values in fronts; None unless K is symmetric, its band wide."""
-        if self._in_band or not self._symmetric:
-            return None
+    def layout_out_of_band(self) -> MatrixLayout:
+        """Return the positions of values in fronts; none at all unless K is symmetric."""
+        if not self._symmetric:
+            return MatrixLayout(np.arange(self.size), self.scale, None, None)
         fronts = self._places.fronts
         return MatrixLayout(fronts.order, self.scale, None, None, fronts.layout)
+
+    def exchanging(self, layout: MatrixLayout) -> Factorise | None:
+        """Return a function that factorises if a layout has no place for that; else None."""
+        return None if layout.band or layout.envelope else self._solver_of
+
+    def _solver_of(self, terms: Terms, B: Array) -> Callable[[Array, bool], Array] | None:
+        """Return the solver of `_exchanging`; None if the matrix is singular."""
+        try:
+            return self._exchanging(terms, B).solver
+        except SingularMatrix:
+            return None
 
     def factor(self, K: Array, B: Array) -> Factorization:
         """Factorise for the given values of K and B.

@@ -13,7 +13,7 @@ from typing import Any, final
 import numpy as np
 import scipy
 
-from ancfdae.kernels import Csr, csr_rows, csr_rows_transposed, csr_subtract
+from ancfdae.kernels import Csr, csr_rows, csr_rows_transposed
 from ancfdae.numerics.arrays import Array
 
 
@@ -106,12 +106,6 @@ class SparsityPattern:
     def dot(self, values: Array, x: Array) -> Array:
         """Product of the matrix with a vector, (n_columns,), or with columns, (n_columns, k)."""
         return csr_rows(self._first, self.columns, values, x.T).T
-
-    def subtract_dot(
-        self, values: Array, x: Array, out: Array, offset: int = 0, *, transposed: bool = False
-    ) -> None:
-        """Take the matrix times rows of x from rows of `out`, in place, from the offset on."""
-        csr_subtract(self._first, self.columns, values, x, out, offset, transposed)
 
     def dot_transposed(self, values: Array, x: Array) -> Array:
         """Product of the transposed (not conjugated) matrix with a vector or columns."""

@@ -10,8 +10,7 @@ without inertia, M_0 q' = Q - Phi_q^T lam, from q_a.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import final
 
@@ -185,24 +184,27 @@ class Balance:
         return self.matrices.factor(K, Phi_q)
 
     @cached_property
-    def _compiled(self) -> CompiledRest | None:
-        if not self.follows:
-            return None
+    def _kernel(self) -> CompiledRest:
         sizes = self.position, self.load, _TOLERANCE, _FAR, _GROWTHS
         known = RestStart(self.q_0, self.r_0, self.Phi_0, *sizes)
-        return CompiledRest.of(self.system, self.matrices, self.t, known)
+        return CompiledRest(self.system, self.matrices, self.t, known, self.follows)
 
     def begun(self) -> Balanced | Unsolved:
         """Return the start as a solution at load factor 0, with the derivatives of its path."""
-        q, lam = self.q_0, self.lam_0
-        if self._compiled:
-            gap = 1.0, float(self.closes)
-            return self._counted(0.0, self._compiled.solve(0.0, q, lam, gap, 0.0, None, 0))
-        try:
-            factors = self.factor(self.tangent(0.0, q, lam), self.Phi_q(q))
-        except SingularMatrix:
-            return Unsolved(Verdict.SINGULAR, 0.0)
-        return Balanced(0.0, q, lam, self._path(q, factors))
+        return self._at(0.0, self.q_0, self.lam_0, 1.0)
+
+    def _at(
+        self,
+        s: float,
+        q: Array,
+        lam: Array,
+        gap: float,
+        mu: float = 0.0,
+        anchor: Array | None = None,
+    ) -> Balanced | Unsolved:
+        """Return a state that solves the equations as it is, with the derivatives of its path."""
+        gaps = gap, float(self.closes)
+        return self._counted(s, self._kernel.solve(s, q, lam, gaps, mu, anchor, 0))
 
     def solve(
         self,
@@ -215,16 +217,26 @@ class Balance:
     ) -> Balanced | Unsolved:
         """Solve the equations by Newton's method from a guess q, lam; the anchor is q_a.
 
-        With a `gap`, that part of Phi_0 is left instead of what s leaves.
+        With a `gap`, that part of Phi_0 is left instead of what s leaves. Corrections that stop
+        shrinking lead to a solution if they correct round-off.
         """
-        left = self._left(s) if gap is None else gap
-        if self._compiled and not np.iscomplexobj(q):
-            gaps = left, float(self.closes)
-            end = self._compiled.solve(s, q, lam, gaps, mu, anchor, _ITERATIONS)
+        left, taken = self._left(s) if gap is None else gap, 0
+        gaps = left, float(self.closes)
+        while taken < _ITERATIONS:
+            end = self._kernel.solve(s, q, lam, gaps, mu, anchor, _ITERATIONS - taken)
+            solved = self._counted(s, end)
             if end.why != Rest.STUCK:
-                return self._counted(s, end)
-            q, lam = end.q, end.lam
-        return self._solve(s, q, lam, left, mu, anchor)
+                return solved
+            q, lam, taken = end.q, end.lam, taken + end.iterations
+            before, Phi_q = q - end.path[0], self.Phi_q(q - end.path[0])
+            R, _ = self._residual(s, before, lam - end.path[1], Phi_q, left, mu, anchor)
+            K = self.tangent(s, before, lam - end.path[1])
+            if self.is_round_off(R, K, q, lam, end.path[0]):
+                found = self._at(s, q, lam, left, mu, anchor)
+                if isinstance(found, Balanced):
+                    return replace(found, iterations=taken, correction=end.correction)
+                return found
+        return Unsolved(Verdict.NO_CONVERGENCE, end.correction)
 
     def _left(self, s: float) -> float:
         """Part of Phi_0 that is left at s."""
@@ -238,29 +250,6 @@ class Balance:
             return Balanced(s, *end[1:])
         verdicts = {Rest.NOT_FINITE: Verdict.NOT_FINITE, Rest.SINGULAR: Verdict.SINGULAR}
         return Unsolved(verdicts.get(end.why, Verdict.NO_CONVERGENCE), end.correction)
-
-    def _solve(
-        self, s: float, q: Array, lam: Array, gap: float, mu: float, anchor: Array | None
-    ) -> Balanced | Unsolved:
-        test = _Convergence(self)
-        try:
-            with np.errstate(all="ignore"):
-                for iteration in range(1, _ITERATIONS + 1):
-                    Phi_q = self.Phi_q(q)
-                    R, Phi = self._residual(s, q, lam, Phi_q, gap, mu, anchor)
-                    if not (finite(R) and finite(Phi)):
-                        return Unsolved(Verdict.NOT_FINITE, test.size)
-                    K = self.tangent(s, q, lam)
-                    factors = self.factor(K if mu == 0.0 else K + mu * self.M_0, Phi_q)
-                    dq, dlam = solve(factors, R, -Phi)
-                    q, lam = q + dq, lam + dlam
-                    if test.converged(q, lam, dq, dlam, R, K, Phi_q):
-                        return Balanced(s, q, lam, self._path(q, factors), iteration, test.size)
-                    if test.diverged:
-                        break
-        except SingularMatrix:
-            return Unsolved(Verdict.SINGULAR, test.size)
-        return Unsolved(Verdict.NO_CONVERGENCE, test.size)
 
     def _residual(
         self,
@@ -351,10 +340,6 @@ class Balance:
         """Whether parts are folded at q and none was before."""
         return bool(self.system.folded(q)) and not self.system.folded(before)
 
-    def _path(self, q: Array, factors: Factorization) -> tuple[Array, Array]:
-        """Return dq/ds and dlam/ds of the path of solutions."""
-        return solve(factors, self.held_back(q), -float(self.closes) * self.Phi_0)
-
     def refuse_motion(self) -> None:
         """Refuse joints that drive a motion at time t, whose inertia forces would lack.
 
@@ -405,36 +390,3 @@ class Balance:
         """Size of the load at the start, and no less than its round-off."""
         least = _SEEN * self.system.traits.force_round_off
         return max(self.strength(self.held_back(self.q_0)), least, float(np.finfo(float).tiny))
-
-
-@final
-class _Convergence:
-    """The test of one solve: corrections against the sizes of positions and forces.
-
-    The imaginary part of a complex step lags the real part by one iteration.
-    """
-
-    def __init__(self, balance: Balance) -> None:
-        self._balance, self._last, self._growths, self._settled = balance, math.inf, 0, 0
-        self.size, self.diverged = math.inf, False
-
-    def converged(
-        self, q: Array, lam: Array, dq: Array, dlam: Array, R: Array, K: Array, Phi_q: Array
-    ) -> bool:
-        """Judge a correction that led to q and lam, from the unbalanced forces R, with matrices."""
-        b = self._balance
-        moved = b.length(dq)
-        # Where all coordinates are zero at the start, the first correction gives their size.
-        moved /= b.position or b.length(q - b.q_0) or 1.0
-        reactions, change = (b.reactions(Phi_q, x) for x in (lam, dlam))
-        force = max(b.load, b.strength(reactions))
-        self.size = max(moved, b.strength(change) / force)
-        rate = moved / self._last if 0 < self._last < math.inf else float(moved > 0)
-        self._growths += rate > 1.0
-        self.diverged = moved > _FAR or self._growths >= _GROWTHS
-        last, self._last = self._last, moved
-        left = self.size * min(1.0, rate * rate)
-        stuck = last < math.inf and rate > 0.5 and b.is_round_off(R, K, q, lam, dq)
-        if left <= _TOLERANCE or stuck:
-            self._settled += 1
-        return self._settled >= (3 if np.iscomplexobj(q) else 1)

@@ -1,7 +1,4 @@
-"""Newton's method for equilibria by the kernel, for a system that is a plan of arrays (`rest.h`).
-
-It solves the equations of `balance.py` by the same rules.
-"""
+"""Newton's method for equilibria by the kernel (`rest.h`)."""
 
 from __future__ import annotations
 
@@ -9,8 +6,9 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem, PlannedSystem
-from ancfdae.kernels import RULES, Model, Plan, Rest
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.prepared import Prepared
+from ancfdae.kernels import RULES, Plan, Rest
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 
@@ -33,7 +31,10 @@ class RestStart(NamedTuple):
 
 
 class RestEnd(NamedTuple):
-    """End of a search in the kernel: state, reason, and for a solution its path in s."""
+    """End of a search in the kernel: state, reason, and for a solution its path in s.
+
+    Where corrections have stopped shrinking the last one stands in place of the path.
+    """
 
     why: Rest
     q: Array
@@ -46,24 +47,24 @@ class RestEnd(NamedTuple):
 
 @final
 class CompiledRest:
-    """The kernel of one system at one instant."""
+    """The kernel of one system at one time; `follows` says whether loads turn with the motion."""
 
-    def __init__(self, plan: Plan, matrices: SaddlePoint, t: float, known: RestStart) -> None:
-        self._plan, self._matrices, self._known = plan, matrices, known
-        self._model = self._prepared(band=False)
-        instant, of = np.array([t]), plan.joint_factors
+    def __init__(
+        self,
+        system: MechanicalSystem,
+        matrices: SaddlePoint,
+        t: float,
+        known: RestStart,
+        follows: bool,
+    ) -> None:
+        dtype = np.result_type(known.q_0, system.b, float)
+        self._kernel = Prepared(system, matrices, np.zeros(RULES), dtype)
+        self._known, instant, plan = known, np.array([t]), self._kernel.plan
+        of = plan.joint_factors
         self._of_joints = np.ones(1) if of is None else np.array(of(instant, 1)[0, 0])
         self._of_loads = plan.load_factors(instant)[0]
-
-    @classmethod
-    def of(
-        cls, system: MechanicalSystem, matrices: SaddlePoint, t: float, known: RestStart
-    ) -> CompiledRest | None:
-        """Return None for a system that is no plan, or whose matrices need another solver."""
-        plan = system.plan if isinstance(system, PlannedSystem) else None
-        if plan is None or np.iscomplexobj(known.q_0) or matrices.layout(band=False) is None:
-            return None
-        return cls(plan, matrices, t, known)
+        turning = self._of_loads * plan.turning if isinstance(plan, Plan) else np.ones(1)
+        self._turning = turning * float(follows)
 
     def solve(
         self,
@@ -79,18 +80,19 @@ class CompiledRest:
 
         `gaps` are the part of Phi_0 that is left, and the part that it loses per s.
         """
-        known, turning = self._known, self._of_loads * self._plan.turning
-        factors = self._of_joints, self._of_loads - (1.0 - s) * turning, turning
-        state = q.copy(), lam.copy(), np.empty_like(q), np.empty_like(lam)
+        known, acting = self._known, self._of_loads
+        if isinstance(self._kernel.plan, Plan):
+            acting = acting - (1.0 - s) * self._turning
+        dtype = self._kernel.dtype
+        state = tuple(np.array(x, dtype=dtype) for x in (q, lam, q, lam))
         rules = np.array([s, mu, *gaps, *known[3:], iterations, _CLEAR])
         given = known.q_0, anchor, known.r_0, known.Phi_0
-        why, count, size, definite = self._model.rest(state, given, factors, rules)
+        with np.errstate(all="ignore"):
+            why, count, size, definite = self._kernel.model.rest(
+                state, given, (self._of_joints, acting, self._turning), rules
+            )
         if why == Rest.INDEFINITE:
-            self._model = self._prepared(band=True)
+            self._kernel.add_band()
             return self.solve(s, q, lam, gaps, mu, anchor, iterations)
-        return RestEnd(Rest(why), state[0], state[1], state[2:], count, size, bool(definite))
-
-    def _prepared(self, band: bool) -> Model:
-        layout = self._matrices.layout(band)
-        assert layout is not None
-        return Model(self._plan, layout, np.zeros(RULES))
+        q, lam, *path = state
+        return RestEnd(Rest(why), q, lam, (path[0], path[1]), count, size, bool(definite))

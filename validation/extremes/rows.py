@@ -15,7 +15,7 @@ from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import AncfdaeError, StabilityWarning
 from ancfdae.extend import MaterialPoint
-from ancfdae.integrators.hht.equations import Coefficients, iteration_terms
+from ancfdae.integrators.hht.equations import Coefficients
 from ancfdae.results import Solution
 from validation.report import Report
 
@@ -232,10 +232,14 @@ def _condition(system: MechanicalSystem, case: Case) -> float | None:
     t, zero = np.zeros(1), np.zeros((1, n))
     local = system.linearise(t, q[None], v[None], zero, np.zeros((1, m)))
     c = Coefficients(case.step, case.alpha)
-    K = system.pattern.dense(np.sum([s * K for s, K in iteration_terms(c, local, 0)], axis=0))
+    K = c.in_A * local.M[0] + c.in_q * local.f_q[0]
+    if local.f_v is not None:
+        K = K + c.in_v * local.f_v[0]
     B = system.constraint_pattern.dense(local.Phi_q[0])
     scale = saddle_point(system, 0.0).scale
-    matrix = np.block([[K, B.T], [B, np.zeros((m, m))]]) * np.outer(scale, scale)
+    matrix = np.block([[system.pattern.dense(K), B.T], [B, np.zeros((m, m))]]) * np.outer(
+        scale, scale
+    )
     return float(np.linalg.cond(matrix))
 
 

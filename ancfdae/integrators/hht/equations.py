@@ -44,13 +44,10 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import Linearisation, MechanicalSystem
 from ancfdae.errors.checks import require_finite
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import add_scaled, balance
+from ancfdae.kernels import add_scaled
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.fronts import Terms
-from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
 
 @final
@@ -149,11 +146,6 @@ def predict_increment(c: Coefficients, v: Array, a: Array) -> tuple[Array, Array
     return dq_p, v_p
 
 
-def increment_from_velocities(c: Coefficients, v: Array, v_p: Array) -> Array:
-    """q~ - q_n from v_n and v~, for derivatives too; its round-off is eps h |v|."""
-    return np.asarray(c.h * (v_p + (c.gamma - 0.5 - c.beta) / (1 - c.gamma) * (v_p - v)))
-
-
 def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:
     """Coordinates and velocities of eqs. (2) and (3) from their predictors and a_{n+1}."""
     return add_scaled(q_p, c.in_q, a), add_scaled(v_p, c.in_v, a)
@@ -195,33 +187,6 @@ def step_matrices(steps: Steps) -> Array:
     q_next, v_next = predict(ahead, q, v, A + following / h * (a - A))
     rows = [np.broadcast_to(x, q.shape) for x in (q, v, A, q_next, v_next)]
     return np.stack([*rows, np.broadcast_to(alpha / (1 + alpha) * A, q.shape)], axis=1)
-
-
-def residual(
-    system: MechanicalSystem,
-    c: Coefficients,
-    q: Array,
-    A: Array,
-    forces: tuple[Array, Array],
-    Phi: Array,
-) -> Array:
-    """Return the residual of eqs. (4), (5), shape (n_q + n_lam,); forces are Phi_q^T lam and Q."""
-    return balance(system.mass_times(q, A), *forces, Phi, 1 / c.in_q)
-
-
-def iteration_terms(c: Coefficients, local: Linearisation, k: int) -> Terms:
-    """Upper left block of eq. (6) at instant k, a sum; h is that of one step."""
-    terms = (c.in_A, local.M[k if len(local.M) > 1 else 0]), (c.in_q, local.f_q[k])
-    return terms if local.f_v is None else (*terms, (c.in_v, local.f_v[k]))
-
-
-def factor_jacobian(
-    system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, node: Node
-) -> Factorization:
-    """Factorise eq. (6) at a state."""
-    _, q, v, _, lam, A, _ = node
-    local = system.linearise(np.array([node.t]), q[None], v[None], A[None], lam[None])
-    return matrices.factor_sum(iteration_terms(c, local, 0), local.Phi_q[0])
 
 
 def constraint_error(c: Coefficients) -> float:

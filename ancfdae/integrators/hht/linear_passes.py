@@ -15,138 +15,114 @@ coefficients, transposed, and the transpose of the solution, in reverse order.
 At small steps the second row takes Phi_q,{n+1} dq~_b + G q_b,n + g for Phi_q q~_b + Phi_b
 (`small_steps`).
 
-Design partials of many steps are formed at once. Kernels linearise, factorise and run the
-recurrence step by step (`compiled`); what they do not take is linearised many steps at once here.
+Design partials of many steps are formed at once here. The kernel (`passes.h`) linearises,
+factorises and runs the recurrence step by step; systems of one's own are linearised many steps at
+once for it.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import TypeAlias, final
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import Linearisation, MechanicalSystem
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.prepared import Prepared
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
-from ancfdae.integrators.hht.compiled import CompiledPasses, Packet
 from ancfdae.integrators.hht.equations import (
     Coefficients,
     Defects,
     Node,
     NodeSensitivity,
     Steps,
-    increment_from_velocities,
-    iteration_terms,
     predict,
     step_matrices,
 )
-from ancfdae.integrators.hht.small_steps import ConstraintRow, Nodes
+from ancfdae.integrators.hht.small_steps import ConstraintRow, Nodes, small_rows
 from ancfdae.integrators.integrator import Seeds
-from ancfdae.kernels import recombine
+from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.kernels import RULES, March, Plan
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.progress import progress_bar
 
 # Numbers held at once by a chunk of steps: small enough for the cache (crank-slider, measured:
 # chunks of 16 to 32 steps are 1.4 times faster than 64).
 _CHUNK_NUMBERS = 200_000
-# q, v, A and lam, instants as rows.
-States: TypeAlias = tuple[Array, Array, Array, Array]
+# Covectors of an objective on q, v and lam.
+OnStates: TypeAlias = tuple[Array | None, Array | None, Array | None]
+
+
+class Packet(NamedTuple):
+    """Steps for the kernel: see `Steps` in `_kernels.pyi`."""
+
+    h: Array
+    q: Array
+    v: Array
+    lam: Array
+    of_joints: Array
+    of_loads: Array
+    matrices: Array
+    local: tuple[Array, Array, Array | None, Array] | None
+    small: tuple[Array, Array, Array] | None
 
 
 @final
-@dataclass(frozen=True)
-class LinearSteps:
-    """A chunk of k steps with their converged states (q, v, A, lam); h has the shape (k, 1).
+class CompiledPasses:
+    """Linearised steps of a run, for derivatives and adjoints."""
 
-    One step takes z = (q~_b, v~_b, A~_b) to a_b and lam_b (`solve`); a matrix of coefficients takes
-    (z, a_b) to (q_b, v_b, A_b) and the next z (`step_matrices`). The backward pass applies the
-    transposes of these two maps.
-    """
+    def __init__(self, system: MechanicalSystem, matrices: SaddlePoint, alpha: float) -> None:
+        rules = np.zeros(RULES)
+        rules[0] = alpha
+        self._system = system
+        self._kernel = Prepared(system, matrices, rules, np.dtype(float))
+        # Whether the kernel linearises steps; else their matrices come many steps at once.
+        self.linearises = isinstance(self._kernel.plan, Plan)
 
-    system: MechanicalSystem
-    c: Coefficients
-    t: Array
-    states: States
-
-    @cached_property
-    def local(self) -> Linearisation:
-        """f_q, f_v and Phi_q of the steps of the chunk, at their states."""
-        return self.system.linearise(self.t, *self.states)
-
-    @cached_property
-    def constraints_q(self) -> Array:
-        """Phi_q / (beta h^2) of the steps of the chunk, values on the pattern."""
-        return np.asarray(self.local.Phi_q / (self.c.beta * self.c.h**2))
-
-    def packet(self, compiled: CompiledPasses, part: slice, matrices: Array) -> Packet:
-        """Return the kernel's data for a part of the steps."""
-        q, v, _, lam = (x[part] for x in self.states)
-        h = np.array(self.c.h[part, 0])
-        return compiled.packet(h, self.t[part], (q, v, lam), matrices)
-
-    def factorised(self, matrices: SaddlePoint, order: range) -> Iterator[Factorization]:
-        """Factorise eq. (6) step by step, forward or backward."""
-        c = Coefficients(0.0, self.c.alpha)
-        for k in order:
-            h = float(self.c.h[k, 0])
-            c = c if c.h == h else Coefficients(h, c.alpha)
-            yield matrices.factor_sum(iteration_terms(c, self.local, k), self.local.Phi_q[k])
-
-    def given(self) -> Array:
-        """Return the part of the right sides that is known before the pass, (k, n_b, n)."""
-        partials = self.system.design_partials(self.t, *self.states)
-        k, n_q, n_b = partials.f_b.shape
-        given = np.empty((k, n_b, n_q + partials.Phi_b.shape[1]))  # each step in one piece
-        np.negative(partials.f_b.transpose(0, 2, 1), out=given[:, :, :n_q])
-        scale = -self.c.beta * self.c.h[:, None] ** 2
-        np.divide(partials.Phi_b.transpose(0, 2, 1), scale, out=given[:, :, n_q:])
-        return given
-
-    def solve(
+    def packet(
         self,
-        k: int,
-        jacobian: Factorization,
-        right: Array,
-        z: Array,
-        side: Array | None,
-    ) -> tuple[Array, Array]:
-        """Return a_b and lam_b of step k, design variables as rows; `right` is overwritten.
+        h: Array,
+        t: Array,
+        states: tuple[Array, Array, Array, Array],
+        matrices: Array,
+        small: tuple[Array, Array, Array] | None,
+    ) -> Packet:
+        """Return steps of sizes h with the states q, v, A and lam at their ends."""
+        plan, (q, v, _, lam), local = self._kernel.plan, states, None
+        of_joints = plan.joint_factors(t, 1)[0] if plan.joint_factors else np.ones((1, 1))
+        if not self.linearises:
+            at = self._system.linearise(t, *states)
+            local = at.M, at.f_q, at.f_v, at.Phi_q
+        rows = map(np.ascontiguousarray, (h, q, v, lam, of_joints, plan.load_factors(t), matrices))
+        return Packet._make((*rows, local, small))
 
-        The side is that of the constraints over a small step.
+    def forward(self, steps: Packet, right: Array, z: Array, states: Array, lam_b: Array) -> int:
+        """Take steps of direct differentiation; return how many have a regular matrix."""
+        taken, end = self._kernel.real.differentiate_steps(steps, right, z, states, lam_b, 0)
+        if end == March.INDEFINITE:
+            self._kernel.add_band()
+            model = self._kernel.real
+            taken, _ = model.differentiate_steps(steps, right, z, states, lam_b, taken)
+        return taken
+
+    def backward(
+        self,
+        steps: Packet,
+        seeds: OnStates,
+        on: Array,
+        covectors: tuple[Array, Array, Array | None],
+    ) -> None:
+        """Take transposed steps back from the last, with rows of mu, zeta and those on defects.
+
+        Raises SingularMatrix.
         """
-        system, n_q = self.system, self.system.n_q
-        system.pattern.subtract_dot(self.local.f_q[k], z[0], right)
-        system.constraint_pattern.subtract_dot(self.constraints_q[k], z[0], right, n_q)
-        right[:, :n_q] -= system.mass_times(self.states[0][k], z[2].T).T
-        if self.local.f_v is not None:
-            system.pattern.subtract_dot(self.local.f_v[k], z[1], right)
-        if side is not None:
-            right[:, n_q:] = side
-        x = jacobian.solve(right.T).T
-        return x[:, :n_q], x[:, n_q:]
-
-    def solve_transposed(
-        self, k: int, jacobian: Factorization, on: Array, on_lam: Array, small: bool
-    ) -> tuple[Array, Array]:
-        """Transpose of `solve`: from covectors on (q~, v~, A~, a) and lam to those on (q~, v~, A~).
-
-        They are left in the first rows of `on`. Returns mu and zeta, which
-        `MechanicalSystem.pull_back` takes to the design. What the constraints add to q~ is left
-        out where the step is small: they then have their side.
-        """
-        system, local, n_q = self.system, self.local, self.system.n_q
-        solved = jacobian.solve_transposed(np.concatenate([on[3], on_lam]))
-        mu, zeta = solved[:n_q], solved[n_q:]
-        system.pattern.subtract_dot(local.f_q[k], mu, on[0], transposed=True)
-        if not small:
-            pattern, values = system.constraint_pattern, self.constraints_q[k]
-            pattern.subtract_dot(values, zeta, on[0], transposed=True)
-        if local.f_v is not None:
-            system.pattern.subtract_dot(local.f_v[k], mu, on[1], transposed=True)
-        on[2] -= system.mass_times(self.states[0][k], mu)
-        return mu, zeta / (self.c.beta * float(self.c.h[k, 0]) ** 2)
+        model, k = self._kernel.real, len(steps.h)
+        left, end = model.pull_back_steps(steps, seeds, on, *covectors, k)
+        if end == March.INDEFINITE:
+            self._kernel.add_band()
+            left, _ = self._kernel.real.pull_back_steps(steps, seeds, on, *covectors, left)
+        if left:
+            raise SingularMatrix("a matrix of the pass back is singular")
 
 
 def differentiate(
@@ -162,89 +138,102 @@ def differentiate(
     states, lam_b = np.zeros((n_t, 3, n_b, n_q)), np.zeros((n_t, n_b, system.n_lam))
     states[0], lam_b[0] = (start.q_b.T, start.v_b.T, start.A_b.T), start.lam_b.T
     done, verdict = 1, Verdict.FINISHED
+    chunks = _Chunks(nodes)
+    z = np.zeros((4, n_b, n_q))  # q~_b, v~_b, A~_b, a_b of a step
+    z[:3] = _predicted(nodes.steps.of(1), start)
     try:
-        steps = _advance(nodes, start, states, lam_b)
         with progress_bar(progress, total=n_t - 1, desc="derivatives", unit="step") as bar:
-            for taken in steps:
+            for steps in chunks.slices(2 * n_b * (n_q + system.n_lam)):
+                rows, (packet, t, x) = slice(steps.start - 1, steps.stop), chunks.packet(steps)
+                given = _given(system, nodes.steps.columns(steps), t, x)
+                taken = chunks.passes.forward(packet, given, z, states[rows], lam_b[steps])
                 done += taken
                 bar.update(taken)
-    except SingularMatrix:
-        verdict = Verdict.SINGULAR
+                if done < steps.stop:
+                    verdict = Verdict.SINGULAR
+                    break
     except KeyboardInterrupt:
         verdict = Verdict.INTERRUPTED
     arrays = (states[:done, 0], states[:done, 1], states[:done, 2], lam_b[:done])
     return [array.transpose(0, 2, 1) for array in arrays], verdict
 
 
-def _advance(nodes: Nodes, start: NodeSensitivity, states: Array, lam_b: Array) -> Iterator[int]:
-    """Fill the rows of the arrays and yield how many were filled at once.
+@final
+class _Chunks:
+    """The steps of a run, many at once, as the kernel takes them.
 
-    States are q_b, v_b, A_b with design variables as rows, (n_t, 3, n_b, n_q), and so is lam_b:
-    right-hand sides then stand in memory as LAPACK wants them.
+    Matrices of the recurrence are made by `step_matrices` unless they are given.
     """
-    n_t, _, n_b, n_q = states.shape
-    system, all_steps, maybe_small = nodes.problem.system, nodes.steps, nodes.maybe_small()
-    matrices = nodes.problem.matrices
-    compiled = CompiledPasses.of(system, matrices, all_steps.alpha)
-    z = np.zeros((4, n_b, n_q))  # q~_b, v~_b, A~_b, a_b of a step
-    z[:3] = _predicted(all_steps.of(1), start)
-    matrix = step_matrices(all_steps)
-    known = 2 * n_b * (n_q + system.n_lam)
-    for steps in _chunks(system, n_t, known, linearised=not compiled or bool(maybe_small.any())):
-        linear = _computed(nodes, steps)
-        given, k = linear.given(), 0
-        while k < len(given):
-            n = steps.start + k
-            part = slice(k, k + _until(maybe_small[n : steps.stop]))
-            if compiled and part.stop > k:
-                at = slice(n, steps.start + part.stop)
-                packet = linear.packet(compiled, part, matrix[n - 1 : at.stop - 1])
-                taken = compiled.forward(packet, given[part], z, states[at], lam_b[at])
-                k += taken
-                yield taken
-                if k == part.stop:
-                    continue
-                n = steps.start + k
-            (jacobian,) = linear.factorised(matrices, range(k, k + 1))
-            row = nodes.row(n) if maybe_small[n] else None
-            side = None
-            if row is not None:
-                Phi_q, before = linear.local.Phi_q[k], states[n - 1]
-                side = _small_side(system, all_steps.of(n), Phi_q, row, before, z[1])
-            z[3], lam_b[n] = linear.solve(k, jacobian, given[k], z, side)
-            recombine(matrix[n - 1], z, states[n], z[:3])
-            k += 1
-            yield 1
+
+    def __init__(self, nodes: Nodes, matrices: Array | None = None) -> None:
+        self._nodes, self._maybe_small = nodes, nodes.maybe_small()
+        self._system, alpha = nodes.problem.system, nodes.steps.alpha
+        self._matrices = step_matrices(nodes.steps) if matrices is None else matrices
+        self.passes = CompiledPasses(self._system, nodes.problem.matrices, alpha)
+
+    def slices(self, extra: int) -> Sequence[slice]:
+        """Divide steps 1 to n_t - 1 so that what is held at once stays within memory."""
+        n_t, per_step = len(self._nodes.run.t), 2 * self._system.n_q + extra
+        if not self.passes.linearises:
+            per_step += 4 * self._system.pattern.size + 6 * self._system.n_q
+        size = max(1, min(64, _CHUNK_NUMBERS // per_step))
+        return [slice(k, min(k + size, n_t)) for k in range(1, n_t, size)]
+
+    def packet(self, steps: slice) -> tuple[Packet, Array, tuple[Array, Array, Array, Array]]:
+        """Return steps for the kernel, the times at which they end, and their states there.
+
+        Derivatives of constraints over small steps are among them.
+        """
+        before, nodes, run = slice(steps.start - 1, steps.stop - 1), self._nodes, self._nodes.run
+        states = run.q[steps], run.v[steps], run.a[steps], run.lam[steps]
+        ends = range(steps.start, steps.stop)
+        rows = [nodes.row(n) if self._maybe_small[n] else None for n in ends]
+        small = small_rows(rows) if any(rows) else None
+        h, matrices = nodes.steps.h[before], self._matrices[before]
+        packet = self.passes.packet(h, run.t[steps], states, matrices, small)
+        return packet, run.t[steps], states
 
 
-def _until(small: Array) -> int:
-    """Return the number of steps before the first small one."""
-    return int(np.argmax(small)) if np.any(small) else len(small)
+def _given(system: MechanicalSystem, c: Coefficients, t: Array, states: tuple[Array, ...]) -> Array:
+    """Return the part of the right sides that is known before the pass, (k, n_b, n).
+
+    Coefficients have the shape (k, 1).
+    """
+    q, v, A, lam = states
+    partials = system.design_partials(t, q, v, A, lam)
+    k, n_q, n_b = partials.f_b.shape
+    given = np.empty((k, n_b, n_q + partials.Phi_b.shape[1]))  # each step in one piece
+    np.negative(partials.f_b.transpose(0, 2, 1), out=given[:, :, :n_q])
+    scale = -c.beta * c.h[:, None] ** 2
+    np.divide(partials.Phi_b.transpose(0, 2, 1), scale, out=given[:, :, n_q:])
+    return given
 
 
 def advance(
-    system: MechanicalSystem,
-    matrices: SaddlePoint,
+    problem: InitialValueProblem,
+    passes: CompiledPasses,
     c: Coefficients,
     before: NodeSensitivity,
     after: Node,
     row: ConstraintRow | None,
-) -> NodeSensitivity:
-    """Take one step of the derivative recurrence to a computed node; the row is of a small step."""
-    t = np.array([after.t])
+) -> NodeSensitivity | None:
+    """Take one step of the derivative recurrence to a computed node; the row is of a small step.
+
+    None if the matrix there is singular.
+    """
+    system, h, t = problem.system, np.array([c.h]), np.array([after.t])
     states = (after.q[None], after.v[None], after.A[None], after.lam[None])
-    columns = Coefficients(np.array([[c.h]]), c.alpha)
-    linear, z = LinearSteps(system, columns, t, states), _predicted(c, before)
-    (right,) = linear.given()
-    side = None
-    if row is not None:
-        known = np.array([before.q_b.T, before.v_b.T])
-        side = _small_side(system, c, linear.local.Phi_q[0], row, known, z[1])
-    (jacobian,) = linear.factorised(matrices, range(1))
-    a_b, lam_b = linear.solve(0, jacobian, right, z, side)
-    one = step_matrices(Steps(np.array([c.h]), c.alpha))[0, :3]
-    q_b, v_b, A_b = np.tensordot(one, np.array([*z, a_b]), axes=1)
-    return NodeSensitivity(q_b.T, v_b.T, a_b.T, lam_b.T, A_b.T)
+    right = _given(system, Coefficients(h[:, None], c.alpha), t, states)
+    matrices = step_matrices(Steps(h, c.alpha))
+    packet = passes.packet(h, t, states, matrices, small_rows([row]) if row else None)
+    rows = np.zeros((2, 3, system.n_b, system.n_q))
+    rows[0] = before.q_b.T, before.v_b.T, before.A_b.T
+    z, lam_b = np.zeros((4, *rows.shape[2:])), np.zeros((1, system.n_b, system.n_lam))
+    z[:3] = _predicted(c, before)
+    if not passes.forward(packet, right, z, rows, lam_b):
+        return None
+    (q_b, v_b, A_b), a_b = rows[1], z[3]
+    return NodeSensitivity(q_b.T, v_b.T, a_b.T, lam_b[0].T, A_b.T)
 
 
 def pull_back(
@@ -275,58 +264,22 @@ def pull_back_part(
     of the step from there; those of its first instant are returned. The matrices are those of
     `step_matrices` for its steps. Row 0 of the seeds is left out.
     """
-    system, all_steps, maybe_small = nodes.problem.system, nodes.steps, nodes.maybe_small()
-    n_t, n_q = len(nodes.run.t), system.n_q
+    system, chunks, on = nodes.problem.system, _Chunks(nodes, matrix), on.copy()
     gradient, change = np.zeros(system.n_b), 0.0
-    still, nothing = np.zeros((3, n_q)), np.zeros(system.n_lam)
-    compiled = CompiledPasses.of(system, nodes.problem.matrices, all_steps.alpha)
-    compiled, on = None if defects else compiled, on.copy()
-    chunks = _chunks(system, n_t, 0, linearised=not compiled or bool(maybe_small.any()))
-    for steps in progress_bar(progress, chunks[::-1], desc="adjoint", unit="chunk"):
-        linear = _computed(nodes, steps)
-        mu, zeta, k = *(np.zeros_like(linear.states[j]) for j in (0, 3)), len(linear.t)
-        while k > 0:
-            first = k - _until(maybe_small[steps.start : steps.start + k][::-1])
-            if compiled and first < k:
-                part, at = slice(first, k), slice(steps.start + first, steps.start + k)
-                packet = linear.packet(compiled, part, matrix[at.start - 1 : at.stop - 1])
-                k -= compiled.backward(packet, seeds.rows(at), on, mu[part], zeta[part])
-                if k == first:
-                    continue
-            k -= 1
-            n = steps.start + k
-            (jacobian,) = linear.factorised(nodes.problem.matrices, range(k, k + 1))
-            on = _with_seeds(on, seeds, n)
-            on_lam = nothing if seeds.lam is None else seeds.lam[n]
-            row = nodes.row(n) if maybe_small[n] else None
-            on_step = matrix[n - 1].T @ on
-            mu[k], zeta[k] = linear.solve_transposed(k, jacobian, on_step, on_lam, row is not None)
-            on = np.concatenate([still, on_step[:3]])
-            if defects is not None:
-                change += on[3] @ defects.q[n] + on[4] @ defects.v[n] + on[5] @ defects.A[n]
-            if row is not None:
-                on_dq = _small_side_back(nodes, n, linear.local.Phi_q[k], row, zeta[k], on)
-                gradient -= zeta[k] @ row.g
-                zeta[k] = 0.0  # Phi_b has had its part.
-                change += 0.0 if defects is None else on_dq @ defects.q[n]
-        gradient -= system.pull_back(linear.t, linear.states, (mu, zeta))
+    for steps in progress_bar(progress, chunks.slices(0)[::-1], desc="adjoint", unit="chunk"):
+        packet, t, states = chunks.packet(steps)
+        mu, zeta = np.zeros_like(states[0]), np.zeros_like(states[3])
+        on_defects = None if defects is None else np.zeros((len(mu), 3, system.n_q))
+        chunks.passes.backward(packet, seeds.rows(steps), on, (mu, zeta, on_defects))
+        if defects is not None:
+            missed = np.stack([x[steps] for x in (defects.q, defects.v, defects.A)], axis=1)
+            change += np.sum(on_defects * missed)
+        if packet.small is not None:
+            small, _, g = packet.small
+            gradient -= np.einsum("km,kmb->b", zeta, g)  # g vanishes where a step is not small.
+            zeta[small == 1] = 0.0  # Phi_b has had its part.
+        gradient -= system.pull_back(t, states, (mu, zeta))
     return gradient, on, float(change)
-
-
-def _with_seeds(on: Array, seeds: Seeds, n: int) -> Array:
-    """Add the partials of the objective in q and v at an instant."""
-    on = on.copy()
-    for row, seed in enumerate((seeds.q, seeds.v)):
-        if seed is not None:
-            on[row] += seed[n]
-    return on
-
-
-def _computed(nodes: Nodes, steps: slice) -> LinearSteps:
-    """Return the steps that end at some instants."""
-    run, c = nodes.run, nodes.steps.columns(steps)
-    states = run.q[steps], run.v[steps], run.a[steps], run.lam[steps]
-    return LinearSteps(nodes.problem.system, c, run.t[steps], states)
 
 
 def _predicted(c: Coefficients, start: NodeSensitivity) -> Array:
@@ -340,43 +293,3 @@ def start_covectors(c: Coefficients, on: Array) -> NodeSensitivity:
     units = NodeSensitivity(*(x[None].T for x in np.eye(4)[[0, 1, 2, 2, 3]]))
     q, v, a, A = _predicted(c, units)[:, 0].T @ on[3:]
     return NodeSensitivity(on[0] + q, on[1] + v, a, np.zeros(0), A)
-
-
-def _small_side(
-    system: MechanicalSystem,
-    c: Coefficients,
-    Phi_q: Array,
-    row: ConstraintRow,
-    before: Array,
-    v_p: Array,
-) -> Array:
-    """Return the known part of the constraints over a small step, shape (n_b, n_lam).
-
-    `before` holds q_b and v_b before the step, `v_p` is v~_b; design variables are rows.
-    """
-    pattern, dq_b = system.constraint_pattern, increment_from_velocities(c, before[1], v_p)
-    lower = pattern.dot(Phi_q, dq_b.T) + pattern.dot(row.G, before[0].T) + row.g
-    return np.asarray(-lower.T / (c.beta * c.h**2))
-
-
-def _small_side_back(
-    nodes: Nodes, n: int, Phi_q: Array, row: ConstraintRow, zeta: Array, on: Array
-) -> Array:
-    """Transpose of `_small_side`, added to covectors before the step; return that on dq_b."""
-    pattern = nodes.problem.system.constraint_pattern
-    on_dq = -pattern.dot_transposed(Phi_q, zeta)
-    on[0] = -pattern.dot_transposed(row.G, zeta)
-    # dq_b combines v_b before the step and v~_b: `increment_from_velocities`.
-    by_v, by_predicted = increment_from_velocities(nodes.steps.of(n), *np.eye(2))
-    on[1] = by_v * on_dq
-    on[4] += by_predicted * on_dq
-    return np.asarray(on_dq)
-
-
-def _chunks(system: MechanicalSystem, n_t: int, extra: int, *, linearised: bool) -> Sequence[slice]:
-    """Divide steps 1 to n_t - 1 so that what is held at once stays within memory."""
-    per_step = 2 * system.n_q + extra
-    if linearised:
-        per_step += 4 * system.pattern.size + 6 * system.n_q
-    size = max(1, min(64, _CHUNK_NUMBERS // per_step))
-    return [slice(k, min(k + size, n_t)) for k in range(1, n_t, size)]

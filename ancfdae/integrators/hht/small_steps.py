@@ -19,6 +19,7 @@ zero: the equations are those of eqs. (5) and (23).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -98,15 +99,13 @@ class ConstraintRow:
         return ConstraintRow(G, g)
 
 
-def constraint_increment(
-    system: MechanicalSystem, c: Coefficients, before: Node, dq: Array
-) -> Array:
-    """Return I; exact for joints, quadratic in q. A drive A sin(w t) leaves A (w h)^7 / 2e6."""
-    total = np.zeros(system.n_lam)
-    for place, weight in zip(PLACES, WEIGHTS, strict=True):
-        q, t = before.q + place * dq, before.t + place * c.h
-        total = total + (weight * c.h) * system.constraint(t, q, dq / c.h)
-    return total
+def small_rows(rows: Sequence[ConstraintRow | None]) -> tuple[Array, Array, Array]:
+    """Return which of k steps are small, (k,), with rows of G and g, zeros of all others."""
+    some = [row for row in rows if row is not None]
+    small = np.array([row is not None for row in rows], dtype=np.int32)
+    G, g = (np.zeros((len(rows), *x.shape)) for x in (some[0].G, some[0].g))
+    G[small == 1], g[small == 1] = [row.G for row in some], [row.g for row in some]
+    return small, G, g
 
 
 def node_after(run: Solution, n: int, alpha: float) -> Node:

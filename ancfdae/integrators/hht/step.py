@@ -10,13 +10,13 @@ derivative in the design. The tolerance bounds delta / h, which falls with h^2; 
 delta, and its runs then err by the tolerance to the power 2/3.
 """
 
+from functools import cached_property
 from typing import ClassVar, final
 
 import numpy as np
 
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht import linear_passes
-from ancfdae.integrators.hht.compiled import CompiledSteps
 from ancfdae.integrators.hht.continuation import solved
 from ancfdae.integrators.hht.equations import (
     Coefficients,
@@ -67,11 +67,14 @@ class HHTStepper(OneStepMethod[State]):
     ) -> None:
         self._problem, self._alpha = problem, alpha
         self.system = problem.system
-        self._solver = StepSolver(problem.system, problem.matrices, *newton, recorder)
+        self._solver = StepSolver(problem.system, problem.matrices, alpha, newton, recorder)
         self._tolerance, self._recorder = tolerance, recorder
-        rules = self._solver.rules(alpha)
-        self._compiled = CompiledSteps.of(problem.system, problem.matrices, rules, recorder)
         self._coefficients = Coefficients(0.0, alpha)
+
+    @cached_property
+    def _passes(self) -> linear_passes.CompiledPasses:
+        """Linearised steps, for runs with derivatives."""
+        return linear_passes.CompiledPasses(self.system, self._problem.matrices, self._alpha)
 
     def consistent(self) -> Record:
         """Return the consistent start as a row of the solution."""
@@ -94,7 +97,7 @@ class HHTStepper(OneStepMethod[State]):
         if c.h != h:
             c = self._coefficients = Coefficients(h, self._alpha)
         system, step = self._problem.system, (c, last, t)
-        node = self._alone(h, last, t) or self._solver.advance(step)
+        node = self._solver.advance(step)
         # Where steps are controlled a smaller one is the better cure.
         hard = isinstance(node, Failure) and node.verdict is not Verdict.SINGULAR
         if isinstance(node, Failure) and hard and self._tolerance is None:
@@ -105,28 +108,20 @@ class HHTStepper(OneStepMethod[State]):
         if node_b is not None:
             self._recorder.factorisations += 1
             row = ConstraintRow.of(system, c, last, node)
-            node_b = linear_passes.advance(system, self._problem.matrices, c, node_b, node, row)
+            node_b = linear_passes.advance(self._problem, self._passes, c, node_b, node, row)
+            if node_b is None:
+                return Failure(Verdict.SINGULAR, 0.0)
         return node, node_b
 
     def march(self, before: State, sizes: Array, ends: Array) -> tuple[int, State]:
-        """Take steps by the kernel; without derivatives."""
+        """Take steps in one call of the kernel; without derivatives."""
         node, node_b = before
-        if self._compiled is None or node_b is not None:
+        if self._solver.alone or node_b is not None or len(sizes) == 1:
             return 0, before
         rows = self._recorder.room(len(sizes))
-        taken, node = self._compiled.march(node, sizes, ends, rows)
+        taken, node = self._solver.march(node, sizes, ends, rows)
         self._recorder.take(ends[:taken])
         return taken, (node, None)
-
-    def _alone(self, h: float, before: Node, t: float) -> Node | None:
-        """Take one step by the kernel, unless it was tried; None where it does not solve it."""
-        if self._compiled is None or self._tolerance is None:
-            return None
-        system = self._problem.system
-        q, v, A = np.empty((3, 1, system.n_q))
-        rows = q, v, A, np.empty((1, system.n_lam))
-        taken, node = self._compiled.march(before, np.array([h]), np.array([t]), rows)
-        return node if taken else None
 
     def recorded(self, state: State) -> Record:
         """Return a state as a row of the solution."""

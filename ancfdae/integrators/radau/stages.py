@@ -18,10 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ancfdae.equations import Linearisation, MechanicalSystem, reaction
+from ancfdae.equations import Linearisation, MechanicalSystem
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau.tableau import INVERSE, PLACES, SQUARED, at_stages
-from ancfdae.kernels import balance
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.coupled import CoupledFactors, CoupledSaddlePoints
 
@@ -64,17 +63,6 @@ class Begin(NamedTuple):
     def displacements(self, q: Array) -> Array:
         """Return x of the positions of stages; its round-off is that of q over h^2."""
         return np.asarray((q - self.q - self.h * PLACES * self.v) / self.h**2)
-
-
-def residuals(system: MechanicalSystem, begin: Begin, stages: Stages) -> tuple[Array, Array]:
-    """Return the residuals of the stages, (3, n_q + n_lam), and reactions and forces in them."""
-    rows, forces = [], []
-    for t, q, v, a, lam in zip(begin.times.tolist(), *stages, strict=True):
-        pair = reaction(system, t, q, lam), system.force(t, q, v)
-        Phi = system.constraint(t, q)
-        rows.append(balance(system.mass_times(q, a), *pair, Phi, 1 / begin.h**2))
-        forces.append(pair)
-    return np.array(rows), np.array(forces).swapaxes(0, 1)
 
 
 def linearised(system: MechanicalSystem, t: Array, *states: Array) -> Linearisation:
