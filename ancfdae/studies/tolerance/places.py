@@ -57,7 +57,7 @@ _DEPTH: Final = 30
 _WIDE, _MOST = 2**10, 2**15
 _OPERATIONS: Final = 2000
 # Samples of functions without a list, samples that are called one by one, most in an interval.
-_SAMPLES, _CALLS, _EACH = 2**15, 2**11, 64
+_SAMPLES, _CALLS, _EACH = 2**15, 2**10, 64
 # Stops in the longest chord that follows a place, and how far apart they may be within it; all.
 _STOPS, _APART, _ALL = 12, 0.25, 1800
 # Degree up to which polynomials of observables change no more suddenly than these.
