@@ -226,9 +226,10 @@ def test_boxes_hold_the_path():
     path = places._Path.of(simulate(Mass(lambda q: 0 * q), 2.0, HHT(1 / 4)))
     n = np.arange(len(path.t) - 1)
     left, right = np.full(len(n), 0.3), np.full(len(n), 0.9)
-    boxes = path.boxes(n, left, right)
+    boxes = path.boxes(n, left, right, [0, 1, 2])
     for part in np.linspace(0.3, 0.9, 7):
-        for rows, bounds in zip(path.at(n, np.full(len(n), part)), boxes, strict=True):
+        here = n, np.full(len(n), part), [0, 1, 2]
+        for rows, bounds in zip((path.at(*here), path.rates(*here)), boxes, strict=True):
             for row, (low, high) in zip(rows, bounds, strict=True):
                 assert np.all(low <= row + 1e-12)
                 assert np.all(row <= high + 1e-12)

@@ -33,10 +33,11 @@ from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.laws import UserLaw
 from ancfdae.observables import custom, observe, position, velocity
 from ancfdae.studies.tolerance.bars import Estimate, spread
+from ancfdae.studies.tolerance.dop853_runs import DOP853Runs
 from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.gradients import _wanted
+from ancfdae.studies.tolerance.hht_runs import HHTRuns
 from ancfdae.studies.tolerance.observables import observed_within
-from ancfdae.studies.tolerance.sequences import Eighth, Second
 from ancfdae.studies.tolerance.spectrum import fades
 from ancfdae.studies.tolerance.transitions import RESOLVED, Transition, _Path, passed_over
 from ancfdae.studies.tolerance.waves import Wave, missed, radius, unresolved, waves_of
@@ -371,15 +372,15 @@ def test_explicit_knows_states_more_closely_than_transitions_are_wide():
     """Where HHT saw a transition of a thousandth of the speed, rtol is below a ten-thousandth."""
     scene, _ = rubbing(3.0, 1e-3)
     wanted = _wanted(assemble(scene, ["f.coulomb"]), [], 2.0, 1e-1)
-    seer = Second(wanted)
-    sequence = Eighth(seer, 4, wanted)
+    seer = HHTRuns(wanted)
+    sequence = DOP853Runs(seer, 4, wanted)
     loose = sequence.setting.rtol
     seer.transitions = Transition(10_000, 1e-3)
-    assert loose == pytest.approx(1e-2)
+    assert loose == pytest.approx(1e-3)
     assert sequence.setting.rtol == pytest.approx(1e-4)
     # Values need no derivative: error control alone decides.
     of_values = wanted._replace(partials=None)
-    assert Eighth(seer, 4, of_values).setting.rtol == pytest.approx(1e-2)
+    assert DOP853Runs(seer, 4, of_values).setting.rtol == pytest.approx(1e-3)
 
 
 @pytest.mark.parametrize(("coulomb", "smooth_speed"), [(3.0, 1e-3), (0.3, 1e-5)])
@@ -498,7 +499,7 @@ def test_kinds_of_runs_that_contradict_each_other_are_not_believed():
         error = 0.01
         estimates = (Estimate(np.array([1.0]), np.array([0.01])),)
 
-    run = object.__new__(Second)
+    run = object.__new__(HHTRuns)
     run._tolerance, run._sizes = 1e-6, lambda vectors: [float(np.linalg.norm(x)) for x in vectors]
     for far, agrees in ((0.02, True), (0.1, False)):
         run.samples = [type("Sample", (), {"vectors": [np.array([1.0 + far])]})()]
@@ -582,7 +583,8 @@ def test_instants_of_explicit_are_no_error_that_all_runs_share():
     spring = SpringDamper(a.at(0), 100.0, 0.0, 0.4, ground=(0.0, 0.0), name="s")
     scene = Scene([], [PointOnLine(a.at(0), direction=(1, 0))], loads=[spring], bodies=[a])
     system = assemble(scene, ["s.free_length"])
-    sequence = Eighth(Second(_wanted(system, [], 25.0, 1e-4)), 64, _wanted(system, [], 25.0, 1e-4))
+    wanted = _wanted(system, [], 25.0, 1e-4)
+    sequence = DOP853Runs(HHTRuns(wanted), 64, wanted)
     first = sequence.setting
     sequence._taken.append(1e-5)
     assert (first.intervals, sequence.setting.intervals) == (64, 128)

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ancfdae.equations.derived import Derived, Related, is_value, is_written, members
+from ancfdae.equations.derived import Derived, Related, design_sizes, is_value, is_written, members
 from ancfdae.equations.generic import Generic
 from ancfdae.equations.probe import Given, Probe, arguments
 from ancfdae.equations.system import MechanicalSystem
@@ -119,7 +119,7 @@ def start(add: Add, p: Probe) -> None:
         ratio = np.max(np.abs(phi) / lengths, initial=0.0) / size
         add(f"start, {what} on the constraints", ratio, _CONSISTENT)
     # The same at neighbouring designs. A term that is nearly zero is compared with the state.
-    (q_b, v_b), b = s.start_b(), np.where(s.b == 0, 1.0, np.abs(s.b))
+    (q_b, v_b), b = s.start_b(), design_sizes(s)
     still = np.zeros_like(q_b)
     for what, motion, motion_b in (("q", (q,), (q_b,)), ("v", (q, v), (q_b, v_b))):
         held = s.constraint_total(0.0, motion, (still, still)[: len(motion)])

@@ -32,6 +32,7 @@ from typing import TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.derived import design_sizes
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
@@ -48,14 +49,10 @@ from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.states import states_of
 from ancfdae.studies.calls import as_system, differentiable, gradient, require_objectives
 from ancfdae.studies.meshes import with_mesh
-from ancfdae.studies.tolerance.bars import unresolved
+from ancfdae.studies.tolerance.bars import RESOLVED_ORDER, unresolved
 
 _GRANTED, _SEEN = 3.0, 1.25
 _LOWEST, _ORDER = 0.5, 2.0
-# Where the estimated errors of derivatives fall at this order or more, all measured bars held. It
-# is 1.996 to 2.03 where steps resolve all waves, 1.9 at most where bars failed
-# (docs/reports/error-bars).
-_RESOLVED = 1.95
 # Fewest steps of a run whose error can be estimated.
 _LEAST_STEPS = 4
 #: Elements are of second order or better (docs/reports/elements).
@@ -215,8 +212,7 @@ def _of_steps(
     differences, resolved = np.diff(_numbers(runs), axis=0), _resolved(*runs[-2:])
     widths, orders = bars(differences, order)
     if resolved is False:
-        b = differentiable(*mesh).b
-        scale = np.where(b == 0, 1.0, np.abs(b))
+        scale = design_sizes(differentiable(*mesh))
         slopes = unresolved(differences[:, 1:] * scale) / scale
         widths = np.append(unresolved(differences[:, :1]), slopes)
     return widths, orders, resolved
@@ -247,7 +243,8 @@ def _resolved(coarse: Gradient, fine: Gradient) -> bool | None:
         return None
     # A variable without influence has the error nan, which passes; an infinite one does not.
     return not any(
-        y > x / 2.0**_RESOLVED or math.inf in (x, y) for x, y in zip(before, after, strict=True)
+        y > x / 2.0**RESOLVED_ORDER or math.inf in (x, y)
+        for x, y in zip(before, after, strict=True)
     )
 
 

@@ -7,6 +7,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.derived import design_sizes
 from ancfdae.errors.checks import require_array
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import columns
@@ -98,7 +99,7 @@ def taylor_test(
     if not relative.any():
         repair = "Leave it out to change all variables."
         raise InvalidInputError("direction", "must change at least one variable", given, repair)
-    db = relative * np.where(system.b == 0, 1.0, np.abs(system.b))
+    db = relative * design_sizes(system)
     base = gradient(system, objective, t_end, integrator, method=method)
     frozen = integrator.frozen(base.solution)
     changes = []

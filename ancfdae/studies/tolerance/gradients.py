@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.derived import design_sizes
 from ancfdae.errors.checks import require_positive
-from ancfdae.errors.kinds import InvalidInputError, ManyStepsWarning, ToleranceWarning
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
@@ -24,9 +24,9 @@ from ancfdae.sensitivity.observables.expression import leaves
 from ancfdae.sensitivity.observables.states import States
 from ancfdae.studies.tolerance.features import features
 from ancfdae.studies.tolerance.places import Seen, Witness
-from ancfdae.studies.tolerance.runs import Runs, Sample, Wanted
+from ancfdae.studies.tolerance.runs import Sample, Wanted
 from ancfdae.studies.tolerance.search import Found, search
-from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
+from ancfdae.studies.tolerance.spectrum import speed
 
 # Up to _DIRECT variables HHT differentiates directly, which also shows whether waves are resolved.
 _DIRECT = 6
@@ -45,7 +45,7 @@ def gradients_within(
 ) -> list[Gradient]:
     """Return values and gradients with bars below the tolerance, or a warning and the best."""
     require_tolerance(tolerance)
-    scale = np.where(system.b == 0, 1.0, np.abs(system.b))
+    scale = design_sizes(system)
 
     def measure(integrator: Integrator) -> Sample:
         way = method or _method(integrator, system.n_b)
@@ -58,17 +58,11 @@ def gradients_within(
         return Sample(vectors, run.estimated_errors, run.statistics.steps, results, run)
 
     wanted = _wanted(system, objectives, t_end, tolerance)
-    second, witness = Second(wanted), Witness(system, _seen(objectives), tolerance)
-    others: list[Runs] = [Fifth(second, wanted)]
+    witness, intervals = Witness(system, _seen(objectives), tolerance), None
     if method is None or isinstance(method, DirectDifferentiation):
-        few = _FEW if read_at_end(system, objectives, t_end) and not witness.looks else _MANY
-        others.append(Eighth(second, few, wanted))
-    with warnings.catch_warnings():
-        # Short steps in sharp places are meant.
-        warnings.simplefilter("ignore", ManyStepsWarning)
-        reached = search(second, others, measure, tolerance, witness)
-    if not reached.reached:
-        warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceWarning, stacklevel=4)
+        few = read_at_end(system, objectives, t_end) and not witness.looks
+        intervals = _FEW if few else _MANY
+    reached = search(wanted, measure, witness, intervals, 4)
     return _results(reached, scale, tolerance)
 
 
@@ -89,7 +83,18 @@ def _wanted(
     integrated = [len(x) == len(y) for x, y in zip(parts, over, strict=True)]
     problem = InitialValueProblem.of(system, t_end)
     fast = features(problem, [x.observable for each in over for x in each], t_end)
-    return Wanted(problem, t_end, tolerance, _sizes, numbers, integrated, partials, False, fast)
+    return Wanted(
+        problem,
+        t_end,
+        tolerance,
+        _sizes,
+        numbers,
+        integrated,
+        partials,
+        False,
+        fast,
+        speed(problem),
+    )
 
 
 def require_tolerance(tolerance: float) -> None:

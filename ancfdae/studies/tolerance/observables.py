@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -12,12 +11,7 @@ import scipy
 
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors.checks import require_each, require_flag, require_positive
-from ancfdae.errors.kinds import (
-    InvalidInputError,
-    ManyStepsWarning,
-    StabilityWarning,
-    ToleranceWarning,
-)
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.errors.text import columns
 from ancfdae.integrators.integrator import Integrator
@@ -33,7 +27,7 @@ from ancfdae.studies.tolerance.gradients import require_tolerance
 from ancfdae.studies.tolerance.places import Seen, Witness
 from ancfdae.studies.tolerance.runs import Sample, Wanted
 from ancfdae.studies.tolerance.search import search
-from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
+from ancfdae.studies.tolerance.spectrum import speed
 
 # Instants of a run where none are asked for, and intervals of those of high order.
 _INSTANTS, _INTERVALS = 65, 64
@@ -110,18 +104,11 @@ def observed_within(
 
     problem, none = InitialValueProblem.of(system, t_end), [False] * len(asked)
     fast = features(problem, (), t_end)
-    wanted = Wanted(problem, t_end, tolerance, _sizes, numbers, none, None, True, fast)
-    second = Second(wanted)
-    others = [Fifth(second, wanted), Eighth(second, _INTERVALS, wanted)]
-    with warnings.catch_warnings():
-        # Coarse runs are there to be compared.
-        warnings.simplefilter("ignore", StabilityWarning)
-        # Short steps in sharp places are meant.
-        warnings.simplefilter("ignore", ManyStepsWarning)
-        witness = Witness(system, tuple(map(Seen, asked)), tolerance)
-        reached = search(second, others, measure, tolerance, witness)
-    if not reached.reached:
-        warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceWarning, stacklevel=3)
+    wanted = Wanted(
+        problem, t_end, tolerance, _sizes, numbers, none, None, True, fast, speed(problem)
+    )
+    witness = Witness(system, tuple(map(Seen, asked)), tolerance)
+    reached = search(wanted, measure, witness, _INTERVALS, 3)
     assert isinstance(reached.result, Solution)
     values, bars = (
         np.stack(x, axis=1) for x in zip(*((e.x, e.bar) for e in reached.estimates), strict=True)

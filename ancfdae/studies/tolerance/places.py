@@ -20,7 +20,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -29,8 +29,8 @@ from ancfdae.equations.formula_system import FormulaSystem
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.enclosures import Interval, enclosed, values
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
-from ancfdae.sensitivity.observables.expression import evaluated
-from ancfdae.sensitivity.observables.observable import Leaf, Observable
+from ancfdae.sensitivity.observables.expression import Operation, evaluated, in_order
+from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import States, states_of
 from ancfdae.sensitivity.observables.user_functions import Custom
 
@@ -57,11 +57,17 @@ _DEPTH: Final = 30
 _WIDE, _MOST = 2**10, 2**15
 _OPERATIONS: Final = 2000
 # Samples of functions without a list, samples that are called one by one, most in an interval.
-_SAMPLES, _CALLS, _EACH = 2**15, 2**11, 64
+_SAMPLES, _CALLS, _EACH = 2**15, 2**10, 64
 # Stops in the longest chord that follows a place, and how far apart they may be within it; all.
 _STOPS, _APART, _ALL = 12, 0.25, 1800
+# Degree up to which polynomials of observables change no more suddenly than these.
+_LOW: Final = 4
 # Chords of this length before and after a place belong to it: its tails.
 _WIDER: Final = 2
+
+
+# Columns of a path.
+Columns: TypeAlias = "slice | list[int]"
 
 
 class Part(NamedTuple):
@@ -118,12 +124,16 @@ class Seen(NamedTuple):
 
 
 class _Listed(NamedTuple):
-    """Functions as a list: numbers, their rates, and the inputs among the columns of a path."""
+    """Functions as a list: numbers and their rates, and the columns of a path that they need.
+
+    `inputs` and `rates` are the numbers of these columns and of their rates in the list.
+    """
 
     operations: Operations
     outputs: Array
-    inputs: dict[int, int]
-    rates: dict[int, int]
+    columns: list[int]
+    inputs: list[int]
+    rates: list[int]
     constants: dict[int, float]
 
 
@@ -174,9 +184,35 @@ class Witness:
 
 
 def _sharp(seen: Seen) -> bool:
-    """Whether an observable may change more suddenly than the motion."""
-    plain = isinstance(seen.observable, Leaf) and not isinstance(seen.observable, Custom)
-    return seen.sharpness is not None or not plain
+    """Whether an observable may change more suddenly than the motion.
+
+    Polynomials of a low degree do not, like squares of velocities.
+    """
+    return seen.sharpness is not None or not _degree(seen.observable) <= _LOW
+
+
+def _degree(observable: Observable) -> float:
+    """Return the degree of a polynomial of observables of the package; infinite of others."""
+    degrees = dict[object, float]()
+    for node in in_order(observable):
+        if not isinstance(node, Operation):
+            degrees[node] = math.inf if isinstance(node, Custom) else 1.0
+            continue
+        of = [0.0 if isinstance(x, float) else degrees[x] for x in node.operands]
+        name, last = node.function.name, node.operands[-1]
+        if name in ("add", "subtract", "negative", "positive"):
+            degrees[node] = max(of)
+        elif name == "multiply":
+            degrees[node] = sum(of)
+        elif name == "square":
+            degrees[node] = 2 * of[0]
+        elif name == "divide" and isinstance(last, float):
+            degrees[node] = of[0]
+        elif name == "power" and isinstance(last, float) and last >= 0 and last % 1 == 0:
+            degrees[node] = last * of[0]
+        else:
+            degrees[node] = math.inf
+    return degrees[observable]
 
 
 def _deepest(parts: Sequence[Part]) -> tuple[Part, ...]:
@@ -219,22 +255,33 @@ class _Path:
         slopes = np.concatenate([self.slopes, np.gradient(more, self.t, axis=0)], axis=1)
         return _Path(self.t, Y, slopes, self.sizes)
 
-    def at(self, n: Array, s: Array) -> tuple[Array, Array]:
-        """Return columns and their rates at parts s of the intervals n, each (columns, k)."""
-        h, s = np.diff(self.t)[n][:, None], s[:, None]
-        y, z, dy, dz = self.Y[n], self.Y[n + 1], h * self.slopes[n], h * self.slopes[n + 1]
-        rise = z - y
-        x = y + s * (dy + s * (3 * rise - 2 * dy - dz + s * (dy + dz - 2 * rise)))
-        rate = (dy + s * (2 * (3 * rise - 2 * dy - dz) + s * 3 * (dy + dz - 2 * rise))) / h
-        return x.T, rate.T
+    def _powers(self, columns: Columns) -> tuple[Array, Array, Array, Array]:
+        """Return the coefficients of 1, s, s^2 and s^3 in each interval, (columns, intervals)."""
+        h, Y = np.diff(self.t), self.Y[:, columns].T
+        slopes = self.slopes[:, columns].T
+        first, last, rise = h * slopes[:, :-1], h * slopes[:, 1:], np.diff(Y)
+        return Y[:, :-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise
 
-    def boxes(self, n: Array, s: Array, e: Array) -> tuple[list[Interval], list[Interval]]:
+    def at(self, n: Array, s: Array, columns: Columns = slice(None)) -> Array:
+        """Return columns at parts s of the intervals n, (columns, k)."""
+        y, dy, bend, twist = (x[:, n] for x in self._powers(columns))
+        return np.asarray(y + s * (dy + s * (bend + s * twist)))
+
+    def rates(self, n: Array, s: Array, columns: Columns = slice(None)) -> Array:
+        """Return rates of columns at parts s of the intervals n, (columns, k)."""
+        _, dy, bend, twist = (x[:, n] for x in self._powers(columns))
+        return np.asarray((dy + s * (2 * bend + 3 * s * twist)) / np.diff(self.t)[n])
+
+    def boxes(
+        self, n: Array, s: Array, e: Array, columns: Columns
+    ) -> tuple[list[Interval], list[Interval]]:
         """Return bounds of columns and of their rates from parts s to e of the intervals n.
 
         A cubic and its derivative lie within the hulls of their Bezier points.
         """
         d = (e - s) * np.diff(self.t)[n]
-        (x, dx), (y, dy) = self.at(n, s), self.at(n, e)
+        x, y = (self.at(n, part, columns) for part in (s, e))
+        dx, dy = (self.rates(n, part, columns) for part in (s, e))
         inner, outer = x + d * dx / 3, y - d * dy / 3
         whole = [x, inner, outer, y]
         rates = [dx, 3 * (outer - inner) / d, dy]
@@ -245,7 +292,7 @@ class _Path:
 
     def states(self, n: Array, s: Array) -> States:
         """Return the states at parts of intervals."""
-        (n_q, _), (x, _) = self.sizes, self.at(n, s)
+        (n_q, _), x = self.sizes, self.at(n, s)
         return States(x[0], x[1 : 1 + n_q].T, x[1 + n_q : 1 + 2 * n_q].T, x[1 + 2 * n_q :].T)
 
     def places(self, group: _Group, share: float, steps: int) -> Places:
@@ -264,7 +311,7 @@ class _Path:
             size = _size(rows[known], group.level)
             if not size > 0:
                 return Places(0, 0, ())
-            t, factors = self.at(n, parts)[0][0], group.factors[known, None] / size
+            t, factors = self.at(n, parts, [0])[0], group.factors[known, None] / size
 
             def function(places: Array) -> Array:
                 return np.asarray(group.sample(*self._split(places))[known] * factors)
@@ -286,16 +333,19 @@ class _Path:
     def _unsure(self) -> float:
         """Return how far the rates of q are from v between the times, over the range of v."""
         n_q, count = self.sizes[0], len(self.t) - 1
-        x, rate = self.at(np.arange(count), np.full(count, 0.5))
-        size = _size(x[1 + n_q : 1 + 2 * n_q], False) or 1.0
-        return float(np.abs(rate[1 : 1 + n_q] - x[1 + n_q : 1 + 2 * n_q]).max(initial=0.0)) / size
+        q, v = slice(1, 1 + n_q), slice(1 + n_q, 1 + 2 * n_q)
+        middles = np.arange(count), np.full(count, 0.5)
+        x = self.at(*middles, v)
+        off = float(np.abs(self.rates(*middles, q) - x).max(initial=0.0))
+        return off / (_size(x, False) or 1.0)
 
     def _motion(self, n: Array, s: Array) -> Callable[[Array], Array]:
         """Return the function of places that is q and v, each relative to its largest range."""
-        n_q, rows = self.sizes[0], self.at(n, s)[0]
-        q, v = (_size(x, False) or 1.0 for x in (rows[1 : 1 + n_q], rows[1 + n_q : 1 + 2 * n_q]))
+        n_q = self.sizes[0]
+        both = slice(1, 1 + 2 * n_q)
+        q, v = (_size(x, False) or 1.0 for x in np.split(self.at(n, s, both), 2))
         factors = np.repeat([1 / q, 1 / v], n_q)[:, None]
-        return lambda places: self.at(*self._split(places))[0][1 : 1 + 2 * n_q] * factors
+        return lambda places: self.at(*self._split(places), both) * factors
 
     def _divided(self, group: _Group, listed: _Listed, share: float) -> Array:
         """Return the ends of intervals in which functions are smooth, (k,), in intervals."""
@@ -445,8 +495,7 @@ def _gap(x: Array, rows: Array, value: Callable[[Array], Array], level: int, shi
 
 
 def _values(path: _Path, listed: _Listed, outputs: Array, n: Array, s: Array) -> Array:
-    x, _ = path.at(n, s)
-    at = {number: x[column] for number, column in listed.inputs.items()}
+    at = dict(zip(listed.inputs, path.at(n, s, listed.columns), strict=True))
     at |= {number: np.full(len(n), value) for number, value in listed.constants.items()}
     return values(listed.operations, outputs, at)
 
@@ -454,9 +503,8 @@ def _values(path: _Path, listed: _Listed, outputs: Array, n: Array, s: Array) ->
 def _enclosed(
     path: _Path, listed: _Listed, outputs: Array, n: Array, s: Array, e: Array
 ) -> tuple[Array, Array]:
-    whole, rates = path.boxes(n, s, e)
-    at = {number: whole[column] for number, column in listed.inputs.items()}
-    at |= {number: rates[column] for number, column in listed.rates.items()}
+    whole, rates = path.boxes(n, s, e, listed.columns)
+    at = dict(zip(listed.inputs, whole, strict=True)) | dict(zip(listed.rates, rates, strict=True))
     ones = np.ones(len(n))
     at |= {number: Interval(x * ones, x * ones) for number, x in listed.constants.items()}
     return enclosed(listed.operations, outputs, at)
@@ -476,11 +524,13 @@ def _with_rates(
     outputs = outputs.ravel()
     if not np.any(outputs >= 0):
         return None
-    pairs = zip(*(x.tolist() for x in columns), strict=True)
+    pairs = list(zip(*(x.tolist() for x in columns), strict=True))
     (rates,) = operations.along(outputs, dict(pairs))
     both = np.concatenate([outputs, rates])
-    inputs, rated = ({number: k for k, number in enumerate(x.tolist())} for x in columns)
-    listed = _Listed(operations, both, inputs, rated, constants)
+    used = operations.inputs(both)
+    needed = [k for k, pair in enumerate(pairs) if k == 0 or not used.isdisjoint(pair)]
+    inputs, rated = (list(x) for x in zip(*(pairs[k] for k in needed), strict=True))
+    listed = _Listed(operations, both, needed, inputs, rated, constants)
     sample = partial(_values, path, listed, outputs)
     short = len(operations.rows(both)) <= _OPERATIONS
     return _Group(path, listed if short else None, np.ones(len(outputs)), True, sample)

@@ -25,6 +25,10 @@ OF_A_RUN = 2500.0
 _OF_A_LOAD, _OF_DRIVES = 30.0, 350.0
 # An error relative to nothing, with which steps can still be counted.
 _BEYOND = 1e30
+#: A run aims at the part AIM of the tolerance.
+AIM = 0.7
+#: Where HHT errs by a hundredth, PERCENT, methods of high order do so with steps FEWER times fewer.
+PERCENT, FEWER = 1e-2, 8.0
 # Two kinds of runs contradict each other if they differ by more than _CONTRADICTS error bars: one
 # bar in twenty does not hold.
 _CONTRADICTS = 3.0
@@ -54,7 +58,8 @@ class Wanted(NamedTuple):
     `numbers` evaluates what they are about on states, one array each; `integrated` says which are
     integrals over time. If there are `partials`, the derivatives of the numbers in the states, each
     is followed by its logarithmic design derivatives as a vector. If `along` is True a vector holds
-    values at increasing times.
+    values at increasing times. `speed` is the largest |s| of motions e^(s t) about the start, 1/s;
+    zero where nothing vibrates.
     """
 
     problem: InitialValueProblem
@@ -66,6 +71,7 @@ class Wanted(NamedTuple):
     partials: Partials | None
     along: bool
     features: Pulses
+    speed: float
 
     @property
     def system(self) -> MechanicalSystem:

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.kinds import (
+    InvalidInputError,
+    ManyStepsWarning,
+    StabilityWarning,
+    ToleranceWarning,
+)
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.sensitivity.method import Trial
 from ancfdae.studies.tolerance.bars import Estimate
+from ancfdae.studies.tolerance.dop853_runs import DOP853Runs
+from ancfdae.studies.tolerance.hht_runs import HHTRuns
 from ancfdae.studies.tolerance.places import Witness
-from ancfdae.studies.tolerance.runs import Measure, Runs, Sample
-from ancfdae.studies.tolerance.sequences import Second
+from ancfdae.studies.tolerance.radau_runs import RadauRuns
+from ancfdae.studies.tolerance.runs import Measure, Runs, Sample, Wanted
 
 # Most work of a search, about as many microseconds.
 _MOST = 4e7
@@ -72,7 +80,7 @@ class _Spent:
 
 
 def _out_of_reach(
-    spent: _Spent, ways: dict[Runs, float], seer: Second, tolerance: float
+    spent: _Spent, ways: dict[Runs, float], seer: HHTRuns, tolerance: float
 ) -> InvalidInputError:
     """Return the refusal of a search whose runs do not follow what happens, and say no error."""
     costs, steps = "; ".join(spent.price(*x) for x in ways.items()), seer.transitions.steps
@@ -96,7 +104,29 @@ def _out_of_reach(
 
 
 def search(
-    seer: Second, others: Sequence[Runs], measure: Measure, tolerance: float, witness: Witness
+    wanted: Wanted, measure: Measure, witness: Witness, intervals: int | None, level: int
+) -> Found:
+    """Search what is wanted; warn where it is out of reach.
+
+    `intervals` are those of `DOP853`, None without its runs; `level` is the stack level of the
+    warning, as in `warnings.warn`.
+    """
+    seer = HHTRuns(wanted)
+    others: list[Runs] = [RadauRuns(seer, wanted)]
+    others += [] if intervals is None else [DOP853Runs(seer, intervals, wanted)]
+    with warnings.catch_warnings():
+        # Coarse runs are there to be compared, and short steps in sharp places are meant.
+        for kind in (StabilityWarning, ManyStepsWarning):
+            warnings.simplefilter("ignore", kind)
+        found = _search(seer, others, measure, wanted.tolerance, witness)
+    if not found.reached:
+        text = f"tolerance {wanted.tolerance:g}: {found.why}"
+        warnings.warn(text, ToleranceWarning, stacklevel=level + 1)
+    return found
+
+
+def _search(
+    seer: HHTRuns, others: Sequence[Runs], measure: Measure, tolerance: float, witness: Witness
 ) -> Found:
     """Run integrators until one reaches the tolerance or the next run would exceed the work limit.
 

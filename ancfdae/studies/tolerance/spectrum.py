@@ -14,6 +14,7 @@ import scipy
 
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors.kinds import AncfdaeError
+from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 
 # Coordinates up to which dense matrices take milliseconds.
@@ -37,6 +38,19 @@ def fades(system: MechanicalSystem, run: Solution) -> bool:
     s = spectra[0]
     fast = s[np.abs(s) * (run.t[2] - run.t[1]) > _RESOLVED]
     return bool(fast.size) and bool(np.all(fast.real * run.t[-1] < _FADED))
+
+
+def speed(problem: InitialValueProblem) -> float:
+    """Return the largest |s| about the start; zero where nothing vibrates; 1/s."""
+    from ancfdae.modes.configuration import LinearisationPoint
+    from ancfdae.modes.periods import fastest
+
+    initial = problem.initial
+    try:
+        at = LinearisationPoint(initial.q, initial.lam, t=initial.t)
+        return fastest(problem.system, at)
+    except AncfdaeError:
+        return 0.0
 
 
 def pace(system: MechanicalSystem, run: Solution) -> float | None:
