@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -84,6 +85,13 @@ class PartInputs:
     def loads(self) -> list[LoadInput]:
         """Return the inputs of all loads of the scene."""
         return [self.load(load) for load in self.scene.loads]
+
+    @cached_property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times between which all joints and loads are analytic functions of time; s."""
+        parts = (*self.scene.joints, *self.scene.loads)
+        numbers = ((part, self.mapping.numbers(part.name, self.b)[0]) for part in parts)
+        return tuple(t for part, p in numbers for t in part.breakpoints(p))
 
     def joint(self, joint: Joint) -> tuple[JointInput, Vectors]:
         """Return one joint as it stands alone, with its vectors."""

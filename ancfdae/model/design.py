@@ -81,7 +81,9 @@ class Designable:
         places, stop = list[int | slice | None](), 0
         for name, value in self._design_values():
             first, stop = stop, stop + len(self.numbers_of(name))
-            single = not isinstance(value, Designable) and np.ndim(value) == 0
+            single = type(value) is float or (
+                not isinstance(value, Designable) and np.ndim(value) == 0
+            )
             places.append(None if value is None else first if single else slice(first, stop))
         return places
 
@@ -113,15 +115,19 @@ class Designable:
 
     def check_fields(self, where: str) -> None:
         """Refuse values of design fields that break their rules."""
-        optional = {field.name for field in fields(self) if field.default is None}  # type: ignore[arg-type]
         for name, rule in self.design_fields:
             value = getattr(self, name)
-            if value is not None or name not in optional:
-                rule(f"{where}, {name}", value)
+            if value is None:
+                optional = {each.name for each in fields(self) if each.default is None}  # type: ignore[arg-type]
+                if name in optional:
+                    continue
+            rule(f"{where}, {name}", value)
 
     def numbers_of(self, name: str) -> dict[str, float]:
         """Return the numbers of one design field by target name."""
         value = getattr(self, name)
+        if type(value) is float:
+            return {name: value}
         if value is None:
             return {}
         if isinstance(value, Designable):

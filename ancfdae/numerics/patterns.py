@@ -66,6 +66,30 @@ class SparsityPattern:
         n = np.arange(self.shape[0])
         return self.index(n, n)
 
+    @cached_property
+    def determined(self) -> tuple[Array, Array]:
+        """The square part of the pattern, as masks of its rows and of its columns.
+
+        Of Phi_q these are the constraints and the coordinates of the part of a motion that
+        constraints determine (Dulmage & Mendelsohn 1958). A matching pairs rows with columns and
+        leaves some columns out. Paths go from a column to the rows in which it stands, and from a
+        row to its partner. The square part is not reached from the columns left out; its rows hold
+        no other columns.
+        """
+        n_rows, n = self.shape
+        source = n_rows + n
+        matrix = self.csr(np.ones(self.size))
+        match = scipy.sparse.csgraph.maximum_bipartite_matching(matrix, "row")
+        free, bound = np.flatnonzero(match < 0), np.flatnonzero(match >= 0)
+        begins = np.concatenate([self.columns, n + match[bound], np.full(len(free), source)])
+        ends = np.concatenate([n + self.rows, bound, free])
+        shape = source + 1, source + 1
+        graph = scipy.sparse.csr_array((np.ones(len(ends)), (begins, ends)), shape)
+        reached = scipy.sparse.csgraph.breadth_first_order(graph, source, return_predecessors=False)
+        rest = np.ones(source + 1, dtype=bool)
+        rest[reached] = False
+        return rest[n:source], rest[:n]
+
     @property
     def places(self) -> tuple[Array, Array]:
         """Start of each row in the value vector, (n_rows + 1,), and column indices, (nnz,)."""
