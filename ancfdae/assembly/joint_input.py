@@ -76,7 +76,7 @@ class JointInput:
 
     @cached_property
     def kind(self) -> tuple[object, ...]:
-        """Key of the equations, equal for joints that have the same equations without those dropped."""
+        """Key of the equations: equal for joints of one kind with the same numbers."""
         joint, p, numbers = self.joint, self.p, self.reference
         which: tuple[object, ...] = (joint.name,)
         if joint.by_slopes:
