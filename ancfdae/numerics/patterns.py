@@ -25,10 +25,12 @@ class SparsityPattern:
     made when first asked for: a scene of 10,000 elements has four million entries.
 
     `beside` are constraint patterns that this one was factorised with, each with the places of all
-    entries in a band; copies are made without.
+    entries in a band, and `checked` are the saddle-point matrices whose constraints were found to
+    be independent last, with the numbers that say so; copies are made without.
     """
 
     beside: tuple[tuple[SparsityPattern, Any], ...] = ()
+    checked: tuple[Any, tuple[Any, ...]] | None = None
 
     def __init__(self, shape: tuple[int, int], rows: Array, columns: Array) -> None:
         self.shape = shape
@@ -42,7 +44,7 @@ class SparsityPattern:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that are pickled and copied."""
-        return {name: x for name, x in self.__dict__.items() if name != "beside"}
+        return {name: x for name, x in self.__dict__.items() if name not in ("beside", "checked")}
 
     @staticmethod
     def full(shape: tuple[int, int]) -> SparsityPattern:

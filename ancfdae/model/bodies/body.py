@@ -212,9 +212,15 @@ class BeamBody(Placed):
         if any(name in others or name not in names for name, _, _ in changes):
             self.with_values(changes)
             return
-        sections, _ = self._with_constants(changes)
-        if any(names[name].is_size for name, _, _ in changes):
-            self._check_sections(sections)
+        resized = any(names[name].is_size for name, _, _ in changes)
+        if resized or any(element is not None for _, element, _ in changes):
+            sections, _ = self._with_constants(changes)
+            if resized:
+                self._check_sections(sections)
+            return
+        numbers = {name: value for name, _, value in changes}
+        for material in {id(x): x for x in self._per_element()[1]}.values():
+            replace(material, **numbers)  # Refuses what no material has.
 
     def _with_constants(
         self, changes: Sequence[tuple[str, int | None, float]]
