@@ -149,7 +149,7 @@ class PartInputs:
     def _part(self, part: Part) -> tuple[list[PointVector], Array, Array]:
         """Return vectors of a joint or load, and values and partials of its design fields."""
         p, p_b = self.mapping.numbers(part.name, self.b)
-        count = len(part.parameters())
+        count = part.design_places[1]
         places, first = {}, count
         for point in part.points:
             last = first + len(point.numbers())

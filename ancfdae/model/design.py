@@ -73,11 +73,11 @@ class Designable:
 
         For every field a number, an array, or None where it holds None.
         """
-        return [None if at is None else p[at] for at in self._design_places]
+        return [None if at is None else p[at] for at in self.design_places[0]]
 
     @cached_property
-    def _design_places(self) -> list[int | slice | None]:
-        """Where the values of the design fields stand among all `parameters`."""
+    def design_places(self) -> tuple[list[int | slice | None], int]:
+        """Where the values of the design fields stand among all `parameters`, and their count."""
         places, stop = list[int | slice | None](), 0
         for name, value in self._design_values():
             first, stop = stop, stop + len(self.numbers_of(name))
@@ -85,7 +85,7 @@ class Designable:
                 not isinstance(value, Designable) and np.ndim(value) == 0
             )
             places.append(None if value is None else first if single else slice(first, stop))
-        return places
+        return places, stop
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
         """Return the instants between which it is an analytic function of time; s.
