@@ -22,7 +22,7 @@ import numpy as np
 from ancfdae.assembly.block import ElementForms
 from ancfdae.assembly.layout import BeamLayout
 from ancfdae.assembly.naming import SceneNaming
-from ancfdae.assembly.numbering import Numbering
+from ancfdae.assembly.numbering import Numbering, coupled
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.model.elements import ElementParameter
@@ -193,7 +193,7 @@ class MassPlaces:
         vectors: tuple[Array, ...], numbering: Numbering, pattern: SparsityPattern
     ) -> MassPlaces:
         """Return the places on a pattern, which must hold the entries of every block."""
-        at = pattern.index(*entries(vectors, numbering.d))
+        at = pattern.index(*coupled(map(numbering.coordinates, vectors)))
         directions = numbering.coordinates(numbering.frames[:, 1:])
         positions = np.concatenate([body.positions for body in numbering.bodies])
         return MassPlaces(vectors, at, directions, positions)
@@ -202,17 +202,6 @@ class MassPlaces:
         """Whether blocks on other vectors have the same places."""
         same = map(np.array_equal, self.vectors, vectors)
         return len(vectors) == len(self.vectors) and all(same)
-
-
-def entries(vectors: Sequence[Array], d: int) -> tuple[Array, Array]:
-    """Return rows and columns of m (x) I_d for blocks on vectors, (n, k) of int each."""
-    rows, columns = [], []
-    for each in vectors:
-        coordinates = each[..., None] * d + np.arange(d)
-        shape = (*each.shape, *coordinates.shape[1:])
-        rows.append(np.broadcast_to(coordinates[:, :, None], shape).ravel())
-        columns.append(np.broadcast_to(coordinates[:, None], shape).ravel())
-    return np.concatenate(rows), np.concatenate(columns)
 
 
 # Part of the largest moment of a rigid body that moments below it count as.
@@ -283,7 +272,7 @@ class Inertia:
         """Map from a to columns of a row-major (n_b, n_q) array."""
         pairs = [x.partials for x in self._blocks]
         vectors = [x.vectors[of.block] for x, of in zip(self._blocks, pairs, strict=True)]
-        rows, columns = entries(vectors, self._d)
+        rows, columns = coupled(x[..., None] * self._d + np.arange(self._d) for x in vectors)
         values = np.concatenate([np.repeat(of.m_b.ravel(), self._d) for of in pairs])
         counts = [self._d * x.vectors.shape[1] ** 2 for x in self._blocks]
         variables = zip((of.variable for of in pairs), counts, strict=True)

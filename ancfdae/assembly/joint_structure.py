@@ -221,7 +221,7 @@ def _couplings(vectors: Vectors, i: Array, j: Array) -> tuple[Array, Array]:
 
 def _entries(first: Array, rows: Array) -> tuple[Array, Array]:
     """Return for all entries of some rows the number of the row, and the entry."""
-    sizes = np.diff(first)[rows]
-    number = np.repeat(np.arange(len(rows)), sizes)
-    begin = np.repeat(np.cumsum(sizes) - sizes, sizes)
-    return number, first[rows][number] + np.arange(len(number)) - begin
+    sizes = first[rows + 1] - first[rows]
+    number = np.arange(len(rows)).repeat(sizes)
+    ahead = first[rows] - (sizes.cumsum() - sizes)
+    return number, ahead[number] + np.arange(len(number))
