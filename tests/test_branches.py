@@ -30,7 +30,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.integrators import recorder
-from ancfdae.integrators.branch import CHANGED, Form, Place, determined, followed
+from ancfdae.integrators.branch import CHANGED, Form, Place, followed
 from ancfdae.integrators.prescribed_motion import Watch
 from ancfdae.laws import ConstantAcceleration, Harmonic, Spline
 from ancfdae.numerics.patterns import SparsityPattern
@@ -185,7 +185,7 @@ def test_the_determined_part_against_ranks(seed):
     B = B[np.any(B, axis=1)]
     if np.linalg.matrix_rank(B) < len(B):
         B = B[:1]
-    taken, known = determined(SparsityPattern(B.shape, *np.nonzero(B)))
+    taken, known = SparsityPattern(B.shape, *np.nonzero(B)).determined
     free = np.linalg.norm(scipy.linalg.null_space(B), axis=1)
     np.testing.assert_array_equal(known, free < 1e-12)
     assert np.sum(taken) == np.sum(known)

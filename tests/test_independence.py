@@ -3,10 +3,23 @@
 import numpy as np
 import pytest
 
-from ancfdae import HHT, Revolute, RigidBody, RigidBox, Scene, Spherical, assemble, simulate
+from ancfdae import (
+    HHT,
+    Beam,
+    Pin,
+    Revolute,
+    RigidBody,
+    RigidBox,
+    Scene,
+    Spherical,
+    assemble,
+    simulate,
+)
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import RedundantConstraintsError
 from ancfdae.extend import FormulaSystem
+
+from scenes import STEEL, THICK
 
 LENGTH = 0.2
 
@@ -79,3 +92,25 @@ def test_a_start_that_is_projected_onto_dependent_constraints_is_refused(x):
     """At x = 1e-5 m the rows are independent and open by 5e-11 m only; closing them leads to 0."""
     with pytest.raises(RedundantConstraintsError, match="'line', 'parabola'"):
         simulate(Touching(x), 0.1, HHT(0.01))
+
+
+def triangle(height):
+    """Two bars on three pins: the joints hold them, twice over where the pins lie in a line."""
+    left = Beam("left", (0, 0), (0.3, height), 1, THICK, STEEL, rigid=True)
+    right = Beam("right", (0.3, height), (0.6, 0), 1, THICK, STEEL, rigid=True)
+    joints = [Pin(left.at_start), Pin(left.at_end, right.at_start), Pin(right.at_end)]
+    return assemble(Scene([left, right], joints), ["left.density", "left.damping_time"])
+
+
+def test_constraints_are_checked_again_where_their_numbers_change():
+    """Of one system: at another place, and with other masses, by the scale of a new assembly."""
+    system, flat = triangle(0.1), triangle(0.0).start()[0]
+    first = saddle_point(system, 0.0)
+    with pytest.raises(RedundantConstraintsError, match="1 redundant"):
+        saddle_point(system, 0.0, flat)
+    assert saddle_point(system.with_values(np.add(system.b, [0.0, 1e-3])), 0.0) is first
+    heavier = system.with_values(system.b * [4.0, 1.0])
+    scale = saddle_point(heavier, 0.0).scale
+    half = np.flatnonzero(system.weights != heavier.weights)
+    np.testing.assert_allclose(scale[half], first.scale[half] / 2, rtol=1e-12)
+    assert len(half) == 6

@@ -76,15 +76,19 @@ class ElementBlock:
         return _PairPartials(A_b, rest_b, c_b, m_b)
 
 
-#: Parameters that no mass depends on.
-WEIGHTLESS = (
-    ElementParameter.YOUNGS_MODULUS,
-    ElementParameter.POISSON_RATIO,
-    ElementParameter.DAMPING_TIME,
-    ElementParameter.INITIAL_STRAIN,
+_COLUMNS = np.arange(len(ElementParameter))
+#: Whether no mass depends on a parameter, by its column.
+WEIGHTLESS = np.isin(
+    _COLUMNS,
+    (
+        ElementParameter.YOUNGS_MODULUS,
+        ElementParameter.POISSON_RATIO,
+        ElementParameter.DAMPING_TIME,
+        ElementParameter.INITIAL_STRAIN,
+    ),
 )
-# Those that no stiffness depends on.
-_LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
+# Whether no stiffness does.
+_LIMP = np.isin(_COLUMNS, (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME))
 
 
 @final
@@ -117,8 +121,8 @@ class ElementForms:
             Y_unit[start:stop, relative_places(beam.element, element)] = unit_vectors(beam)
         names = [np.repeat(f"beam {x.name!r}", x.element_count) for x in beams]
         owners = np.concatenate([np.zeros(0, dtype=str), *names])
-        stiffness = np.flatnonzero(~np.isin(mapping.parameters, _LIMP))
-        masses = np.flatnonzero(~np.isin(mapping.parameters, WEIGHTLESS))
+        stiffness = np.flatnonzero(~_LIMP[mapping.parameters])
+        masses = np.flatnonzero(~WEIGHTLESS[mapping.parameters])
         return ElementForms(element, mapping, kinds, kind, Y_unit, owners, stiffness, masses)
 
     def at(self, b: Array) -> ElementBlock:
@@ -156,9 +160,13 @@ class ElementForms:
         key = np.concatenate(numbers, axis=1)
         kept, index = np.zeros(1, dtype=np.int64), np.zeros(len(key), dtype=np.int64)
         if np.any(key != key[0]):
-            _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
-            if len(kept) == len(key):  # In their order, so that no array is copied for it.
-                kept = index = np.arange(len(key))
+            # In their order, so that no array is copied where all elements differ.
+            first = dict[bytes, int]()
+            rows = [row.tobytes() for row in key]
+            for k, row in enumerate(rows):
+                first.setdefault(row, k)
+            place = dict(zip(first, range(len(first)), strict=True))
+            kept, index = np.array(list(first.values())), np.array([place[row] for row in rows])
         order, parts = [], []
         for number, (its, each) in enumerate(self.kinds):
             members = kept[kind[kept] == number]
@@ -169,7 +177,7 @@ class ElementForms:
             same = its.quantities == element.quantities
             parts.append(its_own if same else widened(its_own, its, element))
         back = np.argsort(np.concatenate(order)) if len(parts) > 1 else None
-        return joined(parts, back), index.ravel()
+        return joined(parts, back), index
 
 
 def _kinds(beams: Sequence[BeamBody]) -> tuple[list[tuple[BeamElement, ElementType]], Array]:

@@ -30,7 +30,7 @@ class Energies:
     ) -> None:
         self._centrifugal = centrifugal
         self._elastic, self._inertia = elastic, inertia
-        self._owners, self._layout, self.places = numbering.owners, layout, inertia.places
+        self._owners, self._layout, self.places = numbering.owners, layout, inertia.positions
 
     def strain(self, q: Array, owner: str | None = None) -> Array:
         """Return the strain energy, shape (k,)."""

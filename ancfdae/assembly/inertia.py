@@ -10,17 +10,19 @@ of m (x) I_d over all blocks (docs/theory/03-joints-and-loads.md):
     point mass    m = mass w w^T, with position sum_a w_a X_a
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, TypeAlias, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 
 from ancfdae.assembly.block import ElementForms
 from ancfdae.assembly.layout import BeamLayout
 from ancfdae.assembly.naming import SceneNaming
-from ancfdae.assembly.numbering import Numbering
+from ancfdae.assembly.numbering import Numbering, coupled
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.model.elements import ElementParameter
@@ -29,35 +31,59 @@ from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import LinearMap, SparsityPattern
 
 
+class MassPartials(NamedTuple):
+    """Derivatives of mass blocks pair by pair: (n_pairs,) of int, (n_pairs,), (n_pairs, k, k)."""
+
+    block: Array
+    variable: Array
+    m_b: Array
+
+
 @final
 @dataclass(frozen=True)
 class MassBlocks:
-    """Masses of n things of k vectors each, and their design derivatives pair by pair."""
+    """Masses of n things of k vectors each; their design derivatives are made at the first use."""
 
     vectors: Array  # of int, (n, k)
     m: Array  # (n, k, k)
     # of int, (n,): what each belongs to: place among the bodies of the scene, then its point
     # masses.
     owners: Array
-    pair_block: Array  # of int, (n_pairs,)
-    pair_variable: Array  # of int, (n_pairs,)
-    partials: Callable[[], Array]  # returns m_b
+    derivative: Callable[[], MassPartials]
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that are pickled: derivatives, not what they are made from."""
-        return {**vars(self), "m_b": self.m_b, "partials": None}
+        return {**vars(self), "partials": self.partials, "derivative": None}
 
     @cached_property
-    def m_b(self) -> Array:
-        """Derivative of the block of each pair in its design variable, (n_pairs, k, k)."""
-        return self.partials()
+    def partials(self) -> MassPartials:
+        """Derivatives of the blocks that a design variable changes."""
+        return self.derivative()
 
     def chosen(self, owner: int | None) -> Array:
         """One for the blocks of an owner, or for all, shape (n,)."""
         return np.ones(len(self.m)) if owner is None else (self.owners == owner).astype(float)
 
 
-#: By the place among the bodies of a scene the numbers of a rigid one, m and m_b.
+@final
+@dataclass(frozen=True, eq=False)
+class _Mass:
+    """One block m, and its derivatives in all design variables, which are made at the first use."""
+
+    m: Array  # (k, k)
+    derivative: Callable[[], Array]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes that are pickled: derivatives, not what they are made from."""
+        return {**vars(self), "m_b": self.m_b, "derivative": None}
+
+    @cached_property
+    def m_b(self) -> Array:
+        """Derivatives of m, shape (n_b, k, k)."""
+        return self.derivative()
+
+
+#: By the place among the bodies of a scene the numbers of a rigid one, and its mass.
 KnownMasses: TypeAlias = dict[int, tuple[Any, Any]]
 
 
@@ -68,7 +94,7 @@ def other_masses(
 
     What is known of a rigid beam or body with the same numbers is taken over, the rest is added.
     """
-    layout, single, elements = naming.layout, list[_Single](), mapping.values(b)
+    layout, single, elements = naming.layout, list[tuple[Array, int, _Mass]](), mapping.values(b)
     for owner, member in enumerate(scene.members):
         if isinstance(member, RigidBody):
             numbers, masses = mapping.numbers(member.name, b)[0], partial(_of_body, member)
@@ -78,11 +104,11 @@ def other_masses(
         else:
             continue
         key = numbers.dtype, numbers.tobytes()
-        before, its = known.get(owner, ((), ()))
+        before, its = known.get(owner, ((), None))
         if before != key:
             its = masses(mapping, b)
             known[owner] = key, its
-        single.append(_Single(layout.bodies[owner].vectors, owner, *its))
+        single.append((layout.bodies[owner].vectors, owner, its))
     for owner, mass in enumerate(scene.point_masses, start=len(scene.members)):
         p, p_b = mapping.numbers(mass.name, b)
         at = naming.vector(mass.point, Quantity.POSITION, (p[1:], p_b[1:]))
@@ -90,49 +116,40 @@ def other_masses(
         # The product rule for p w w^T.
         once = p[0] * w_b[:, :, None] * w
         m_b = p_b[0][:, None, None] * np.outer(w, w) + once + once.transpose(0, 2, 1)
-        single.append(_Single(at.vectors, owner, p[0] * np.outer(w, w), m_b))
-    sizes = sorted({len(each.vectors) for each in single})
-    return tuple(_together([x for x in single if len(x.vectors) == size]) for size in sizes)
+        single.append((at.vectors, owner, _Mass(p[0] * np.outer(w, w), partial(np.asarray, m_b))))
+    sizes = sorted({len(vectors) for vectors, *_ in single})
+    return tuple(_together([x for x in single if len(x[0]) == size]) for size in sizes)
 
 
-@final
-@dataclass(frozen=True)
-class _Single:
-    """One block, with its derivatives with respect to all design variables, shape (n_b, k, k)."""
+def _together(blocks: Sequence[tuple[Array, int, _Mass]]) -> MassBlocks:
+    """Return blocks of one size, each with its vectors and its owner."""
+    vectors, owners, masses = zip(*blocks, strict=True)
 
-    vectors: Array
-    owner: int
-    m: Array
-    m_b: Array
+    def derivative() -> MassPartials:
+        m_b = np.stack([mass.m_b for mass in masses])
+        block, variable = np.nonzero(np.any(m_b != 0, axis=(2, 3)))
+        return MassPartials(block, variable, m_b[block, variable])
 
-
-def _together(blocks: Sequence[_Single]) -> MassBlocks:
-    m_b = np.stack([each.m_b for each in blocks])
-    pairs = np.nonzero(np.any(m_b != 0, axis=(2, 3)))
-    return MassBlocks(
-        vectors=np.stack([each.vectors for each in blocks]),
-        m=np.stack([each.m for each in blocks]),
-        owners=np.array([each.owner for each in blocks]),
-        pair_block=pairs[0],
-        pair_variable=pairs[1],
-        partials=lambda: m_b[pairs],
-    )
+    m = np.stack([mass.m for mass in masses])
+    return MassBlocks(np.stack(vectors), m, np.array(owners), derivative)
 
 
-def _of_body(body: RigidBody, mapping: ParameterMap, b: Array) -> tuple[Array, Array]:
-    """Return m and m_b, a closed form of a few numbers that is differentiated by complex steps."""
+def _of_body(body: RigidBody, mapping: ParameterMap, b: Array) -> _Mass:
+    """Return the mass, a closed form of a few numbers that is differentiated by complex steps."""
     p, p_b = mapping.numbers(body.name, b)
     m = body.moments(p)
-    m_b = np.zeros((len(b), *m.shape))
-    for i in np.flatnonzero(np.any(p_b, axis=0)):
-        m_b[i] = body.moments(p.real + 1j * STEP * p_b[:, i]).imag / STEP
-    return m, m_b
+
+    def derivative() -> Array:
+        m_b = np.zeros((len(b), *m.shape))
+        for i in np.flatnonzero(np.any(p_b, axis=0)):
+            m_b[i] = body.moments(p.real + 1j * STEP * p_b[:, i]).imag / STEP
+        return m_b
+
+    return _Mass(m, derivative)
 
 
-def _of_rigid_beam(
-    beam: BeamBody, place: BeamLayout, mapping: ParameterMap, b: Array
-) -> tuple[Array, Array]:
-    """Return m = sum of W^T m_e W and m_b: by m_e, and by the lengths in W."""
+def _of_rigid_beam(beam: BeamBody, place: BeamLayout, mapping: ParameterMap, b: Array) -> _Mass:
+    """Return the mass m = sum of W^T m_e W; its derivatives by m_e, and by the lengths in W."""
     rows = np.arange(place.elements.start, place.elements.stop)
     driven, element, nodes = mapping.only(rows), beam.element, place.rigid
     assert nodes is not None
@@ -141,16 +158,50 @@ def _of_rigid_beam(
     W = nodes.weights(lengths, element.n_s)
     W_e = np.concatenate([W[:-1], W[1:]], axis=1)  # of the nodes of each element
     m = np.sum(W_e.mT @ block.m @ W_e, axis=0)
-    m_b = np.zeros((len(b), *m.shape), dtype=m.dtype)
-    at, variables = driven.elements[block.mass_pairs], driven.variables[block.mass_pairs]
-    np.add.at(m_b, variables, W_e[at].mT @ block.partials.m_b @ W_e[at])
-    moved = nodes.positions_b(driven.lengths_b(len(b)))
-    momenta = block.m @ W_e
-    for first, node in ((0, slice(None, -1)), (element.n_s, slice(1, None))):
-        change = np.einsum("ndb,nj->bdj", moved[node], momenta[:, first])
-        m_b[:, 1:] += change
-        m_b[:, :, 1:] += change.transpose(0, 2, 1)
-    return m, m_b
+
+    def derivative() -> Array:
+        m_b = np.zeros((len(b), *m.shape), dtype=m.dtype)
+        at, variables = driven.elements[block.mass_pairs], driven.variables[block.mass_pairs]
+        np.add.at(m_b, variables, W_e[at].mT @ block.partials.m_b @ W_e[at])
+        moved = nodes.positions_b(driven.lengths_b(len(b)))
+        momenta = block.m @ W_e
+        for first, node in ((0, slice(None, -1)), (element.n_s, slice(1, None))):
+            change = np.einsum("ndb,nj->bdj", moved[node], momenta[:, first])
+            m_b[:, 1:] += change
+            m_b[:, :, 1:] += change.transpose(0, 2, 1)
+        return m_b
+
+    return _Mass(m, derivative)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class MassPlaces:
+    """Where mass blocks on these vectors stand: the same at all designs that leave the vectors.
+
+    `at` are the places of the entries of all m (x) I_d on a pattern, `directions` the coordinates
+    of the axes of rigid bodies, (n, d, d) of int, `positions` the vectors that are positions.
+    """
+
+    vectors: tuple[Array, ...]
+    at: Array
+    directions: Array
+    positions: Array
+
+    @staticmethod
+    def of(
+        vectors: tuple[Array, ...], numbering: Numbering, pattern: SparsityPattern
+    ) -> MassPlaces:
+        """Return the places on a pattern, which must hold the entries of every block."""
+        at = pattern.index(*coupled(map(numbering.coordinates, vectors)))
+        directions = numbering.coordinates(numbering.frames[:, 1:])
+        positions = np.concatenate([body.positions for body in numbering.bodies])
+        return MassPlaces(vectors, at, directions, positions)
+
+    def fits(self, vectors: tuple[Array, ...]) -> bool:
+        """Whether blocks on other vectors have the same places."""
+        same = map(np.array_equal, self.vectors, vectors)
+        return len(vectors) == len(self.vectors) and all(same)
 
 
 # Part of the largest moment of a rigid body that moments below it count as.
@@ -163,7 +214,8 @@ class Inertia:
 
     The pattern is that of the system's matrices and must hold the entries of every block. `values`
     are M on it, `weights`, (n_q,), its real diagonal, of rigid bodies a least part of their largest
-    moment; `places`, (n_q / d,), are one for vectors that are positions, zero for slopes.
+    moment; `positions`, (n_q / d,), are one for vectors that are positions, zero for slopes.
+    `places` are taken over from `before` while the blocks have the same vectors.
     """
 
     def __init__(
@@ -173,6 +225,7 @@ class Inertia:
         n_b: int,
         pattern: SparsityPattern,
         gravity: tuple[Array, Array],
+        before: MassPlaces | None = None,
     ) -> None:
         self._n_b, self._n_q, self._d, self._blocks = (
             n_b,
@@ -181,25 +234,29 @@ class Inertia:
             blocks,
         )
         n_q, d = self._n_q, self._d
-        rows, columns, values = self._entries([(x.vectors, x.m) for x in blocks])
-        self._pattern, self.values = pattern, pattern.gather(rows, columns, values)
+        vectors = tuple(x.vectors for x in blocks)
+        if before is None or not before.fits(vectors):
+            before = MassPlaces.of(vectors, numbering, pattern)
+        self.places = before
+        values = np.concatenate([np.repeat(x.m.ravel(), d) for x in blocks])
+        self._pattern, self.values = pattern, np.zeros(pattern.size, dtype=values.dtype)
+        np.add.at(self.values, self.places.at, values)
+        directions = self.places.directions
         self.weights = self.values[pattern.diagonal].real.copy()
         # A direction of a rigid body may have no inertia of its own: a straight cable has none
         # across its axis, and what its integral leaves is round-off.
-        directions = numbering.coordinates(numbering.frames[:, 1:])
         weights = self.weights[directions]
         self.weights[directions] = np.maximum(
             weights, _LEAST * np.max(weights, axis=1, keepdims=True)
         )
         (field, field_b), shape = gravity, (n_q // d, d)
-        positions = np.concatenate([body.positions for body in numbering.bodies])
-        self.places = np.zeros(shape[0])
-        self.places[positions] = 1.0
-        self._field = np.outer(self.places, field)
+        self.positions = np.zeros(shape[0])
+        self.positions[self.places.positions] = 1.0
+        self._field = np.outer(self.positions, field)
         # Rows of the variables that gravity depends on, to save memory.
         self._field_active = np.flatnonzero(np.any(field_b != 0, axis=0))
         self._field_b = np.zeros((len(self._field_active), *shape))
-        self._field_b[:, positions] = field_b[:, self._field_active].T[:, None]
+        self._field_b[:, self.places.positions] = field_b[:, self._field_active].T[:, None]
 
     @cached_property
     def M(self) -> LinearMap:
@@ -213,10 +270,12 @@ class Inertia:
     @cached_property
     def _M_b(self) -> LinearMap:
         """Map from a to columns of a row-major (n_b, n_q) array."""
-        paired = [(x.vectors[x.pair_block], x.m_b) for x in self._blocks]
-        rows, columns, values = self._entries(paired)
+        pairs = [x.partials for x in self._blocks]
+        vectors = [x.vectors[of.block] for x, of in zip(self._blocks, pairs, strict=True)]
+        rows, columns = coupled(x[..., None] * self._d + np.arange(self._d) for x in vectors)
+        values = np.concatenate([np.repeat(of.m_b.ravel(), self._d) for of in pairs])
         counts = [self._d * x.vectors.shape[1] ** 2 for x in self._blocks]
-        variables = zip((x.pair_variable for x in self._blocks), counts, strict=True)
+        variables = zip((of.variable for of in pairs), counts, strict=True)
         variable = np.concatenate([np.repeat(numbers, count) for numbers, count in variables])
         shape = (self._n_q * self._n_b, self._n_q)
         return LinearMap.of(variable * self._n_q + rows, columns, values, shape)
@@ -256,11 +315,12 @@ class Inertia:
         A, X = (y.reshape(len(y), -1, self._d) for y in (a, x))
         for block in self._blocks:
             # Sums over instants and axes first: x^T M_b a = M_b : (x a^T).
-            at = block.vectors[block.pair_block]
+            of = block.partials
+            at = block.vectors[of.block]
             left, right = X[:, at].transpose(1, 2, 0, 3), A[:, at].transpose(1, 0, 3, 2)
             (n_pairs, n_a), inner = at.shape, len(a) * self._d
             sums = left.reshape(n_pairs, n_a, inner) @ right.reshape(n_pairs, inner, n_a)
-            np.add.at(total, block.pair_variable, np.sum(block.m_b * sums, axis=(1, 2)))
+            np.add.at(total, of.variable, np.sum(of.m_b * sums, axis=(1, 2)))
         if gravity and len(self._field_active):
             fields = self._field_b.reshape(len(self._field_b), -1)
             total[self._field_active] -= fields @ self.times(np.sum(x, axis=0))
@@ -270,8 +330,8 @@ class Inertia:
         """Design partial of v^T M v of one owner or of all, shape (k, n_b)."""
         result = np.zeros((len(v), self._n_b), dtype=v.dtype)
         for block, products in self._pair_products(v, v):
-            chosen = products * block.chosen(owner)[block.pair_block]
-            np.add.at(result.T, block.pair_variable, chosen.T)
+            chosen = products * block.chosen(owner)[block.partials.block]
+            np.add.at(result.T, block.partials.variable, chosen.T)
         return result
 
     def owner_times(self, v: Array, owner: int) -> Array:
@@ -289,19 +349,8 @@ class Inertia:
         """Yield x^T M_b a pair by pair, shape (k, n_pairs), of all blocks."""
         A, X = (y.reshape(len(y), -1, self._d) for y in (a, x))
         for block in self._blocks:
-            at = block.vectors[block.pair_block]
+            at, m_b = block.vectors[block.partials.block], block.partials.m_b
             yield (
                 block,
-                np.einsum("kpad,pab,kpbd->kp", X[:, at], block.m_b, A[:, at], optimize=True),
+                np.einsum("kpad,pab,kpbd->kp", X[:, at], m_b, A[:, at], optimize=True),
             )
-
-    def _entries(self, blocks: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
-        """Rows, columns and values of m (x) I_d for vectors (n, k) and m (n, k, k) of each."""
-        lists: tuple[list[Array], ...] = ([], [], [])
-        for vectors, m in blocks:
-            coordinates = vectors[..., None] * self._d + np.arange(self._d)
-            parts = coordinates[:, :, None], coordinates[:, None], m[..., None]
-            for store, part in zip(lists, parts, strict=True):
-                store.append(np.broadcast_to(part, (*m.shape, self._d)).ravel())
-        rows, columns, values = map(np.concatenate, lists)
-        return rows, columns, values

@@ -60,7 +60,8 @@ class JointInput:
     """One joint with its parameters, (n_p,), reference vectors, (n_vectors, d), and partials.
 
     `reference_b` has those of the design variables that move the reference. Equations `dropped`
-    say nothing here. `alike` has the equations of joints of one kind with the same numbers.
+    say nothing here. `alike` has the equations of joints of one kind with the same numbers, and
+    what is left of them without those dropped.
     """
 
     joint: Joint
@@ -74,22 +75,30 @@ class JointInput:
     )
 
     @cached_property
+    def kind(self) -> tuple[object, ...]:
+        """Key of the equations: equal for joints of one kind with the same numbers."""
+        joint, p, numbers = self.joint, self.p, self.reference
+        which: tuple[object, ...] = (joint.name,)
+        if joint.by_slopes:
+            places = {(x.beam, x.fraction, x.before) for x in joint.points}
+            which, numbers = (type(joint), len(places)), numbers[len(joint.points) :]
+        return (*which, p.dtype, p.tobytes(), numbers.dtype, numbers.tobytes(), self.dropped)
+
+    @cached_property
     def parts(self) -> list[JointEquations]:
         """The constant coefficients, and what goes with each factor."""
         joint, p, reference = self.joint, self.p, self.reference
-        which: tuple[object, ...] = (joint.name,)
-        numbers = reference
-        if joint.by_slopes:
-            places = {(x.beam, x.fraction, x.before) for x in joint.points}
-            which, numbers = (type(joint), len(places)), reference[len(joint.points) :]
-        kind = (*which, p.dtype, p.tobytes(), numbers.dtype, numbers.tobytes())
-        if kind not in self.alike:
+        if self.kind in self.alike:
+            other, parts = self.alike[self.kind]
+            if other is not joint and any(c.shapes for c in parts):
+                parts = [c.at_points(other.points, joint.points) for c in parts]
+            return parts
+        if self.dropped:
+            parts = [c.without(self.dropped) for c in replace(self, dropped=()).parts]
+        else:
             parts = [joint.checked_coefficients(p, reference), *joint.moving(p, reference)]
-            self.alike[kind] = joint, parts
-        other, parts = self.alike[kind]
-        if other is not joint:
-            parts = [c.at_points(other.points, joint.points) for c in parts]
-        return [c.without(self.dropped) for c in parts]
+        self.alike[self.kind] = joint, parts
+        return parts
 
     def factors(self, t: Array, order: int) -> Array:
         """Return the time derivative of the factors, shape (n_factors, k)."""

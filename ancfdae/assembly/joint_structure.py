@@ -85,26 +85,25 @@ class JointStructure:
     @staticmethod
     def of(inputs: Sequence[JointInput], vectors: Vectors) -> JointStructure:
         """Return the structure of joints whose vectors are these, in order."""
-        d, slots, layouts = vectors.d, [], []
-        shapes = [_shape(item) for item in inputs]
+        shapes, slots, layouts = list[_Shape](), [], []
+        known: dict[object, _Shape] = {}
+        for item in inputs:
+            same = None if item.reference_b else known.get(item.kind)
+            shapes.append(same or _shape(item))
+            known[item.kind] = shapes[-1]
         # The first part is that of all joints.
         begin = np.cumsum([(0, 0, 0, 0, 1), *(shape.sizes for shape in shapes)], axis=0)
-        where = [(np.zeros((2, 0), dtype=np.int64), np.zeros((3, 0), dtype=np.int64))]
-        for item, shape, first, last in zip(inputs, shapes, begin, begin[1:], strict=False):
-            vector, _, _, row, part = first.tolist()
-            layouts.append(
-                JointLayout(item.joint.name, row, shape.sizes[3], item.joint.holds_position)
-            )
-            ahead = 0, begin[-1, 1], begin[-1, 1] + begin[-1, 2]
-            at = [np.arange(*x) for x in zip(first[1:4] + ahead, last[1:4] + ahead, strict=True)]
-            places = slice(vector, int(last[0])), slice(part, int(last[4]))
-            slots.append(Slot(item, *places, shape.linear, shape.products, np.concatenate(at)))
-            r, i, axis = shape.linear
-            of_linear = np.array([row + r, (vector + i) * d + axis])
-            r, i, j = shape.products
-            where.append((of_linear, np.array([row + r, (vector + i) * d, (vector + j) * d])))
-        both = (np.concatenate(x, axis=1) for x in zip(*where, strict=True))
-        return _placed(slots, vectors, layouts, begin, tuple(row for x in both for row in x))
+        _, n_linear, n_products, n_rows, _ = begin[-1].tolist()
+        at = np.arange(n_linear + n_products + n_rows)
+        ahead = 0, n_linear, n_linear + n_products
+        firsts = begin.tolist()
+        for item, shape, first, last in zip(inputs, shapes, firsts, firsts[1:], strict=False):
+            name, row = item.joint.name, first[3]
+            layouts.append(JointLayout(name, row, last[3] - row, item.joint.holds_position))
+            places = [at[x + first[k] : x + last[k]] for k, x in enumerate(ahead, start=1)]
+            where = slice(first[0], last[0]), slice(first[4], last[4])
+            slots.append(Slot(item, *where, shape.linear, shape.products, np.concatenate(places)))
+        return _placed(slots, vectors, layouts, begin)
 
     @property
     def n_lam(self) -> int:
@@ -174,12 +173,13 @@ def _placed(
     vectors: Vectors,
     layouts: list[JointLayout],
     begin: Array,
-    where: tuple[Array, ...],
 ) -> JointStructure:
     """Find the places of products of raw entries of Phi_q with entries of L."""
     d, first, column = vectors.d, vectors.first, vectors.column
-    linear_row, linear_at, row, i, j = where
-    axes = np.arange(d)
+    linear_row, at, axis = _counted([slot.linear for slot in slots], begin, 1)
+    row, i, j = _counted([slot.products for slot in slots], begin, 2)
+    linear_at, i, j = at * d + axis, i * d, j * d
+    where, axes = (linear_row, linear_at, row, i, j), np.arange(d)
     raw_at = np.concatenate([i[:, None] + axes, j[:, None] + axes], axis=1).ravel()
     of_linear, of_products = _entries(first, linear_at), _entries(first, raw_at)
     rows = linear_row[of_linear[0]], np.repeat(row, 2 * d)[of_products[0]]
@@ -196,6 +196,19 @@ def _placed(
     return JointStructure(tuple(slots), vectors, tuple(layouts), indices, pattern, couplings)
 
 
+def _counted(
+    indices: list[tuple[Array, ...]], begin: Array, which: int
+) -> tuple[Array, Array, Array]:
+    """Return rows, vectors and the last index of coefficients, counted over all joints.
+
+    They are the entries of L (`which` = 1) or the products (2), whose last index is a vector, too.
+    """
+    none = np.zeros((3, 0), dtype=np.int64)
+    row, i, last = np.concatenate([none, *map(np.array, indices)], axis=1)
+    vector, of_row = (np.repeat(begin[:-1, k], np.diff(begin[:, which])) for k in (0, 3))
+    return row + of_row, i + vector, last if which == 1 else last + vector
+
+
 def _couplings(vectors: Vectors, i: Array, j: Array) -> tuple[Array, Array]:
     """Return rows and columns of the products L_i^T L_j, and of each its transpose."""
     first, column, axes = vectors.first, vectors.column, np.arange(vectors.d)
@@ -208,7 +221,7 @@ def _couplings(vectors: Vectors, i: Array, j: Array) -> tuple[Array, Array]:
 
 def _entries(first: Array, rows: Array) -> tuple[Array, Array]:
     """Return for all entries of some rows the number of the row, and the entry."""
-    sizes = np.diff(first)[rows]
-    number = np.repeat(np.arange(len(rows)), sizes)
-    begin = np.repeat(np.cumsum(sizes) - sizes, sizes)
-    return number, first[rows][number] + np.arange(len(number)) - begin
+    sizes = first[rows + 1] - first[rows]
+    number = np.arange(len(rows)).repeat(sizes)
+    ahead = first[rows] - (sizes.cumsum() - sizes)
+    return number, ahead[number] + np.arange(len(number))

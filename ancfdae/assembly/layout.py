@@ -35,12 +35,12 @@ class BodyLayout:
     size: float
     kinks: tuple[int, ...] = ()
 
-    @property
+    @cached_property
     def vectors(self) -> Array:
         """Numbers of the vectors of this body, shape (count,)."""
         return self.first_vector + np.arange(self.count)
 
-    @property
+    @cached_property
     def nodes(self) -> Array:
         """Numbers of the vectors of every node, shape (n_nodes, stride).
 

@@ -4,6 +4,7 @@ A beam has n_s vectors per node and one more per kink, what is rigid one frame o
 reference point and its directions (docs/theory/02-strain-energy.md).
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import final
 
@@ -67,12 +68,17 @@ class Numbering:
         frames = self.coordinates(self.frames)
         if turning:
             frames = frames.reshape(len(frames), (self.d + 1) * self.d, 1)
-        elements = np.broadcast_arrays(soft[:, :, None], soft[:, None, :])
-        bodies = np.broadcast_arrays(frames[:, :, None], frames[:, None])
-        rows, columns = (
-            np.concatenate([a.ravel(), b.ravel()]) for a, b in zip(elements, bodies, strict=True)
-        )
-        return rows, columns
+        return coupled([soft[..., None], frames])
+
+
+def coupled(blocks: Iterable[Array]) -> tuple[Array, Array]:
+    """Return rows and columns that couple x[i, a, c] and x[i, b, c] of coordinates x, (n, k, m)."""
+    rows, columns = [], []
+    for x in blocks:
+        shape = (len(x), x.shape[1], *x.shape[1:])
+        rows.append(np.broadcast_to(x[:, :, None], shape).ravel())
+        columns.append(np.broadcast_to(x[:, None], shape).ravel())
+    return np.concatenate(rows), np.concatenate(columns)
 
 
 def number(scene: Scene) -> Numbering:

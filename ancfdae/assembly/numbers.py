@@ -17,7 +17,7 @@ from ancfdae.assembly.assembled_start import AssembledStart
 from ancfdae.assembly.block import ElementBlock
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces
-from ancfdae.assembly.inertia import Inertia, MassBlocks, other_masses
+from ancfdae.assembly.inertia import Inertia, MassBlocks, MassPartials, MassPlaces, other_masses
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadForces
@@ -122,7 +122,7 @@ class Numbers:
         other_kind, moved = np.iscomplexobj(b) != np.iscomplexobj(self.b), b != self.b
 
         def changes(reached: Array) -> bool:
-            return bool(other_kind or np.any(moved & reached))
+            return bool(other_kind or (moved & reached).any())
 
         fixed = self.constraints, self.loads, self.start
         displaced = changes(geometry.reached_by(structure))
@@ -137,7 +137,7 @@ class Numbers:
             elastic = ElasticForces(block, structure.places, structure.soft, len(b))
         masses = self.inertia, self.turning
         if displaced or changes(structure.reaches_masses):
-            masses = _masses(structure, geometry, block, b)
+            masses = _masses(structure, geometry, block, b, self.inertia.places)
         return Numbers(structure, b, geometry, *fixed, block, elastic, *masses)
 
 
@@ -162,7 +162,11 @@ def _placed(
 
 
 def _masses(
-    structure: Structure, geometry: Geometry, block: ElementBlock, b: Array
+    structure: Structure,
+    geometry: Geometry,
+    block: ElementBlock,
+    b: Array,
+    places: MassPlaces | None = None,
 ) -> tuple[Inertia, TurningForces | None]:
     """Return inertia with gravity, and the forces of a rotating frame; None without a frame."""
     scene, numbering, n_b, d = structure.scene, structure.numbering, len(b), structure.numbering.d
@@ -172,8 +176,9 @@ def _masses(
         gravity, frame = (p[:d], p_b[:d]), (p[d:], p_b[d:])
     others = other_masses(scene, geometry.naming, structure.mapping, b, structure.masses)
     soft, pairs = structure.soft, block.mass_pairs
-    of_pairs = soft.elements[pairs], soft.variables[pairs], lambda: block.partials.m_b
-    blocks = (MassBlocks(numbering.vectors, block.m, numbering.owners, *of_pairs), *others)
-    inertia = Inertia(blocks, numbering, n_b, structure.pattern, gravity)
+    of_pairs = soft.elements[pairs], soft.variables[pairs]
+    derivative = lambda: MassPartials(*of_pairs, block.partials.m_b)  # noqa: E731
+    blocks = (MassBlocks(numbering.vectors, block.m, numbering.owners, derivative), *others)
+    inertia = Inertia(blocks, numbering, n_b, structure.pattern, gravity, places)
     turns = scene.frame
     return inertia, turns and TurningForces(turns, frame, inertia, structure.pattern)

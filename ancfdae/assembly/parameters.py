@@ -41,7 +41,7 @@ class ParameterMap:
 
     def numbers(self, owner: str, b: Array) -> tuple[Array, Array]:
         """Return the numbers p of an owner at design values b, and p_b."""
-        p = np.array(self.declared.get(owner, ())).astype(np.result_type(float, b))
+        p = np.array(self.declared.get(owner, ()), dtype=complex if b.dtype.kind == "c" else float)
         p_b = np.zeros((len(p), len(b)))
         for place, variable, weight, offset in self.slots.get(owner, ()):
             p[place] = weight * b[variable] + offset

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -85,6 +86,13 @@ class PartInputs:
         """Return the inputs of all loads of the scene."""
         return [self.load(load) for load in self.scene.loads]
 
+    @cached_property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times between which all joints and loads are analytic functions of time; s."""
+        parts = (*self.scene.joints, *self.scene.loads)
+        numbers = ((part, self.mapping.numbers(part.name, self.b)[0]) for part in parts)
+        return tuple(t for part, p in numbers for t in part.breakpoints(p))
+
     def joint(self, joint: Joint) -> tuple[JointInput, Vectors]:
         """Return one joint as it stands alone, with its vectors."""
         (item,), vectors = self._together([joint])
@@ -141,7 +149,7 @@ class PartInputs:
     def _part(self, part: Part) -> tuple[list[PointVector], Array, Array]:
         """Return vectors of a joint or load, and values and partials of its design fields."""
         p, p_b = self.mapping.numbers(part.name, self.b)
-        count = len(part.parameters())
+        count = part.design_places[1]
         places, first = {}, count
         for point in part.points:
             last = first + len(point.numbers())

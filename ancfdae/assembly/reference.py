@@ -136,7 +136,7 @@ class Reference:
 
     def _placed(self, body: BeamBody | RigidBody) -> tuple[Array, Array]:
         """Return the numbers of a body from those of its placement on, and their derivatives."""
-        first = len(body.parameters()) if isinstance(body, RigidBody) else 0
+        first = body.design_places[1] if isinstance(body, RigidBody) else 0
         numbers, numbers_b = self._mapping.numbers(body.name, self._b)
         return numbers[first:], numbers_b[first:]
 

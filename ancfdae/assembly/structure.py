@@ -102,7 +102,7 @@ class Structure:
     @cached_property
     def reaches_masses(self) -> Array:
         """Tell which design variables masses, gravity or the frame may depend on, (n_b,)."""
-        pairs = ~np.isin(self.mapping.parameters, WEIGHTLESS)
+        pairs = ~WEIGHTLESS[self.mapping.parameters]
         heavy = np.bincount(self.mapping.variables[pairs], minlength=len(self.design)) > 0
         owners = (*self.scene.members, *self.scene.point_masses)
         return heavy | self.reaches([SCENE, *(owner.name for owner in owners)])

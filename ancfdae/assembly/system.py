@@ -118,8 +118,6 @@ class AncfSystem(PlannedSystem):
 
     def _described(self) -> SystemProperties:
         joints, moving = self._constraints, self._loads.moving
-        parts = (*self._scene.joints, *self._scene.loads)
-        values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
         damped, turning = self._elastic.damped, self._turning is not None
         return SystemProperties(
             constant_mass=True,
@@ -131,7 +129,7 @@ class AncfSystem(PlannedSystem):
             symmetric=not (damped or moving or turning),
             project_start=self._scene.project_start,
             force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
-            breakpoints=tuple(t for part, p in values for t in part.breakpoints(p)),
+            breakpoints=self.inputs.breakpoints,
         )
 
     def breakpoints(self, t_end: float) -> tuple[float, ...]:

@@ -33,7 +33,7 @@ class TurningForces:
         pattern: SparsityPattern,
     ) -> None:
         self._frame, self._inertia, self._pattern = frame, inertia, pattern
-        (self._p, self._p_b), self._d = numbers, pattern.shape[0] // len(inertia.places)
+        (self._p, self._p_b), self._d = numbers, pattern.shape[0] // len(inertia.positions)
         self._active = np.flatnonzero(np.any(self._p_b != 0, axis=0))
 
     # -- the force and its tangents ----------------------------------------------------------------
@@ -120,11 +120,11 @@ class TurningForces:
     def _arms(self, q: Array, through: Array) -> Array:
         """Return vectors with positions from the axis, shape (..., n_q / d, d)."""
         vectors = q.reshape(*q.shape[:-1], -1, self._d)
-        return np.asarray(vectors - self._inertia.places[:, None] * through)
+        return np.asarray(vectors - self._inertia.positions[:, None] * through)
 
     def _product(self, block: Array) -> Array:
         """Return the values of M times the block for every vector."""
-        M, n = self._pattern.csr(self._inertia.values), len(self._inertia.places)
+        M, n = self._pattern.csr(self._inertia.values), len(self._inertia.positions)
         vectors = np.arange(n)[:, None, None] * self._d
         i, j = np.indices((self._d, self._d))
         shape = self._pattern.shape

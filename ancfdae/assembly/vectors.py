@@ -45,7 +45,7 @@ class Vectors:
         weight = np.concatenate([np.zeros(0), *(x.weights for x in vectors)])
         weight_b = np.concatenate([np.zeros((0, n_b)), *(x.weights_b for x in vectors)])
         owner = np.repeat(np.arange(len(vectors)), [len(x.weights) for x in vectors])
-        used = np.flatnonzero((weight != 0) | np.any(weight_b != 0, axis=1))
+        used = np.flatnonzero((weight != 0) | (weight_b != 0).any(axis=1))
         turned = np.array([x.turned for x in vectors], dtype=bool)[owner[used]]
         axes = np.arange(d)[:, None]
         # U turned by a right angle is (-U_y, U_x).

@@ -21,11 +21,21 @@ def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> 
     """Check the constraints and return the system's saddle-point matrices.
 
     They are checked and scaled at q, by default the start; RedundantConstraintsError if dependent.
+    At another design with the same weights and Phi_q they are those of the design before.
     """
     values = system.constraint_q(t, system.start()[0] if q is None else q)
+    numbers = system.constraint_pattern, system.traits.symmetric, system.weights, values
+    checked = system.pattern.checked
+    if checked is not None:
+        last, (pattern, symmetric, *before) = checked
+        same = pattern is numbers[0] and symmetric == numbers[1]
+        if same and all(map(np.array_equal, before, numbers[2:])):
+            return last
     patterns = system.pattern, system.constraint_pattern
     matrices = SaddlePoint(*patterns, system.weights, values, system.traits.symmetric)
     refuse_redundant(system, matrices, values)
+    # Copies: a system of a user's own may write to its arrays.
+    system.pattern.checked = matrices, (*numbers[:2], *map(np.copy, numbers[2:]))
     return matrices
 
 

@@ -43,8 +43,8 @@ def named(where: str, name: str, things: Sequence[_Thing]) -> _Thing:
 
 def require_unique(where: str, rule: str, names: Sequence[str], repair: str) -> None:
     """Raise InvalidInputError if a name occurs twice in `names`."""
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
+    if len(set(names)) < len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
         raise InvalidInputError(where, rule, twice, repair)
 
 
@@ -97,7 +97,7 @@ def require_index(where: str, value: object, count: int, repair: str) -> None:
 
 def require_flag(where: str, value: object) -> None:
     """Raise InvalidInputError unless `value` is True or False."""
-    if not isinstance(value, bool | np.bool_):
+    if type(value) is not bool and not isinstance(value, np.bool_):
         raise InvalidInputError(where, "must be True or False", _shown(value))
 
 
@@ -144,6 +144,8 @@ def require_finite(where: str, value: object, repair: str = "") -> None:
 
     Booleans and integers too large for a float are rejected.
     """
+    if type(value) is float and math.isfinite(value):
+        return
     try:
         is_number = isinstance(value, int | float | np.integer | np.floating)
         good = is_number and not isinstance(value, bool) and math.isfinite(value)  # type: ignore[arg-type]

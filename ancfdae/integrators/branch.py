@@ -32,7 +32,6 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import velocity_side
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.patterns import SparsityPattern
 
 # Places that the free motion is to pass, by time.
 Aim: TypeAlias = Callable[[float], Array]
@@ -134,7 +133,7 @@ class Place:
         if not np.any(sizes > CHANGED):
             return sizes
         if self._balance is None and np.all(np.isfinite(X[-1])):
-            scale = scipy.linalg.matrix_balance(X[-1], permute=False, separate=True)[1][0]
+            scale = scipy.linalg.lapack.dgebal(X[-1], scale=1)[3]
             self._balance = (scale[None] / scale[:, None]) ** 2
         if self._balance is not None:
             sizes = np.sqrt(np.einsum("kij->k", X * X * self._balance))
@@ -195,27 +194,6 @@ class Place:
             if not 0 < size < np.inf:
                 break
         return size
-
-
-def determined(pattern: SparsityPattern) -> tuple[Array, Array]:
-    """Return the constraints and the coordinates of the part that constraints determine, as masks.
-
-    They are the square part of the pattern of Phi_q (Dulmage & Mendelsohn 1958). A matching pairs
-    constraints with coordinates and leaves some coordinates out. Paths go from a coordinate to the
-    constraints in which it stands, and from a constraint to its partner. The square part is not
-    reached from the coordinates left out; its constraints hold no other coordinates.
-    """
-    n_q, source = pattern.shape[1], sum(pattern.shape)
-    Phi_q = pattern.csr(np.ones(pattern.size))
-    match = scipy.sparse.csgraph.maximum_bipartite_matching(Phi_q, "row")
-    free, bound = np.flatnonzero(match < 0), np.flatnonzero(match >= 0)
-    begins = np.concatenate([pattern.columns, n_q + match[bound], np.full(len(free), source)])
-    ends = np.concatenate([n_q + pattern.rows, bound, free])
-    graph = scipy.sparse.csr_array((np.ones(len(ends)), (begins, ends)), (source + 1, source + 1))
-    reached = scipy.sparse.csgraph.breadth_first_order(graph, source, return_predecessors=False)
-    rest = np.ones(source + 1, dtype=bool)
-    rest[reached] = False
-    return rest[n_q:source], rest[:n_q]
 
 
 def followed(

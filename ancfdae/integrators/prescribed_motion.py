@@ -26,7 +26,6 @@ from ancfdae.integrators.branch import (
     Form,
     Place,
     closed,
-    determined,
     followed,
 )
 from ancfdae.integrators.recorder import Rows, SolutionRecorder
@@ -104,8 +103,6 @@ class Watch:
         self._linear = system.traits.linear_constraints or not system.n_lam
         # Whether the motion is seen to be prescribed: other motions are not followed.
         self._driven = system.n_lam == system.n_q
-        # Constraints and coordinates of the part of the motion that constraints determine.
-        self._part: tuple[Array, Array] | None = None
         self._changes: Changes | None = None
 
     def missed(self, all_of_them: bool = False) -> Lost | None:
@@ -153,12 +150,12 @@ class Watch:
         self._driven = self._driven or is_driven(self._system, some, rows.q[0])
         if not self._driven:
             return None
-        self._part = self._part or determined(self._system.constraint_pattern)
+        part = self._system.constraint_pattern.determined
         self._changes = self._changes or Changes(self._system)
-        suspects = self._changes.between(rows) | _turned(self._system, rows, self._part[1])
+        suspects = self._changes.between(rows) | _turned(self._system, rows, part[1])
         for k in np.flatnonzero(suspects):
             step = Rows(*(x[k : k + 2] for x in rows))
-            why = _reached_otherwise(self._system, step, *self._part)
+            why = _reached_otherwise(self._system, step, *part)
             if why:
                 return Lost(int(k), Verdict.OFF_ROOT, why)
         return None
@@ -283,7 +280,7 @@ def lock(system: MechanicalSystem, t: float, q: Array, end: float) -> str:
     """Return in words that the joints lock right behind t; nothing if they do not."""
     if np.iscomplexobj(q) or not end > t:
         return ""
-    taken, known = determined(system.constraint_pattern)
+    taken, known = system.constraint_pattern.determined
     if not np.any(known):
         return ""
     reached, _ = followed(system, t, q, end, taken=taken)

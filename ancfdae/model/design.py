@@ -73,17 +73,19 @@ class Designable:
 
         For every field a number, an array, or None where it holds None.
         """
-        return [None if at is None else p[at] for at in self._design_places]
+        return [None if at is None else p[at] for at in self.design_places[0]]
 
     @cached_property
-    def _design_places(self) -> list[int | slice | None]:
-        """Where the values of the design fields stand among all `parameters`."""
+    def design_places(self) -> tuple[list[int | slice | None], int]:
+        """Where the values of the design fields stand among all `parameters`, and their count."""
         places, stop = list[int | slice | None](), 0
         for name, value in self._design_values():
             first, stop = stop, stop + len(self.numbers_of(name))
-            single = not isinstance(value, Designable) and np.ndim(value) == 0
+            single = type(value) is float or (
+                not isinstance(value, Designable) and np.ndim(value) == 0
+            )
             places.append(None if value is None else first if single else slice(first, stop))
-        return places
+        return places, stop
 
     def breakpoints(self, p: Array) -> tuple[float, ...]:
         """Return the instants between which it is an analytic function of time; s.
@@ -113,15 +115,19 @@ class Designable:
 
     def check_fields(self, where: str) -> None:
         """Refuse values of design fields that break their rules."""
-        optional = {field.name for field in fields(self) if field.default is None}  # type: ignore[arg-type]
         for name, rule in self.design_fields:
             value = getattr(self, name)
-            if value is not None or name not in optional:
-                rule(f"{where}, {name}", value)
+            if value is None:
+                optional = {each.name for each in fields(self) if each.default is None}  # type: ignore[arg-type]
+                if name in optional:
+                    continue
+            rule(f"{where}, {name}", value)
 
     def numbers_of(self, name: str) -> dict[str, float]:
         """Return the numbers of one design field by target name."""
         value = getattr(self, name)
+        if type(value) is float:
+            return {name: value}
         if value is None:
             return {}
         if isinstance(value, Designable):

@@ -4,7 +4,7 @@ import abc
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, ClassVar, Self, TypeAlias, TypeVar, final
 
 import numpy as np
@@ -143,7 +143,8 @@ class Part(Designable, abc.ABC):
 
     def point_fields(self) -> dict[str, MaterialPoint]:
         """Return the fields that hold a point."""
-        return {name: x for name, x in self._given().items() if isinstance(x, MaterialPoint)}
+        given = ((name, getattr(self, name)) for name in _field_names(type(self)))
+        return {name: x for name, x in given if isinstance(x, MaterialPoint)}
 
     @cached_property
     def points(self) -> tuple[MaterialPoint, ...]:
@@ -207,9 +208,9 @@ class Part(Designable, abc.ABC):
 
     def _check_declared(self) -> None:
         """Refuse a class that lacks fields of its design."""
-        given, where = self._given(), f"{self.role} of class {type(self).__name__}"
         for name, _ in self.design_fields:
-            if name not in given:
+            if name not in _field_names(type(self)):
+                where = f"{self.role} of class {type(self).__name__}"
                 rule, repair = "must have its `design_fields`", "Write it among those of the class."
                 raise InvalidInputError(where, rule, f"no field {name!r}", repair)
 
@@ -234,7 +235,7 @@ class Part(Designable, abc.ABC):
         return vectors
 
     def _given(self) -> dict[str, Any]:
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+        return {name: getattr(self, name) for name in _field_names(type(self))}
 
     def _needs(self, name: str) -> bool:
         declared = (each for each in fields(self) if each.name == name)
@@ -255,6 +256,12 @@ class Part(Designable, abc.ABC):
                 "both" if ends else "neither",
                 "For example ground=(0.0, 1.0), or other=rod.at_end.",
             )
+
+
+@cache
+def _field_names(kind: type) -> tuple[str, ...]:
+    """Return the names of the fields of a class."""
+    return tuple(each.name for each in fields(kind))
 
 
 #: Returns the beam or rigid body of a name.

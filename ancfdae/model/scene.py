@@ -187,7 +187,7 @@ class Scene(SceneDesign):
         Points of rigid bodies may lie anywhere.
         """
         require_point(where, point, self.dimension)
-        beam = named(f"{where}, beam", point.beam, self.members)
+        beam = self._members.get(point.beam) or named(f"{where}, beam", point.beam, self.members)
         if (point.fraction is None) != isinstance(beam, RigidBody):
             raise InvalidInputError(
                 where,

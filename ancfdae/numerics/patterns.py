@@ -25,10 +25,12 @@ class SparsityPattern:
     made when first asked for: a scene of 10,000 elements has four million entries.
 
     `beside` are constraint patterns that this one was factorised with, each with the places of all
-    entries in a band; copies are made without.
+    entries in a band, and `checked` are the saddle-point matrices whose constraints were found to
+    be independent last, with the numbers that say so; copies are made without.
     """
 
     beside: tuple[tuple[SparsityPattern, Any], ...] = ()
+    checked: tuple[Any, tuple[Any, ...]] | None = None
 
     def __init__(self, shape: tuple[int, int], rows: Array, columns: Array) -> None:
         self.shape = shape
@@ -42,7 +44,7 @@ class SparsityPattern:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that are pickled and copied."""
-        return {name: x for name, x in self.__dict__.items() if name != "beside"}
+        return {name: x for name, x in self.__dict__.items() if name not in ("beside", "checked")}
 
     @staticmethod
     def full(shape: tuple[int, int]) -> SparsityPattern:
@@ -65,6 +67,30 @@ class SparsityPattern:
         """Indices of the diagonal in the value vector, (n,); it must be in the pattern."""
         n = np.arange(self.shape[0])
         return self.index(n, n)
+
+    @cached_property
+    def determined(self) -> tuple[Array, Array]:
+        """The square part of the pattern, as masks of its rows and of its columns.
+
+        Of Phi_q these are the constraints and the coordinates of the part of a motion that
+        constraints determine (Dulmage & Mendelsohn 1958). A matching pairs rows with columns and
+        leaves some columns out. Paths go from a column to the rows in which it stands, and from a
+        row to its partner. The square part is not reached from the columns left out; its rows hold
+        no other columns.
+        """
+        n_rows, n = self.shape
+        source = n_rows + n
+        matrix = self.csr(np.ones(self.size))
+        match = scipy.sparse.csgraph.maximum_bipartite_matching(matrix, "row")
+        free, bound = np.flatnonzero(match < 0), np.flatnonzero(match >= 0)
+        begins = np.concatenate([self.columns, n + match[bound], np.full(len(free), source)])
+        ends = np.concatenate([n + self.rows, bound, free])
+        shape = source + 1, source + 1
+        graph = scipy.sparse.csr_array((np.ones(len(ends)), (begins, ends)), shape)
+        reached = scipy.sparse.csgraph.breadth_first_order(graph, source, return_predecessors=False)
+        rest = np.ones(source + 1, dtype=bool)
+        rest[reached] = False
+        return rest[n:source], rest[:n]
 
     @property
     def places(self) -> tuple[Array, Array]:

@@ -42,6 +42,8 @@ def rotation(turn: Array, d: int) -> Array:
 
     exp(W) = I + sin(x)/x W + (1 - cos x)/x^2 W^2, x = |turn|; `turn` has one entry in the plane.
     """
+    if not np.any(turn):
+        return np.eye(d, dtype=np.result_type(turn, float))
     turn = np.atleast_1d(turn)
     W = np.tensordot(turn, generators(d), 1)
     squared = np.sum(turn * turn)

@@ -84,9 +84,14 @@ _POOLS = _Pools()
 class _Block:
     """A block that needs one thread; entered and left twice (`in_one_thread`)."""
 
+    _holds = False
+
     def __enter__(self) -> None:
+        if self._holds:
+            return
         try:
             _POOLS.hold(self)
+            self._holds = True
         except BaseException:
             # Ctrl-C met it half way.
             _POOLS.release(self)

@@ -76,7 +76,7 @@ class TimeGrid:
         A time within 1e-12 of the end time of a time point counts as that point.
         """
         t = self.t
-        nearest = int(np.argmin(np.abs(t - time)))
+        nearest = len(t) - 1 if time == t[-1] else int(np.argmin(np.abs(t - time)))
         if abs(t[nearest] - time) <= 1e-12 * t[-1]:
             return slice(nearest, nearest + 1), np.ones(1)
         step = int(np.searchsorted(t, time)) - 1

@@ -54,7 +54,8 @@ def derivative_sizes(scales: Scales, q_b: Array) -> Array:
 
 def mean_squares(x: Array, sizes: Array) -> Array:
     """Return means of (x / sizes)^2 over coordinates, shape (n, n_q, ...) to (n, ...)."""
-    return np.asarray(np.square(np.moveaxis(x, 1, -1)) @ (1 / (sizes**2 * x.shape[1])))
+    rows = x if x.ndim == 2 else np.moveaxis(x, 1, -1)
+    return np.asarray(np.square(rows) @ (1 / (sizes**2 * x.shape[1])))
 
 
 def sizes_hold(assumed: Array, shown: Array) -> bool:

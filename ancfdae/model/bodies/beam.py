@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import final
 
@@ -130,8 +131,9 @@ class Beam(BeamBody):
         """Length of the centre line in the reference configuration; m."""
         return float(np.linalg.norm(self._span))
 
-    def reference(self) -> ReferenceShape:
-        """Return the straight reference configuration: nodes, directions and fractions."""
+    @cached_property
+    def _reference(self) -> ReferenceShape:
+        """The straight reference configuration: nodes, directions and fractions."""
         n, frame = self.element_count, self._frame()
         return ReferenceShape(
             lengths=np.full(n, self.length / n),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar, final
 
 import numpy as np
@@ -35,6 +36,7 @@ _PARAMETERS = {
     "length": ElementParameter.LENGTH,
     "damping_time": ElementParameter.DAMPING_TIME,
 }
+_SIZES = tuple(each for each in ElementParameter if each.is_size)
 
 
 @final
@@ -50,7 +52,7 @@ class ReferenceShape:
     chords: Array  # (n, d): (r_2 - r_1) / length of each element
     straight: bool  # whether dr_o/dx is the same at every point of the beam
 
-    @property
+    @cached_property
     def fractions(self) -> Array:
         """Arc-length fractions of the nodes, shape (n + 1,)."""
         fractions = np.concatenate([[0.0], np.cumsum(self.lengths) / np.sum(self.lengths)])
@@ -78,9 +80,14 @@ class BeamBody(Placed):
     def element_count(self) -> int:
         """Number of elements of the beam."""
 
+    @cached_property
     @abc.abstractmethod
+    def _reference(self) -> ReferenceShape:
+        """The reference configuration."""
+
     def reference(self) -> ReferenceShape:
         """Return the reference configuration: nodes, directions and lengths of elements."""
+        return self._reference
 
     def at_origin(self, point: MaterialPoint) -> Array:
         """Return the place of a point from the vectors at both ends of its element."""
@@ -144,9 +151,8 @@ class BeamBody(Placed):
 
     def parameter_names(self) -> dict[str, ElementParameter]:
         """Return the design targets of the beam, as ``"rod.height"``, with their columns."""
-        sizes = (each for each in ElementParameter if each.is_size)
         strain = {} if self.rigid else {"initial_strain": ElementParameter.INITIAL_STRAIN}
-        return _PARAMETERS | strain | dict(zip(self._section().size_names(), sizes, strict=False))
+        return _PARAMETERS | strain | dict(zip(self._section().size_names(), _SIZES, strict=False))
 
     def element_parameters(self) -> Array:
         """Parameters of every element, shape (n, 10), columns as in `ElementParameter`."""
@@ -206,9 +212,15 @@ class BeamBody(Placed):
         if any(name in others or name not in names for name, _, _ in changes):
             self.with_values(changes)
             return
-        sections, _ = self._with_constants(changes)
-        if any(names[name].is_size for name, _, _ in changes):
-            self._check_sections(sections)
+        resized = any(names[name].is_size for name, _, _ in changes)
+        if resized or any(element is not None for _, element, _ in changes):
+            sections, _ = self._with_constants(changes)
+            if resized:
+                self._check_sections(sections)
+            return
+        numbers = {name: value for name, _, value in changes}
+        for material in {id(x): x for x in self._per_element()[1]}.values():
+            replace(material, **numbers)  # Refuses what no material has.
 
     def _with_constants(
         self, changes: Sequence[tuple[str, int | None, float]]

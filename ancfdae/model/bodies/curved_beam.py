@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -103,8 +104,9 @@ class CurvedBeam(BeamBody):
         """Length of the centre line in the reference configuration; m."""
         return float(np.sum(self.reference().lengths))
 
-    def reference(self) -> ReferenceShape:
-        """Return the curved reference configuration: nodes, directions and fractions."""
+    @cached_property
+    def _reference(self) -> ReferenceShape:
+        """The curved reference configuration: nodes, directions and fractions."""
         steps, slopes = np.diff(self.positions, axis=0), self.frames
         lengths = _arc_lengths(steps, slopes[:-1, 0], slopes[1:, 0])
         return ReferenceShape(lengths, slopes, steps / lengths[:, None], False)

@@ -95,6 +95,7 @@ class RigidSphere(BodyShape):
 
 # Directions that are perpendicular and of unit length up to this are meant to be.
 _SQUARE = 1e-6
+_AXES = np.arange(3)
 
 
 def _require_inertia(where: str, value: object) -> None:
@@ -257,7 +258,9 @@ class RigidBody(Placed, Designable):
                 self.inertia,
                 f"The body has {self.dimension} dimensions.",
             )
-        spreads = np.linalg.eigvalsh(_spread(np.asarray(self.inertia, dtype=float), self.dimension))
+        spread = _spread(np.asarray(self.inertia, dtype=float), self.dimension)
+        principal = np.size(self.inertia) < 6
+        spreads = np.sort(np.diag(spread)) if principal else np.linalg.eigvalsh(spread)
         # Below the square root of round-off the thickness across the body would be noise.
         if spreads[0] <= 1e-8 * spreads[-1] or spreads[0] <= 0:
             rule = "must be positive"
@@ -285,8 +288,9 @@ def _spread(inertia: Array, d: int) -> Array:
     if d == 2:
         # A planar motion depends on the sum over the two axes only.
         return inertia / 2 * np.eye(2)
-    tensor = np.diag(inertia[:3])
+    tensor = np.zeros((3, 3), dtype=inertia.dtype)
+    tensor[_AXES, _AXES] = inertia[:3]
     if len(inertia) == 6:
         upper = np.triu_indices(3, 1)
         tensor[upper] = tensor.T[upper] = inertia[3:]
-    return np.trace(tensor) / 2 * np.eye(3) - tensor
+    return tensor.trace() / 2 * np.eye(3) - tensor

@@ -3,6 +3,7 @@
 import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from typing import ClassVar, Self
 
 import numpy as np
@@ -59,6 +60,7 @@ class Section(abc.ABC):
             require_positive(f"{where}.torsion_constant", self.torsion_constant)
 
     @classmethod
+    @cache
     def size_names(cls) -> tuple[str, ...]:
         """Return the names of the sizes."""
         return tuple(each.name for each in fields(cls) if not each.kw_only)
@@ -192,8 +194,8 @@ def columns(sizes: Array) -> tuple[Array, ...]:
 def central_moments(y: Array, z: Array, dA: Array) -> tuple[Array, Array]:
     """Return the centroid, shape (n, 1, 2), and the integrals of y^2 and z^2 about it, (n, 2)."""
     places, areas = np.stack([y, z], axis=-1), dA[..., None]
-    centroid = np.sum(places * areas, axis=1, keepdims=True) / np.sum(areas, axis=1, keepdims=True)
-    return centroid, np.sum((places - centroid) ** 2 * areas, axis=1)
+    centroid = (places * areas).sum(axis=1, keepdims=True) / areas.sum(axis=1, keepdims=True)
+    return centroid, ((places - centroid) ** 2 * areas).sum(axis=1)
 
 
 def require_smaller(where: str, wall: float, outer: float, rule: str) -> None:
