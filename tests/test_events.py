@@ -651,3 +651,54 @@ def test_phase_is_a_mechanical_system(kind):
     t_b, (q_b, v_b) = 0.1 * rng.normal(size=n), 0.1 * rng.normal(size=(2, base.n_q, n))
     start = PhaseStart(t_0, reached.q[-1], reached.v[-1], t_b, q_b, v_b)
     check_system(PhaseSystem(base, start, D, first=False)).raise_if_wrong()
+
+
+def moving_circle(t, q, v, lam, b):
+    """Distance of the tip from a disc that moves and whose radius is a design variable."""
+    x = q[:, 2] - 0.9 + 0.1 * np.sin(3 * t)
+    return np.sqrt(x**2 + (q[:, 3] + 1.6) ** 2) - b[2] - 0.15
+
+
+def worn(t, q, v, lam, b):
+    """A restitution that falls with the speed of the impact."""
+    return b[3] / (1 + 0.05 * (v[:, 2] ** 2 + v[:, 3] ** 2) + 0.01 * t)
+
+
+def test_moving_round_wall_with_a_restitution_that_depends_on_speed():
+    hit = Impact(custom(moving_circle, "disc"), custom(worn, "worn"))
+    objectives = [Terminal(TIP), Integral(TIP**2)]
+    by_method = [
+        gradients(DoublePendulum(), objectives, 1.0, Radau(step=0.031), method=m, events=[hit])
+        for m in (*EXACT, FiniteDifference(1e-5, central=True))
+    ]
+    for direct, adjoint, stepped, differences in zip(*by_method, strict=True):
+        assert len(direct.event_solution.events) >= 1
+        for other in (adjoint, stepped):
+            np.testing.assert_allclose(other.gradient, direct.gradient, rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(differences.gradient, direct.gradient, rtol=1e-6, atol=1e-6)
+
+
+def test_driven_scene_whose_forces_depend_on_time_passes_an_event():
+    """Starts and durations of phases move laws of time; all of them count."""
+    scene = planar_machine()
+    solution = simulate(scene, 0.05, HHT(step=1e-3))
+    middle = position(scene.beams[1].at(0.5), 1)
+    from ancfdae.observables import observe
+
+    values = observe(middle, solution)
+    level = 0.5 * (values[10] + values[20])
+    end = Switch(middle - float(level), to="same", name="pass")
+    modes = {"same": Mode(scene)}
+    by_method = [
+        gradient(
+            scene, Terminal(middle + elapsed_time() * velocity(scene.beams[1].at(0.5), 0)), 0.05,
+            HHT(step=1e-3), design=["crank.height", "rod.density"], method=m,
+            events=[end], modes=modes,
+        )
+        for m in (*EXACT, FiniteDifference(1e-5, central=True))
+    ]  # fmt: skip
+    direct, adjoint, stepped, differences = by_method
+    assert len(direct.event_solution.events) == 1
+    for other in (adjoint, stepped):
+        np.testing.assert_allclose(other.gradient, direct.gradient, rtol=1e-9)
+    np.testing.assert_allclose(differences.gradient, direct.gradient, rtol=1e-4)

@@ -6,8 +6,9 @@ from ancfdae.facade import public_names
 
 _CABLE = "A cable is a Beam(..., element=CABLE_2D), in space CABLE_3D (docs/howto/elements.md)."
 _CONTACT = (
-    "Impacts and stops at points that you name are events (docs/howto/events.md); no search finds "
-    "bodies that meet. A penalty force on a point is a Load of your own (docs/howto/own-parts.md)."
+    "Contact that a search finds is not supported (docs/limits.md). Impacts and stops of named "
+    "points are events (docs/howto/events.md), a penalty force on a point is a Load of your own "
+    "(docs/howto/own-parts.md)."
 )
 _EVENT = (
     "Events are Impact, EndEvent and Switch, given as events= to a call (docs/howto/events.md)."
