@@ -3,6 +3,7 @@
 from ancfdae.assembly.saved import load_solution
 from ancfdae.assembly.system import assemble
 from ancfdae.equations.conformance import check_system
+from ancfdae.events.kinds import EndEvent, Impact, Mode, Switch
 from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.radau.method import Radau
@@ -87,6 +88,7 @@ __all__ = [
     "DirectDifferentiation",
     "Distance",
     "DistributedForce",
+    "EndEvent",
     "EnhancedContinuum",
     "EquilibriumStart",
     "Evaluator",
@@ -94,11 +96,13 @@ __all__ = [
     "FixedSteps",
     "FollowerForce",
     "FrequencyMisfit",
+    "Impact",
     "IndexReduction",
     "InitialVelocity",
     "Integral",
     "Material",
     "Misfit",
+    "Mode",
     "Moment",
     "MotorTorque",
     "MovingSupport",
@@ -128,6 +132,7 @@ __all__ = [
     "Spherical",
     "SpringDamper",
     "StaticMisfit",
+    "Switch",
     "Terminal",
     "TorsionalSpringDamper",
     "TranslationDriver",

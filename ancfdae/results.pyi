@@ -3,6 +3,7 @@
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import ErrorEstimates, Sensitivities, Solution, Statistics
 from ancfdae.equations.conformance import SystemCheck
+from ancfdae.equations.event_solution import EventRecord, EventSolution
 from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.modes.configuration import LinearisationPoint
 from ancfdae.modes.periods import StepSuggestion
@@ -34,6 +35,8 @@ __all__ = [
     "EquilibriumOutcome",
     "ErrorBars",
     "ErrorEstimates",
+    "EventRecord",
+    "EventSolution",
     "Gradient",
     "LinearisationPoint",
     "MassProperties",

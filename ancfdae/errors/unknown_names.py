@@ -6,8 +6,12 @@ from ancfdae.facade import public_names
 
 _CABLE = "A cable is a Beam(..., element=CABLE_2D), in space CABLE_3D (docs/howto/elements.md)."
 _CONTACT = (
-    "Contact is not supported (docs/limits.md). A penalty force on a point, such as a floor, is a "
-    "Load of your own (docs/howto/own-parts.md)."
+    "Contact that a search finds is not supported (docs/limits.md). Impacts and stops of named "
+    "points are events (docs/howto/events.md), a penalty force on a point is a Load of your own "
+    "(docs/howto/own-parts.md)."
+)
+_EVENT = (
+    "Events are Impact, EndEvent and Switch, given as events= to a call (docs/howto/events.md)."
 )
 _GEAR = (
     "Gears are not supported (docs/limits.md). Two RotationDriver joints, with laws in the ratio, "
@@ -47,7 +51,8 @@ _PLOT = "ancfdae.plotting has the calls history, animate, snapshots and write_vt
 # Names in lower case without underscores, as people know them from other programs.
 _ANSWERS = {
     **dict.fromkeys(("cable", "rope", "string", "ancfcable", "ancfcable2d", "wire"), _CABLE),
-    **dict.fromkeys(("contact", "collision", "impact", "floor", "penalty"), _CONTACT),
+    **dict.fromkeys(("contact", "collision", "floor", "penalty"), _CONTACT),
+    **dict.fromkeys(("event", "events", "stop", "lock", "latch", "clutch", "restitution"), _EVENT),
     "friction": "Friction is RotationalFriction in a joint, TranslationalFriction along a line.",
     **dict.fromkeys(("gear", "gears", "rackandpinion", "screw", "belt", "coupler"), _GEAR),
     **dict.fromkeys(("acceleration", "accelerations"), _ACCELERATION),

@@ -34,7 +34,7 @@ from ancfdae.numerics.time_grid import TimeGrid, next_end
 # Steps of which a run warns: DOP853 takes 20 s for them in a small system (5,000 a second).
 _MANY = 100_000
 # Intervals of a run where none are asked for, and of one of which the end alone is read.
-_INTERVALS, _FEW = 64, 4
+INTERVALS, _FEW = 64, 4
 # Each interval has eight instants more.
 _MOST_INTERVALS = 10**8
 
@@ -147,7 +147,7 @@ class HighOrder(QuadratureIntegrator):
         name = type(self).__name__
         require_rtol(f"{name}.rtol", self.rtol, least_rtol)
         if self.intervals is not None:
-            repair = f"{_INTERVALS} is a good number."
+            repair = f"{INTERVALS} is a good number."
             require_count(f"{name}.intervals", self.intervals, repair, _MOST_INTERVALS)
         require_array(f"{name}.stops", self.stops)
         require_count(f"{name}.max_steps", self.max_steps, f"{type(self).max_steps} is plenty.")
@@ -164,7 +164,7 @@ class HighOrder(QuadratureIntegrator):
         `intervals` that were given are kept. A prescribed motion keeps the default: it is checked
         from one reported time to the next.
         """
-        times = np.linspace(0.0, t_end, _INTERVALS + 1)
+        times = np.linspace(0.0, t_end, INTERVALS + 1)
         prescribed = system.n_lam == system.n_q
         if self.intervals or prescribed or is_driven(system, times, system.start()[0].real):
             return self
@@ -193,7 +193,7 @@ class HighOrder(QuadratureIntegrator):
             problem = InitialValueProblem.of(system, t_end)
             problem = problem.differentiated() if sensitivities else problem
         problem.require_finite()
-        grid = TimeGrid.lobatto(t_end, self.intervals or _INTERVALS)
+        grid = TimeGrid.lobatto(t_end, self.intervals or INTERVALS)
         recorder = SolutionRecorder(system, len(grid.t), grid.degree, sensitivities)
         recorder.accepted = 0
         recorder.record(*problem.initial, problem.derivative or ())

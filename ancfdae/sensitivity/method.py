@@ -12,6 +12,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.complex_steps import at_values
+from ancfdae.equations.event_solution import EventSolution
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_flag, require_kind
@@ -143,9 +144,12 @@ class Gradient:
         Names of the design variables.
     method : GradientMethod
     solution : Solution
-        The run at the design; of a call to a tolerance the finest one.
+        The run at the design; of a call to a tolerance the finest one, of a call with events the
+        last phase.
     accuracy : Accuracy, optional
         Of a call to a tolerance the bars, and how they were reached.
+    event_solution : EventSolution, optional
+        Of a call with events all phases, and what happened between them.
     """
 
     value: float
@@ -154,6 +158,7 @@ class Gradient:
     method: GradientMethod
     solution: Solution
     accuracy: Accuracy | None = None
+    event_solution: EventSolution | None = None
 
     def __post_init__(self) -> None:
         wrong = np.flatnonzero(~(np.abs(self.gradient) < _INFINITE))

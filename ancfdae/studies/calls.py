@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, cast, overload
 
 import numpy as np
 
 from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.event_solution import EventSolution
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import require_kind, require_positive, require_sequence
 from ancfdae.errors.kinds import InvalidInputError, LargeStrainWarning, StabilityWarning
@@ -29,6 +30,7 @@ from ancfdae.studies.parts import Keep, RunOfParts
 from ancfdae.studies.remedies import with_remedies
 
 if TYPE_CHECKING:
+    from ancfdae.events.kinds import Event, Mode
     from ancfdae.studies.tolerance.observables import ObservableEstimates
 
 # States of a run, the end included, at which strains are looked at: all would cost half a run.
@@ -45,6 +47,17 @@ def simulate(
     keep: Keep | None = None,
     progress: bool = False,
 ) -> Solution: ...
+
+
+@overload
+def simulate(
+    model: Scene | MechanicalSystem,
+    t_end: float,
+    integrator: Integrator,
+    *,
+    events: Sequence[Event],
+    modes: Mapping[str, Mode] | None = None,
+) -> EventSolution: ...
 
 
 @overload
@@ -69,8 +82,10 @@ def simulate(
     at: Sequence[float] | Array | None = None,
     after: Solution | None = None,
     keep: Keep | None = None,
+    events: Sequence[Event] | None = None,
+    modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
-) -> Solution | ObservableEstimates:
+) -> Solution | EventSolution | ObservableEstimates:
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
 
     Warns of errors estimated larger than the motion (`StabilityWarning`), of very many steps under
@@ -98,12 +113,25 @@ def simulate(
         Store only part of a run with prescribed steps. An int k stores the start, every k-th step
         and the end; a sequence of ascending times in [0, t_end], s, stores states interpolated as
         by `Solution.at`.
+    events : sequence of Event, optional
+        `Impact`, `EndEvent` and `Switch`, at each of which a phase of the motion ends; the result
+        is then an `EventSolution`.
+    modes : mapping of str to Mode, optional
+        Models that the run continues with after events, by name.
     progress : bool
         Whether to show a progress bar.
     """
     system = as_system(model)
+    if events is not None or modes is not None:
+        _require_alone(
+            "events", tolerance=tolerance, observables=observables, after=after, keep=keep
+        )
+        from ancfdae.events.calls import EventRun
+        from ancfdae.studies.events import simulated
+
+        return simulated(EventRun.of(system, t_end, integrator, events or (), modes, None))
     if tolerance is not None:
-        _require_alone(integrator=integrator, after=after, keep=keep)
+        _require_alone("tolerance", integrator=integrator, after=after, keep=keep)
         from ancfdae.studies.tolerance.observables import observed_within
 
         return observed_within(system, observables, at, t_end, tolerance, progress)
@@ -165,6 +193,7 @@ def _warned(solution: Solution) -> Solution:
     return solution
 
 
+@overload
 def differentiate(
     model: Scene | MechanicalSystem,
     t_end: float,
@@ -174,12 +203,39 @@ def differentiate(
     method: Method | None = None,
     after: Solution | None = None,
     progress: bool = False,
-) -> Solution:
+) -> Solution: ...
+
+
+@overload
+def differentiate(
+    model: Scene | MechanicalSystem,
+    t_end: float,
+    integrator: Integrator,
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: Method | None = None,
+    events: Sequence[Event],
+    modes: Mapping[str, Mode] | None = None,
+) -> EventSolution: ...
+
+
+def differentiate(
+    model: Scene | MechanicalSystem,
+    t_end: float,
+    integrator: Integrator,
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: Method | None = None,
+    after: Solution | None = None,
+    events: Sequence[Event] | None = None,
+    modes: Mapping[str, Mode] | None = None,
+    progress: bool = False,
+) -> Solution | EventSolution:
     """Integrate and differentiate the trajectory with respect to the design variables.
 
     Parameters
     ----------
-    model, t_end, integrator, after, progress
+    model, t_end, integrator, after, events, modes, progress
         As in `simulate`.
     design : sequence of str or DesignVariable
         For a scene: targets such as ``"pendulum.youngs_modulus"``. A mechanical system has its
@@ -196,7 +252,15 @@ def differentiate(
     require_kind(
         "method", method, (Method,), "For example DirectDifferentiation() or ComplexStep()."
     )
-    run = Run(differentiable(model, design), t_end, integrator, progress, after)
+    system = differentiable(model, design)
+    if events is not None or modes is not None:
+        _require_alone("events", after=after)
+        from ancfdae.events.calls import EventRun
+        from ancfdae.studies.events import differentiated
+
+        made = EventRun.of(system, t_end, integrator, events or (), modes, design)
+        return differentiated(made, method)
+    run = Run(system, t_end, integrator, progress, after)
     return with_remedies(model, run, uninterrupted(method.differentiate(run)))
 
 
@@ -211,13 +275,15 @@ def gradient(
     method: GradientMethod | None = None,
     memory: str | float | None = None,
     after: Solution | None = None,
+    events: Sequence[Event] | None = None,
+    modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> Gradient:
     """Return value and design gradient of an objective.
 
     Parameters
     ----------
-    model, t_end, integrator, design, after, progress
+    model, t_end, integrator, design, after, events, modes, progress
         As in `differentiate`; with `after` a run that is there gets further gradients.
     objective : Objective
         For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
@@ -248,6 +314,8 @@ def gradient(
         method=method,
         memory=memory,
         after=after,
+        events=events,
+        modes=modes,
         progress=progress,
     )[0]
 
@@ -263,14 +331,23 @@ def gradients(
     method: GradientMethod | None = None,
     memory: str | float | None = None,
     after: Solution | None = None,
+    events: Sequence[Event] | None = None,
+    modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> list[Gradient]:
     """Return value and gradient of several objectives of one run; see `gradient`."""
     objectives = require_sequence("objectives", objectives)
     system = differentiable(model, design)
     require_objectives(system, objectives, t_end)
+    if events is not None or modes is not None:
+        _require_alone("events", tolerance=tolerance, memory=memory, after=after)
+        from ancfdae.events.calls import EventRun
+        from ancfdae.studies.events import gradients as gradients_with_events
+
+        made = EventRun.of(system, t_end, integrator, events or (), modes, design)
+        return gradients_with_events(made, objectives, method)
     if tolerance is not None:
-        _require_alone(integrator=integrator, memory=memory, after=after)
+        _require_alone("tolerance", integrator=integrator, memory=memory, after=after)
         from ancfdae.studies.tolerance.gradients import gradients_within
 
         return gradients_within(system, objectives, t_end, tolerance, method, progress)
@@ -292,12 +369,12 @@ def gradients(
         raise UnfinishedRunError(with_remedies(model, run, error.solution)) from error
 
 
-def _require_alone(**others: object) -> None:
-    """Refuse what a call to a tolerance chooses itself."""
+def _require_alone(where: str, **others: object) -> None:
+    """Refuse arguments that a call to a tolerance, or a run with events, does not take."""
     for name, given in others.items():
         if given is not None:
-            rule, repair = f"must be given without `{name}`", "A tolerance chooses its own runs."
-            raise InvalidInputError("tolerance", rule, "both", repair)
+            repair = "A tolerance chooses its own runs." if where == "tolerance" else ""
+            raise InvalidInputError(where, f"must be given without `{name}`", "both", repair)
 
 
 @in_one_thread

@@ -1,0 +1,134 @@
+"""Solution of a run with events: its phases, and a record of what happened between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import Sensitivities
+from ancfdae.errors.checks import require_array
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.outcomes import RunOutcome
+from ancfdae.errors.text import columns
+from ancfdae.numerics.arrays import Array, Numbers
+
+
+@final
+@dataclass(frozen=True)
+class EventRecord:
+    """One event of a run.
+
+    Attributes
+    ----------
+    name : str
+        Name of the event.
+    time : float
+        Time at which it happened; s.
+    mode : str
+        Name of the mode that followed; ``"start"`` is the model that the run began with.
+    impulse : float or None
+        Impulse P of an impact: of the force on the gap, so N s for a gap in m. None of other
+        events, and of a gap that the other impacts of the same instant opened.
+    time_b, impulse_b : array, shape (n_b,), or None
+        Their design derivatives, where the run was differentiated.
+    """
+
+    name: str
+    time: float
+    mode: str
+    impulse: float | None = None
+    time_b: Array | None = None
+    impulse_b: Array | None = None
+
+
+@final
+@dataclass(frozen=True)
+class EventSolution:
+    """Trajectory of a run with events.
+
+    Attributes
+    ----------
+    phases : tuple of Solution
+        The motion between events. The last instant of a phase and the first one of the next are the
+        same time, before and after the event. Design derivatives are those at a time that does not
+        move with the design; of a and lam to the order of differences between instants.
+    events : tuple of EventRecord
+        What happened, in the order of time.
+    outcome : RunOutcome
+        How the run ended.
+    """
+
+    phases: tuple[Solution, ...]
+    events: tuple[EventRecord, ...]
+    outcome: RunOutcome
+
+    @property
+    def t(self) -> Array:
+        """Times of all phases, (n_t,); each event appears twice."""
+        return np.concatenate([phase.t for phase in self.phases])
+
+    @property
+    def q(self) -> Array:
+        """Coordinates of all phases, (n_t, n_q)."""
+        return np.concatenate([phase.q for phase in self.phases])
+
+    @property
+    def v(self) -> Array:
+        """Velocities of all phases, (n_t, n_q)."""
+        return np.concatenate([phase.v for phase in self.phases])
+
+    @property
+    def a(self) -> Array:
+        """Accelerations of all phases, (n_t, n_q)."""
+        return np.concatenate([phase.a for phase in self.phases])
+
+    def position(self, point: Any) -> Array:
+        """Position of a point such as ``rod.at(0.3)``, shape (n_t, d), in m."""
+        return np.concatenate([phase.position(point) for phase in self.phases])
+
+    def velocity(self, point: Any) -> Array:
+        """Velocity of a material point, shape (n_t, d), in m/s."""
+        return np.concatenate([phase.velocity(point) for phase in self.phases])
+
+    def at(self, times: Numbers) -> tuple[Array, Array]:
+        """Return coordinates and velocities at increasing times, (k, n_q) each, by interpolation.
+
+        Within a phase as `Solution.at`; at the time of an event the state before it.
+        """
+        asked = np.atleast_1d(require_array("times", times))
+        ends = np.array([phase.t[-1] for phase in self.phases])
+        good = asked.ndim == 1 and bool(np.all(np.diff(asked) > 0))
+        if not good or not (asked[0] >= 0 and asked[-1] <= ends[-1]):
+            rule = f"must increase and lie in [0, {ends[-1]:.6g}]"
+            raise InvalidInputError("times", rule, repr(times))
+        which = np.searchsorted(ends, asked)
+        parts = [self.phases[k].at(asked[which == k]) for k in np.unique(which).tolist()]
+        return np.concatenate([x.q for x in parts]), np.concatenate([x.v for x in parts])
+
+    def __repr__(self) -> str:
+        rows = [("event", "time", "impulse")]
+        for each in self.events:
+            impulse = "" if each.impulse is None else f"{each.impulse:.6g}"
+            rows.append((each.name, f"{each.time:.9g}", impulse))
+        return f"EventSolution: {len(self.phases)} phases\n{columns(rows)}\n{self.outcome}"
+
+
+def at_held_times(run: Solution, times: Array, states: Sensitivities, t_b: Array) -> Solution:
+    """Return the run of a phase at its times in the whole run, with derivatives at held times.
+
+    `states` are derivatives at the instants of the phase, which move with the design by t_b.
+    """
+
+    def rate(x: Array) -> Array:
+        return np.gradient(x, run.t, axis=0)
+
+    moved = t_b[:, None, :]
+    q_b = states.q_b - run.v[..., None] * moved
+    v_b = states.v_b - run.a[..., None] * moved
+    a_b = states.a_b - rate(run.a)[..., None] * moved
+    lam_b = states.lam_b - rate(run.lam)[..., None] * moved
+    held = replace(states, q_b=q_b, v_b=v_b, a_b=a_b, lam_b=lam_b)
+    return replace(run, t=times, sensitivities=held, control=())

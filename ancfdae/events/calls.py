@@ -1,0 +1,251 @@
+"""Runs with events as the calls of a user make them: values, derivatives, gradients."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.system import assemble
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.complex_steps import at_values
+from ancfdae.equations.event_solution import EventRecord, EventSolution, at_held_times
+from ancfdae.errors.checks import require_kind, require_positive
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
+from ancfdae.events.derivatives import PhaseDerivatives, differentiated, pulled_back
+from ancfdae.events.kinds import Impact, Mode, require_events
+from ancfdae.events.objectives import (
+    PhasePartials,
+    PhaseStates,
+    partials_of,
+    require_reductions,
+    value_of,
+)
+from ancfdae.events.perturbed import at_complex
+from ancfdae.events.run import Jump, ModeSystem, PhasedRun, PhaseMarch
+from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
+from ancfdae.integrators.step_control import PrescribedSteps
+from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.model.design import DesignVariable
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.threads import in_one_thread
+from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
+from ancfdae.sensitivity.method import GradientMethod
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference, Perturbation
+
+# Name of the mode in which every run begins.
+_OWN = "start"
+
+
+@final
+@dataclass(frozen=True)
+class EventRun:
+    """A run with events to be made, of modes that have been assembled; it begins in the first."""
+
+    modes: Mapping[str, ModeSystem]
+    t_end: float
+    integrator: Integrator
+
+    @staticmethod
+    def of(
+        system: MechanicalSystem,
+        t_end: float,
+        integrator: object,
+        events: object,
+        modes: Mapping[str, Mode] | None,
+        design: Sequence[str | DesignVariable] | None,
+    ) -> EventRun:
+        """Check and assemble what a call was given."""
+        require_positive("t_end", t_end)
+        require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
+        assert isinstance(integrator, Integrator)
+        if isinstance(integrator, SteppedIntegrator) and isinstance(
+            integrator.steps, PrescribedSteps
+        ):
+            rule, repair = "must choose steps itself in a run with events", "Give step or rtol."
+            raise InvalidInputError("integrator.steps", rule, repr(integrator.steps), repair)
+        known = {_OWN: ModeSystem(_OWN, system, require_events(events))}
+        require_kind("modes", modes or {}, (Mapping,), 'For example {"closed": Mode(scene)}.')
+        if _OWN in (modes or {}):
+            rule, repair = "is the model of the call itself", "Take another name."
+            raise InvalidInputError("modes", f"{_OWN!r} {rule}", repr(_OWN), repair)
+        for name, mode in (modes or {}).items():
+            require_kind(f"modes[{name!r}]", mode, (Mode,), "For example Mode(scene, events).")
+            known[name] = ModeSystem(name, _assembled(mode.model, design), tuple(mode.events))
+        for name, each in known.items():
+            _require_mode(name, each, system, known)
+        return EventRun(known, float(t_end), integrator)
+
+    @property
+    def system(self) -> MechanicalSystem:
+        """The system that the run begins with."""
+        return self.modes[_OWN].system
+
+    @in_one_thread
+    def phased(self) -> PhasedRun:
+        """Integrate all phases."""
+        return PhaseMarch(self.modes, self.t_end, self.integrator).run(self.modes[_OWN])
+
+    def at(self, b: Array) -> EventRun:
+        """Return the same run at other design values."""
+        moved = {
+            name: mode._replace(system=at_values(mode.system, b))
+            for name, mode in self.modes.items()
+        }
+        return replace(self, modes=moved)
+
+    @in_one_thread
+    def differentiated(self, run: PhasedRun) -> EventSolution:
+        """Return the solution of a finished run with its design derivatives."""
+        done, phases = differentiated(run)
+        return solution(done, phases)
+
+    @in_one_thread
+    def gradients(
+        self, run: PhasedRun, objectives: Sequence[Objective], method: GradientMethod
+    ) -> list[tuple[float, Array]]:
+        """Return values and gradients of objectives of a finished run."""
+        require_reductions(objectives)
+        if isinstance(method, DirectDifferentiation):
+            return self._direct(run, objectives)
+        if isinstance(method, Adjoint) and method.memory is None:
+            return self._adjoint(run, objectives)
+        if isinstance(method, ComplexStep | FiniteDifference):
+            return self._perturbed(run, objectives, method)
+        raise InvalidInputError(
+            "method",
+            "must be one that differentiates runs with events",
+            repr(method),
+            "Use DirectDifferentiation(), Adjoint(), ComplexStep() or FiniteDifference().",
+        )
+
+    def _direct(self, run: PhasedRun, objectives: Sequence[Objective]) -> list[tuple[float, Array]]:
+        done, phases = differentiated(run)
+        results = []
+        for objective in objectives:
+            value, partials = partials_of(objective, states_of(done))
+            pairs = zip(partials, phases, strict=True)
+            results.append((value, np.sum([_total(p, x) for p, x in pairs], axis=0)))
+        return results
+
+    def _adjoint(
+        self, run: PhasedRun, objectives: Sequence[Objective]
+    ) -> list[tuple[float, Array]]:
+        if not isinstance(self.integrator, AdjointIntegrator):
+            rule, repair = "needs an integrator with an adjoint", "Use HHT or Radau."
+            raise InvalidInputError("Adjoint", rule, repr(self.integrator), repair)
+        results = []
+        for objective in objectives:
+            value, partials = partials_of(objective, states_of(run))
+            results.append((value, pulled_back(run, partials)))
+        return results
+
+    def _perturbed(
+        self, run: PhasedRun, objectives: Sequence[Objective], method: Perturbation
+    ) -> list[tuple[float, Array]]:
+        if isinstance(method, ComplexStep) and self.integrator.real_only:
+            rule, repair = "needs an integrator that computes in complex numbers", "Use HHT."
+            raise InvalidInputError("ComplexStep", rule, repr(self.integrator), repair)
+        base = self._values(objectives, states_of(run))
+        slopes, b = np.zeros((len(objectives), self.system.n_b)), self.system.b
+        for i, x in enumerate(b.tolist()):
+            unit = np.eye(len(b))[i]
+            moved = []
+            for change in method.changes(x):
+                if isinstance(method, ComplexStep):
+                    phases = at_complex(run, b + change * unit)
+                else:
+                    phases = states_of(self.at(b + np.real(change) * unit).phased())
+                moved.append(self._values(objectives, phases))
+            slopes[:, i] = method.quotient(x, base, moved)
+        return [(float(value.real), slope) for value, slope in zip(base, slopes, strict=True)]
+
+    def _values(self, objectives: Sequence[Objective], phases: Sequence[PhaseStates]) -> Array:
+        values = np.array([value_of(each, phases) for each in objectives])
+        return values if np.any(values.imag) else values.real
+
+
+def states_of(run: PhasedRun) -> list[PhaseStates]:
+    """Return the states of all phases of a run."""
+    found = []
+    for phase in run.phases:
+        x = phase.run
+        states = States(phase.times, x.q, x.v, x.lam, x.degree)
+        found.append(PhaseStates(phase.mode.system, states, phase.t_0, phase.duration))
+    return found
+
+
+def solution(run: PhasedRun, derivatives: Sequence[PhaseDerivatives] = ()) -> EventSolution:
+    """Return the solution of a run as a user sees it."""
+    phases, records = [], []
+    if run.before is not None:
+        records += _records(run.before, 0.0, None, None)
+    for k, phase in enumerate(run.phases):
+        known = derivatives[k] if derivatives else None
+        if known is None:
+            phases.append(replace(phase.run, t=phase.times))
+        else:
+            phases.append(at_held_times(phase.run, phase.times, known.states, known.t_b))
+        time_b = None if known is None else known.t_b[-1]
+        impulses_b = None if known is None else known.impulses_b
+        if phase.jump is not None:
+            records += _records(phase.jump, phase.t_end, time_b, impulses_b)
+        elif phase.event is not None:
+            records.append(EventRecord(phase.event.name, phase.t_end, phase.mode.name))
+    return EventSolution(tuple(phases), tuple(records), run.outcome)
+
+
+def _records(
+    jump: Jump, time: float, time_b: Array | None, impulses_b: Array | None
+) -> list[EventRecord]:
+    """Return the records of all events of one instant."""
+    pushing = () if jump.struck is None else jump.struck.impacts
+    records = []
+    for event in jump.events:
+        impulse, impulse_b = None, None
+        if isinstance(event, Impact) and event in pushing:
+            assert jump.struck is not None
+            row = pushing.index(event)
+            impulse = float(jump.struck.after.impulses[row])
+            impulse_b = None if impulses_b is None else impulses_b[row]
+        records.append(EventRecord(event.name, time, jump.mode.name, impulse, time_b, impulse_b))
+    return records
+
+
+def _total(p: PhasePartials, x: PhaseDerivatives) -> Array:
+    """Return what a phase adds to the gradient of an objective, from its partials there."""
+    total = p.b + p.start * x.start_b + p.duration * x.duration_b
+    for rows, x_b in ((p.q, x.states.q_b), (p.v, x.states.v_b), (p.lam, x.states.lam_b)):
+        if rows is not None:
+            total = total + np.tensordot(rows, x_b, axes=2)
+    return np.asarray(total)
+
+
+def _assembled(
+    model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None
+) -> MechanicalSystem:
+    if isinstance(model, Scene):
+        return assemble(model, () if design is None else design)
+    return model
+
+
+def _require_mode(
+    name: str, mode: ModeSystem, first: MechanicalSystem, known: Mapping[str, ModeSystem]
+) -> None:
+    """Refuse a mode with other coordinates, or with events that lead nowhere or do not fit it."""
+    system, where = mode.system, f"modes[{name!r}]"
+    ours, theirs = ((x.n_q, x.design_names, x.b.tolist()) for x in (first, system))
+    if ours != theirs:
+        rule = "must have the coordinates and the design of the model that the run begins with"
+        got = f"{system.n_q} coordinates, design {system.design_names}"
+        raise InvalidInputError(where, rule, got, "Declare the same bodies in the same order.")
+    for event in mode.events:
+        event.crossing[0].check(system)
+        for target in event.leads_to:
+            if target not in known:
+                raise UnknownNameError(f"mode that {event.name!r} leads to", target, list(known))

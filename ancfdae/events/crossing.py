@@ -1,0 +1,80 @@
+"""The first zero of a function between the instants of a run, from its values and rates.
+
+Within a step the function is the cubic through values and rates at both ends. A step in which the
+function changes its sign has a zero; so has one whose cubic reaches beyond zero and returns, which
+values at its ends alone do not show.
+"""
+
+import numpy as np
+
+from ancfdae.numerics.arrays import Array
+
+# Places within a step, as parts of it, that count as its ends.
+_END = 1e-9
+# Values that are this small against the largest one along the run are round-off at its start.
+_ROUND_OFF = 1e-10
+
+
+def first_crossing(
+    t: Array, g: Array, rate: Array, direction: int, side: float | None
+) -> float | None:
+    """Return the first time at which g crosses zero in a direction; None if it does not.
+
+    `side` is the sign that g has just after the start where an event has just happened there: its
+    value is then round-off. Zero in the first instant is no crossing otherwise: g is then on the
+    side to which it moves.
+    """
+    if side is None and _rests(g, rate):
+        rate = np.append(0.0, rate[1:])
+    sides = _sides(g, rate, side)
+    changed = sides[:-1] != sides[1:]
+    hidden = (sides[:-1] * rate[:-1] < 0) & (sides[1:] * rate[1:] > 0) & ~changed
+    for n in np.flatnonzero(changed | hidden).tolist():
+        found = _in_step(t[n : n + 2], g[n : n + 2], rate[n : n + 2], direction, sides[n])
+        if found is not None:
+            return found
+        if changed[n] and direction in (0, -sides[n]):
+            # A value that is round-off at the start, and moves on to the other side at once.
+            return float(t[n] if n == 0 and side is not None else t[n + 1])
+    return None
+
+
+def _rests(g: Array, rate: Array) -> bool:
+    """Whether value and rate in the first instant are round-off of zero."""
+    pairs = ((x[0], np.max(np.abs(x))) for x in (g, rate))
+    return all(abs(x) <= _ROUND_OFF * largest for x, largest in pairs)
+
+
+def _sides(g: Array, rate: Array, side: float | None) -> Array:
+    """Return the sign of g at every instant; where it is zero, the side to which it moves."""
+    sides, moves = np.sign(g), np.sign(rate)
+    if side is not None:
+        sides[0] = side
+    elif abs(g[0]) <= _ROUND_OFF * np.max(np.abs(g)):
+        # If it does not move either it counts where it goes then.
+        sides[0] = moves[0] or next(iter(sides[1:][sides[1:] != 0]), 1.0)
+    for n in np.flatnonzero(sides == 0).tolist():
+        sides[n] = moves[n] or (sides[n - 1] if n else 1.0)
+    return sides
+
+
+def _in_step(t: Array, g: Array, rate: Array, direction: int, side: float) -> float | None:
+    """Return the first zero of the cubic in a step at which it leaves its side in the direction."""
+    h = float(t[1] - t[0])
+    slopes = h * rate
+    rise = g[1] - g[0]
+    cubic = np.array(
+        [slopes[0] + slopes[1] - 2 * rise, 3 * rise - 2 * slopes[0] - slopes[1], slopes[0], g[0]]
+    )
+    size = np.max(np.abs(cubic))
+    if not size > 0:
+        return None
+    roots = np.roots(cubic / size)
+    places = np.sort(roots[np.abs(roots.imag) <= _END].real)
+    places = np.clip(places[(places >= -_END) & (places <= 1 + _END)], 0.0, 1.0)
+    steepness = np.polyval(np.polyder(cubic), places)
+    wanted = steepness * direction > 0 if direction else steepness != 0
+    # Two zeros of a function that returns: it leaves its side at one of them only.
+    wanted &= (steepness * side < 0) | (direction * side > 0)
+    good = places[wanted]
+    return float(t[0] + good[0] * h) if len(good) else None

@@ -1,0 +1,223 @@
+"""Derivatives of a run with events: forward along the phases, and their transpose back.
+
+A phase hands on the time t_e, q_e and v_e of its end. With its duration D as one more design
+variable (`phase_system`), the end of a phase whose event has the function g follows from
+
+    g_x x_D + g_t = 0 in D:   D_b = -(g_x x_b + g_t t_0,b + g_b) / (g_x x_D + g_t),
+
+x_b with the instants at fixed shares of the phase, and of a phase that ends at a given time from
+D_b = -t_0,b. Then x_b + x_D D_b are the derivatives of all its states, t_0,b + D_b is that of t_e,
+and the jump is differentiated (`impact`). Backward, covectors pass the transposed jump, the
+transposed phase, whose start is free there, and D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem, Solution
+from ancfdae.equations.solution_parts import Sensitivities
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.events.functions import along_run, at_end
+from ancfdae.events.impact import Directions
+from ancfdae.events.objectives import PhasePartials
+from ancfdae.events.phase_system import PhaseStart, PhaseSystem
+from ancfdae.events.run import Jump, Phase, PhasedRun
+from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
+from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.method import UnfinishedRunError, finished
+
+# A function whose rate at its zero is this part of the largest one in the phase grazes zero.
+_GRAZES = 1e-7
+
+
+@final
+@dataclass(frozen=True)
+class PhaseDerivatives:
+    """A phase with the design derivatives of its start, its duration and all its states.
+
+    The states are those at the instants, which move with the design: t_b has the shape (k, n_b).
+    `impulses_b` are those of the impacts at its end, (m, n_b).
+    """
+
+    phase: Phase
+    start_b: Array
+    duration_b: Array
+    states: Sensitivities
+    t_b: Array
+    impulses_b: Array
+
+
+class _Start(NamedTuple):
+    """Derivatives of time, q and v at the start of a phase: (n_b,), (n_q, n_b) twice."""
+
+    t_b: Array
+    q_b: Array
+    v_b: Array
+
+
+def differentiated(run: PhasedRun) -> tuple[PhasedRun, list[PhaseDerivatives]]:
+    """Return a finished run with the derivatives of each phase (direct differentiation)."""
+    system = run.phases[0].mode.system
+    start = _Start(np.zeros(system.n_b), *system.start_b())
+    if run.before is not None:
+        start, _ = _after(system, run.before, start)
+    found: list[PhaseDerivatives] = []
+    for phase in run.phases:
+        done, end = _through(phase, start)
+        if done.phase.jump is not None:
+            start, impulses_b = _after(phase.mode.system, done.phase.jump, end)
+            done = replace(done, impulses_b=impulses_b)
+        found.append(done)
+    return replace(run, phases=tuple(x.phase for x in found)), found
+
+
+def _through(phase: Phase, start: _Start) -> tuple[PhaseDerivatives, _Start]:
+    """Differentiate a phase; return its derivatives, and those of its end."""
+    base, (t, q, v), D = phase.mode.system, phase.state, phase.duration
+    system = PhaseSystem(base, PhaseStart(t, q, v, *start), D, phase.first)
+    run = _differentiated(phase, system)
+    phase, n, s = replace(phase, run=replace(run, sensitivities=None)), base.n_b, run.sensitivities
+    assert s is not None
+    states = [s.q_b, s.v_b.copy(), s.a_b.copy(), s.lam_b]
+    # From derivatives of dq/dtau and d^2q/dtau^2, tau the time of the phase, to those of v and a.
+    states[1][..., n] -= run.v / D
+    states[2][..., n] -= 2 * run.a / D
+    D_b = -start.t_b
+    if phase.event is not None:
+        g_t, g_b, g_D = _crossing(phase, [x[-1] for x in states], n)
+        D_b = -(g_b + g_t * start.t_b) / (g_D + g_t)
+    q_b, v_b, a_b, lam_b = (x[..., :n] + x[..., n:] * D_b for x in states)
+    t_b = start.t_b + np.outer(run.t / D, D_b)
+    sensitivities = Sensitivities(base.design_names, base.b, q_b, v_b, a_b, lam_b)
+    none = np.zeros((0, n))
+    done = PhaseDerivatives(phase, start.t_b, D_b, sensitivities, t_b, none)
+    return done, _Start(start.t_b + D_b, q_b[-1], v_b[-1])
+
+
+def _crossing(phase: Phase, last: Sequence[Array], n: int) -> tuple[float, Array, float]:
+    """Return g_t, and the derivatives of g through the last state in b and in D; refuse grazing."""
+    assert phase.event is not None
+    q_b, v_b, _, lam_b = last
+    _, p = at_end(phase.mode.system, phase.event.crossing[0], phase.t_end, phase.run)
+    total = p.q @ q_b + p.v @ v_b + p.lam @ lam_b
+    require_crossing(phase, float(total[n]) + p.t)
+    return p.t, total[:n] + p.b, float(total[n])
+
+
+def require_crossing(phase: Phase, rate: float) -> None:
+    """Refuse to differentiate a phase whose event only grazes zero: its time has no derivative."""
+    assert phase.event is not None
+    system, function = phase.mode.system, phase.event.crossing[0]
+    largest = np.max(np.abs(along_run(system, function, phase.t_0, phase.run)[1]))
+    if not abs(rate) > _GRAZES * largest:
+        where = f"event {phase.event.name!r} at t = {phase.t_end:.6g}"
+        rule = "must cross zero to have a derivative"
+        got = f"a function that touches it, at a rate of {rate:.1e}"
+        repair = "Neighbouring designs have another number of events. Change the design or the end."
+        raise InvalidInputError(where, rule, got, repair)
+
+
+def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
+    """Return the run of a phase with derivatives; UnfinishedRunError if it has none to the end."""
+    integrator = phase.integrator
+    if isinstance(integrator, SteppedIntegrator):
+        run = integrator.differentiate(system, phase.run)
+    else:
+        run = integrator.integrate(system, phase.duration, sensitivities=True)
+    if run.sensitivities is None:
+        raise UnfinishedRunError(run)
+    return finished(run)
+
+
+def _after(system: MechanicalSystem, jump: Jump, end: _Start) -> tuple[_Start, Array]:
+    """Return the derivatives after a jump, and those of its impulses."""
+    if jump.struck is None:
+        return end, np.zeros((0, system.n_b))
+    along = Directions(end.t_b, end.q_b, end.v_b, np.eye(system.n_b))
+    v_b, impulses_b = jump.struck.along(along)
+    return end._replace(v_b=v_b), impulses_b
+
+
+# -- backward --------------------------------------------------------------------------------------
+
+
+class _Covectors(NamedTuple):
+    """Derivatives of a number in time, q and v at one instant."""
+
+    t: float
+    q: Array
+    v: Array
+
+
+def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> Array:
+    """Return the gradient of an objective from its partials in all phases, (n_b,) (adjoint)."""
+    system = run.phases[0].mode.system
+    gradient, n_q = np.zeros(system.n_b), system.n_q
+    on = _Covectors(0.0, np.zeros(n_q), np.zeros(n_q))
+    for phase, p in zip(reversed(run.phases), reversed(partials), strict=True):
+        if phase.jump is not None:
+            on, on_b = _before(phase.mode.system, phase.jump, on)
+            gradient += on_b
+        on, on_b = _back_through(phase, p, on)
+        gradient += on_b
+    if run.before is not None:
+        on, on_b = _before(system, run.before, on)
+        gradient += on_b
+    return gradient + system.start_pull_back(on.q, on.v)
+
+
+def _before(system: MechanicalSystem, jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
+    """Pull covectors back through a jump; those on the design come beside."""
+    if jump.struck is None:
+        return on, np.zeros(system.n_b)
+    n = system.n_q
+    v_b, _ = jump.struck.along(Directions.all_of(system))
+    total = on.v @ v_b
+    earlier = _Covectors(on.t + total[0], on.q + total[1 : n + 1], total[n + 1 : 2 * n + 1])
+    return earlier, total[2 * n + 1 :]
+
+
+def _back_through(phase: Phase, p: PhasePartials, on: _Covectors) -> tuple[_Covectors, Array]:
+    """Pull covectors on the end of a phase, and partials along it, back to its start."""
+    base, n = phase.mode.system, phase.mode.system.n_b
+    total = _pulled_back(phase, p.q, p.v, p.lam, on)
+    # D is variable n, t_0 the next one.
+    total[:n] += p.b
+    total[n : n + 2] += p.duration + on.t, p.start + on.t
+    if phase.event is None:
+        total[n + 1] -= total[n]
+    else:
+        _, g = at_end(base, phase.event.crossing[0], phase.t_end, phase.run)
+        lam = np.zeros_like(phase.run.lam)
+        lam[-1] = g.lam
+        crossing = _pulled_back(phase, None, None, lam, _Covectors(0.0, g.q, g.v))
+        crossing[:n] += g.b
+        crossing[n : n + 2] += g.t
+        require_crossing(phase, float(crossing[n]))
+        total -= total[n] / crossing[n] * crossing
+    q, v = np.split(total[n + 2 :], 2)
+    return _Covectors(float(total[n + 1]), q, v), total[:n]
+
+
+def _pulled_back(
+    phase: Phase, q: Array | None, v: Array | None, lam: Array | None, end: _Covectors
+) -> Array:
+    """Return the derivatives of a number in b, D, t_0, q_0 and v_0 from partials in the states."""
+    base, run, D, integrator = phase.mode.system, phase.run, phase.duration, phase.integrator
+    assert isinstance(integrator, AdjointIntegrator)
+    start = PhaseStart.held(*phase.state, base.n_b).free(base.n_b)
+    # A free start does not keep to constraints: what it misses is projected.
+    system = PhaseSystem(base, start, D, first=False)
+    q, v = (np.zeros_like(run.q) if x is None else x.copy() for x in (q, v))
+    q[-1] += end.q
+    v[-1] += end.v
+    total = integrator.pull_back(system, run, Seeds(q, v, lam)).copy()
+    # From dq/dtau, tau the time of the phase, to v.
+    total[base.n_b] -= np.sum(v * run.v) / D
+    return total

@@ -1,0 +1,161 @@
+"""Functions of events and gaps along a run: values, rates in time, and partials.
+
+They are observables; what a run with events needs beside their values are rates in time and, for
+impacts, how the gradient of a gap turns with the motion.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem, Solution
+from ancfdae.equations.complex_steps import at_values
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.extrapolation import scaled_derivative
+from ancfdae.sensitivity.observables.expression import leaf_weights
+from ancfdae.sensitivity.observables.observable import Leaf, Observable
+from ancfdae.sensitivity.observables.states import States
+
+# Gradients that differ by less than this, relative to the largest entry, are those of a gap that is
+# linear in the coordinates.
+_SAME = 1e-14
+
+
+class Partials(NamedTuple):
+    """Partials of one observable in a state: time, q, v and lam, and the design with these held."""
+
+    t: float
+    q: Array
+    v: Array
+    lam: Array
+    b: Array
+
+
+def along_run(
+    system: MechanicalSystem, function: Observable, t_0: float, run: Solution
+) -> tuple[Array, Array]:
+    """Return values and rates in time of an observable along a phase that began at t_0, (k,)."""
+    states = States(t_0 + run.t, run.q, run.v, run.lam, run.degree)
+    p = function.partials(system, states)
+    rate = in_time(system, function, states)
+    for partial, change in ((p.q, run.v), (p.v, run.a)):
+        if partial is not None:
+            rate = rate + np.sum(partial * change, axis=1)
+    if p.lam is not None and len(run.t) > 1:
+        rate = rate + np.sum(p.lam * np.gradient(run.lam, run.t, axis=0), axis=1)
+    return p.value, rate
+
+
+def at_end(
+    system: MechanicalSystem, function: Observable, t: float, run: Solution
+) -> tuple[float, Partials]:
+    """Return value and partials of an observable in the last state of a run, at the time t."""
+    last = States(np.array([t]), run.q[-1:], run.v[-1:], run.lam[-1:])
+    return partials(system, function, last)
+
+
+def partials(
+    system: MechanicalSystem, function: Observable, states: States
+) -> tuple[float, Partials]:
+    """Return value and partials of an observable in one state."""
+    p = function.partials(system, states)
+    sizes = (states.q, states.v, states.lam)
+    q, v, lam = (
+        np.zeros(x.shape[1]) if part is None else part[0]
+        for part, x in zip((p.q, p.v, p.lam), sizes, strict=True)
+    )
+    on_t = float(in_time(system, function, states)[0])
+    return float(p.value[0]), Partials(on_t, q, v, lam, p.b[0])
+
+
+def in_time(system: MechanicalSystem, function: Observable, states: States) -> Array:
+    """Return the partial of an observable in time with states and design held, shape (k,)."""
+    values = function.node_values(system, states)
+    total = np.zeros(len(states.t))
+    for leaf, weight in leaf_weights(values, np.ones(len(states.t))).items():
+        total += weight * _leaf_in_time(system, cast(Leaf, leaf), states)
+    return total
+
+
+def _leaf_in_time(system: MechanicalSystem, leaf: Leaf, states: States) -> Array:
+    def value(late: complex) -> Array:
+        at = States(states.t + late, states.q, states.v, states.lam, states.degree)
+        return np.asarray(leaf.leaf_value(system, at))
+
+    if leaf.remembers:
+        return np.zeros(len(states.t))
+    if leaf.names_time:
+        return np.imag(value(1j * STEP)) / STEP
+    size = float(np.max(np.abs(states.t))) or 1.0
+    if np.array_equal(value(1e-3 * size), value(0.0)):
+        return np.zeros(len(states.t))
+    return scaled_derivative(value)
+
+
+def gap_rows(system: MechanicalSystem, gap: Observable, t: Array, q: Array) -> tuple[Array, Array]:
+    """Return g_q, (k, n_q), and g_t, (k,), of a gap at k places; refuse one that sees velocities.
+
+    The rate of the gap is g_q v + g_t.
+    """
+    states = States(t, q, np.zeros_like(q), np.zeros((len(t), system.n_lam)))
+    p = gap.partials(system, states)
+    for what, part in (("velocities", p.v), ("multipliers", p.lam)):
+        if part is not None and np.any(part):
+            rule = "must be a function of positions, time and design"
+            raise InvalidInputError("Impact.gap", rule, f"one of {what}", "Use Switch or EndEvent.")
+    q_rows = np.zeros_like(q) if p.q is None else p.q
+    return q_rows, in_time(system, gap, states)
+
+
+def gap_rows_along(
+    system: MechanicalSystem,
+    gap: Observable,
+    t: float,
+    q: Array,
+    along: tuple[Array, Array, Array],
+) -> tuple[Array, Array]:
+    """Return the derivatives of g_q, (n_q, k), and g_t, (k,), along k directions.
+
+    The directions are (t_b, q_b, b_b) of shapes (k,), (n_q, k) and (n_b, k).
+    """
+    t_b, q_b, b_b = along
+    times = np.full(q_b.shape[1], t)
+
+    def rows(late: Array, moved: Array) -> Array:
+        g_q, g_t = gap_rows(system, gap, times + late, q + moved.T)
+        return np.hstack([g_q, g_t[:, None]])
+
+    # Directions of the size of the coordinates.
+    sizes = np.max(np.abs(q_b), axis=0, initial=0.0) + np.abs(t_b)
+    unit = np.where(sizes > 0, 1 / np.where(sizes > 0, sizes, 1.0), 0.0)
+    step_t, step_q = t_b * unit, q_b * unit
+    total = np.zeros((len(t_b), len(q) + 1))
+    now = rows(0 * t_b, 0 * q_b)
+    span = float(np.max(np.abs(q), initial=0.0)) or 1.0
+    moved = (rows(x * span * step_t, x * span * step_q) for x in (0.01, -0.1, 0.3))
+    if any(np.max(np.abs(x - now)) > _SAME * np.max(np.abs(now)) for x in moved):
+        found = scaled_derivative(lambda x: rows(x * step_t, x * step_q))
+        total += found * np.where(sizes > 0, sizes, 0.0)[:, None]
+    for i in range(system.n_b):
+        if np.any(b_b[i]):
+            total += np.outer(b_b[i], _gap_rows_b(system, gap, t, q, i))
+    return total[:, :-1].T, total[:, -1]
+
+
+def _gap_rows_b(system: MechanicalSystem, gap: Observable, t: float, q: Array, i: int) -> Array:
+    """Return the derivative of (g_q, g_t) with respect to design variable i, shape (n_q + 1,)."""
+    unit = np.eye(system.n_b)[i] * (abs(system.b[i]) or 1.0)
+
+    def rows(x: float) -> Array:
+        other = at_values(system, system.b + x * unit) if x else system
+        g_q, g_t = gap_rows(other, gap, np.array([t]), q[None])
+        return np.append(g_q[0], g_t)
+
+    now = rows(0.0)
+    beside = (rows(x) for x in (1e-3, -1e-2))
+    if all(np.max(np.abs(x - now)) <= _SAME * np.max(np.abs(now)) for x in beside):
+        return np.zeros_like(now)
+    return np.asarray(scaled_derivative(rows) / (abs(system.b[i]) or 1.0))

@@ -1,0 +1,250 @@
+"""Objectives of runs with events: values over all phases, and partials in each of them.
+
+An integral is the sum of those over the phases. A value at a given time T is interpolated in the
+phase in which T lies, at the end of a phase in the one that ends there: before the event. The
+derivative with respect to the time counts there, for a phase moves with the design: steps are
+interpolated by a cubic through four instants. Times of
+instants depend on the design through the starts and durations of phases, and with them the weights
+of quadrature and interpolation, and observables that name time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import cast, final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.events.functions import in_time
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.time_grid import TimeGrid
+from ancfdae.sensitivity.objectives.objective import NonFiniteObjectiveError, Objective
+from ancfdae.sensitivity.objectives.reductions import AtInstants, OverTime, Reduction, Terminal
+from ancfdae.sensitivity.observables.expression import evaluated, leaf_weights, leaves
+from ancfdae.sensitivity.observables.observable import remembered
+from ancfdae.sensitivity.observables.states import States
+
+# A time within this part of the run after the end of a phase lies at that end.
+_SAME = 1e-12
+# Steps are interpolated through this number of instants.
+_NEAR = 4
+
+
+@final
+@dataclass(frozen=True)
+class PhaseStates:
+    """States of a phase: its system, times t_0 + tau, and t_0 and D with their imaginary parts."""
+
+    system: MechanicalSystem
+    states: States
+    start: complex
+    duration: complex
+
+    @property
+    def grid(self) -> TimeGrid:
+        """The instants of the phase, in its own time."""
+        return TimeGrid(self.states.t - np.real(self.start), self.states.degree)
+
+    def late(self) -> Array:
+        """Return the imaginary parts of the times, (k,)."""
+        return np.imag(self.start) + self.grid.t * np.imag(self.duration) / np.real(self.duration)
+
+
+@final
+@dataclass(frozen=True)
+class PhasePartials:
+    """Partials of an objective in a phase: in its states, in b, and in the times t_0 and D."""
+
+    q: Array | None
+    v: Array | None
+    lam: Array | None
+    b: Array
+    start: float
+    duration: float
+
+    def times(self, factor: float) -> PhasePartials:
+        """Return the partials times a factor."""
+        q, v, lam = (None if x is None else factor * x for x in (self.q, self.v, self.lam))
+        return PhasePartials(
+            q, v, lam, factor * self.b, factor * self.start, factor * self.duration
+        )
+
+    def plus(self, other: PhasePartials) -> PhasePartials:
+        """Return the sum with other partials in the same phase."""
+        pairs = zip((self.q, self.v, self.lam), (other.q, other.v, other.lam), strict=True)
+        q, v, lam = (x if y is None else y if x is None else x + y for x, y in pairs)
+        start, duration = self.start + other.start, self.duration + other.duration
+        return PhasePartials(q, v, lam, self.b + other.b, start, duration)
+
+
+def value_of(objective: Objective, phases: Sequence[PhaseStates]) -> complex:
+    """Return the value of an objective over all phases, complex where states or times are."""
+    nodes = evaluated(objective, lambda leaf: np.asarray(_Reduced(leaf, phases).value()))
+    value = list(nodes.values())[-1]
+    if not np.isfinite(value):
+        raise NonFiniteObjectiveError("function of objectives", "the value", None)
+    return complex(value.item())
+
+
+def partials_of(
+    objective: Objective, phases: Sequence[PhaseStates]
+) -> tuple[float, list[PhasePartials]]:
+    """Return the value of an objective and its partials in every phase."""
+    reduced = {leaf: _Reduced(leaf, phases) for leaf in leaves(objective)}
+    nodes = evaluated(objective, lambda leaf: np.asarray(reduced[leaf].value().real))
+    value = list(nodes.values())[-1]
+    if not np.isfinite(value):
+        raise NonFiniteObjectiveError("function of objectives", "the value", None)
+    total: list[PhasePartials] = []
+    for leaf, weight in leaf_weights(nodes, np.ones(())).items():
+        part = [x.times(float(weight)) for x in reduced[leaf].partials()]
+        total = [x.plus(y) for x, y in zip(total, part, strict=True)] if total else part
+    return float(value), total
+
+
+def require_reductions(objectives: Sequence[Objective]) -> None:
+    """Refuse objectives that are not made of values over time."""
+    for objective in objectives:
+        for leaf in leaves(objective):
+            if not isinstance(leaf, Reduction):
+                rule = "must be made of Integral, Terminal, AtTimes and smooth maxima"
+                raise InvalidInputError("objective of a run with events", rule, repr(leaf))
+
+
+class _Reduced:
+    """One `Reduction` over all phases of a run."""
+
+    def __init__(self, objective: object, phases: Sequence[PhaseStates]) -> None:
+        self._objective, self._phases = cast(Reduction, objective), phases
+        self._nodes: list[dict[object, Array]] = []
+        past: Mapping[object, float] = {}
+        for phase in phases:
+            states = phase.states
+            states = States(states.t, states.q, states.v, states.lam, states.degree, past)
+            nodes = self._objective.observable.node_values(phase.system, states)
+            self._nodes.append(nodes)
+            past = remembered(nodes)
+
+    def value(self) -> complex:
+        """Return the value, complex where states or times are."""
+        x = [self._values(k) for k in range(len(self._phases))]
+        w = self._weights([(phase.start, phase.duration) for phase in self._phases])
+        x_all, w_all = np.concatenate(x), np.concatenate(w)
+        used = w_all != 0
+        if not np.all(np.isfinite(x_all[used])):
+            times = np.concatenate([phase.states.t for phase in self._phases])[used]
+            bad = float(times[np.argmin(np.isfinite(x_all[used]))])
+            name = type(self._objective).__name__
+            raise NonFiniteObjectiveError(name, "the observable", bad)
+        return complex(self._objective.reduce(x_all[used], w_all[used]))
+
+    def _values(self, k: int) -> Array:
+        """Return the observable at the instants of a phase, with what late instants change."""
+        phase, x = self._phases[k], list(self._nodes[k].values())[-1]
+        late = phase.late()
+        if not np.any(late):
+            return x
+        states = phase.states
+        real = States(states.t, states.q.real, states.v.real, states.lam.real, states.degree)
+        system = phase.system.with_values(phase.system.b.real)
+        return x + 1j * late * in_time(system, self._objective.observable, real)
+
+    def _weights(self, spans: Sequence[tuple[complex, complex]]) -> list[Array]:
+        """Return the weights of all instants of each phase from its start and its duration."""
+        objective, grids = self._objective, [phase.grid for phase in self._phases]
+        if isinstance(objective, AtInstants):
+            return self._shares(objective, spans)
+        if not isinstance(objective, OverTime):
+            return [objective.weights(grid) for grid in grids]
+        length = sum(D for _, D in spans)
+        factor = objective.factor(length)  # type: ignore[arg-type]  # also of complex numbers
+        return [
+            grid.weights() * (D / grid.t[-1]) * factor
+            for grid, (_, D) in zip(grids, spans, strict=True)
+        ]
+
+    def _shares(
+        self, objective: AtInstants, spans: Sequence[tuple[complex, complex]]
+    ) -> list[Array]:
+        """Return the shares of instants in values at given times."""
+        weights = [np.zeros(len(phase.states.t), dtype=complex) for phase in self._phases]
+        if isinstance(objective, Terminal):
+            # The end of the run, which an event may move.
+            weights[-1][-1] = 1.0
+            return [w.real for w in weights]
+        end = float(self._phases[-1].states.t[-1])
+        ends = np.array([phase.states.t[-1] for phase in self._phases])
+        for time in objective.instants(end):
+            k = min(int(np.searchsorted(ends, time - _SAME * end)), len(ends) - 1)
+            grid, (start, D) = self._phases[k].grid, spans[k]
+            share = (time - start) / D
+            place = min(max(float(np.real(share)), 0.0), 1.0) * grid.t[-1]
+            around = _around(grid, place)
+            shares, slopes = _lagrange(grid.t[around], place)
+            weights[k][around] += shares + 1j * np.imag(share) * grid.t[-1] * slopes
+        if any(np.any(w.imag) for w in weights):
+            return weights
+        return [w.real for w in weights]
+
+    def partials(self) -> list[PhasePartials]:
+        """Return the partials in states, design, starts and durations of the phases."""
+        objective, phases = self._objective, self._phases
+        x = [list(nodes.values())[-1] for nodes in self._nodes]
+        spans = [(phase.start, phase.duration) for phase in phases]
+        w = self._weights(spans)
+        x_all, w_all = np.concatenate(x), np.concatenate(w)
+        used, slopes_all = w_all != 0, np.zeros(len(w_all))
+        slopes_all[used] = objective.slopes(x_all[used].real, w_all[used])
+        slopes = np.split(slopes_all, np.cumsum([len(each) for each in x])[:-1])
+        found = []
+        for k, phase in enumerate(phases):
+            p = objective.pulled_back(phase.system, phase.states, self._nodes[k], slopes[k])
+            on_t = slopes[k] * in_time(phase.system, objective.observable, phase.states)
+            shares = phase.grid.t / np.real(phase.duration)
+            start = float(np.sum(on_t)) + self._through_weights(x_all, spans, k, 0)
+            duration = float(on_t @ shares) + self._through_weights(x_all, spans, k, 1)
+            found.append(PhasePartials(p.q, p.v, p.lam, p.b.sum(axis=0), start, duration))
+        return found
+
+    def _through_weights(
+        self, x: Array, spans: Sequence[tuple[complex, complex]], k: int, which: int
+    ) -> float:
+        """Return the derivative through the weights in the start (0) or duration (1) of phase k."""
+        pair = list(spans[k])
+        pair[which] = pair[which] + 1j * STEP
+        moved = [*spans[:k], (pair[0], pair[1]), *spans[k + 1 :]]
+        w = np.concatenate(self._weights(moved))
+        if not np.any(np.imag(w)):
+            return 0.0
+        used = w != 0
+        return float(np.imag(self._objective.reduce(x[used], w[used])) / STEP)
+
+
+def _around(grid: TimeGrid, time: float) -> slice:
+    """Return the instants through whose values a polynomial interpolates at a time.
+
+    Those of the panel; of steps, whose straight lines would leave derivatives with respect to the
+    time to first order, four around it.
+    """
+    count, degree = len(grid.t), grid.degree
+    step = max(int(np.searchsorted(grid.t, time)) - 1, 0)
+    if degree == 1:
+        first = min(max(step - 1, 0), max(count - _NEAR, 0))
+        return slice(first, min(first + _NEAR, count))
+    left = step - step % degree
+    return slice(left, min(left + degree + 1, count))
+
+
+def _lagrange(nodes: Array, time: float) -> tuple[Array, Array]:
+    """Return values and slopes of the Lagrange polynomials of instants at one time."""
+    values, slopes = np.zeros((2, len(nodes)))
+    for i, own in enumerate(nodes):
+        others = np.delete(nodes, i)
+        values[i] = np.prod((time - others) / (own - others))
+        for j in range(len(others)):
+            rest = np.delete(others, j)
+            slopes[i] += np.prod((time - rest) / (own - rest)) / (own - others[j])
+    return values, slopes

@@ -1,0 +1,92 @@
+"""A run with events at a complex design: the phases of a real run with imaginary parts.
+
+The complex step differentiates whole runs, events included: a phase at the imaginary step in the
+design ends off its event by Im g, and a phase of a real system whose duration has an imaginary step
+has the rate of g in D. Nothing here uses a derivative of the motion with respect to the design.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.complex_steps import at_values
+from ancfdae.events.functions import in_time
+from ancfdae.events.impact import struck
+from ancfdae.events.objectives import PhaseStates
+from ancfdae.events.phase_system import PhaseStart, PhaseSystem
+from ancfdae.events.run import Jump, Phase, PhasedRun
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.sensitivity.method import finished
+from ancfdae.sensitivity.observables.observable import Observable
+from ancfdae.sensitivity.observables.states import States
+
+State = tuple[complex, Array, Array]
+
+
+def at_complex(run: PhasedRun, b: Array) -> list[PhaseStates]:
+    """Return the states of all phases of a run at a complex design near its own."""
+    systems: dict[str, MechanicalSystem] = {}
+
+    def moved(phase: Phase) -> MechanicalSystem:
+        mode = phase.mode
+        if mode.name not in systems:
+            systems[mode.name] = at_values(mode.system, b)
+        return systems[mode.name]
+
+    system = moved(run.phases[0])
+    state: State = (0.0, *system.start())
+    if run.before is not None:
+        state = _jumped(system, run.before, state)
+    found = []
+    for phase in run.phases:
+        system = moved(phase)
+        D = _duration(phase, system, state)
+        complete, last = _states(phase, system, state, D)
+        found.append(complete)
+        state = last if phase.jump is None else _jumped(system, phase.jump, last)
+    return found
+
+
+def _duration(phase: Phase, system: MechanicalSystem, state: State) -> complex:
+    """Return the duration of a phase at the complex design."""
+    if phase.event is None:
+        return phase.t_end - state[0]
+    D, function = phase.duration, phase.event.crossing[0]
+    off = _at_end(phase, system, function, state, D)
+    stretched = _at_end(phase, phase.mode.system, function, phase.state, D * (1 + 1j * STEP))
+    rate = np.imag(stretched) / (STEP * D)
+    return D - 1j * np.imag(off) / rate
+
+
+def _at_end(
+    phase: Phase, system: MechanicalSystem, function: Observable, state: State, D: complex
+) -> complex:
+    """Return the function of an event at the end of a phase of duration D from a state."""
+    complete, (t, *_) = _states(phase, system, state, D)
+    states = complete.states
+    last = States(states.t[-1:], states.q[-1:], states.v[-1:], states.lam[-1:])
+    value = complex(function.value(system, last)[0])
+    real = States(last.t, last.q.real, last.v.real, last.lam.real)
+    return value + 1j * np.imag(t) * in_time(phase.mode.system, function, real)[0]
+
+
+def _states(
+    phase: Phase, system: MechanicalSystem, state: State, D: complex
+) -> tuple[PhaseStates, State]:
+    """Integrate a phase from a state; return its states, and the last one."""
+    t, q, v = state
+    start = PhaseStart.held(t, q, v, system.n_b)
+    local = PhaseSystem(system, start, D, phase.first)
+    run = finished(phase.integrator.integrate(local, float(np.real(D))))
+    rates = run.v * (np.real(D) / D)
+    states = States(phase.t_0 + run.t, run.q, rates, run.lam, run.degree)
+    return PhaseStates(system, states, t, D), (t + D, run.q[-1], rates[-1])
+
+
+def _jumped(system: MechanicalSystem, jump: Jump, state: State) -> State:
+    """Return the state after a jump."""
+    if jump.struck is None:
+        return state
+    again = struck(system, jump.struck.impacts, jump.struck.plastic, state)
+    return state[0], state[1], again.after.value

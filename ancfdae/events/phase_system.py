@@ -1,0 +1,383 @@
+"""A phase of a run with events as a mechanical system of its own.
+
+A phase begins at the time t_0 with q_0 and v_0 and lasts D, and all three depend on the design. The
+phase is integrated over its own time tau in [0, D_0], where D_0 is the number D at this design,
+with sigma = D / D_0:
+
+    t = t_0 + sigma tau,   q(tau),   w = dq/dtau = sigma v,   alpha = sigma^2 a,
+    M alpha / sigma^2 + Phi_q^T lam = Q(t, q, w / sigma),   Phi(t, q) = 0.
+
+sigma = 1, so states, forces and matrices are those of the system itself, which integrators and
+kernels take as they are. What changes is the derivative in D: instants keep their share of the
+phase, so D stretches all steps, and of f = M a + Phi_q^T lam - Q
+
+    f_D = ((Phi_q^T lam - Q)_t tau + Q_v v - 2 M a) / D,   Phi_D = Phi_t tau / D,
+    w_D = v / D + v_D.
+
+The derivative in t_0 is f_t and Phi_t. A number of steps in the phase that does not change makes
+this the exact derivative of the discrete motion, by every integrator and every method that
+differentiates one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from ancfdae.equations import (
+    DesignPartials,
+    Linearisation,
+    MechanicalSystem,
+    PlannedSystem,
+    StateDirection,
+)
+from ancfdae.equations.system import constraint_q_along, residual_along
+from ancfdae.kernels import Plan
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.extrapolation import scaled_derivative
+
+# Times beside an instant, in parts of the phase, at which a value that changes with time differs.
+_BESIDE = (1e-3, -1e-2, 0.1)
+#: Name of the design variable D that a phase adds to those of its system.
+DURATION = "duration of the phase"
+
+
+class PhaseStart(NamedTuple):
+    """Time, coordinates and velocities at the start of a phase, with derivatives.
+
+    The derivatives t_b (n,), q_b and v_b (n_q, n) are with respect to the design variables of the
+    system and, if there are more columns, to further numbers that only starts depend on.
+    """
+
+    t: complex
+    q: Array
+    v: Array
+    t_b: Array
+    q_b: Array
+    v_b: Array
+
+    @staticmethod
+    def held(t: complex, q: Array, v: Array, n_b: int) -> PhaseStart:
+        """Return a start that does not depend on the design."""
+        none = np.zeros((len(q), n_b))
+        return PhaseStart(t, q, v, np.zeros(n_b), none, none)
+
+    def free(self, n_b: int) -> PhaseStart:
+        """Return the start whose t, q and v are 1 + 2 n_q further design variables themselves."""
+        n = len(self.q)
+        ahead, unit = np.zeros((n, n_b + 1)), np.eye(n)
+        q_b = np.hstack([ahead, unit, 0 * unit])
+        return self._replace(
+            t_b=np.eye(1, n_b + 1 + 2 * n, n_b)[0], q_b=q_b, v_b=np.hstack([ahead, 0 * unit, unit])
+        )
+
+
+@final
+class PhaseSystem(PlannedSystem):
+    """A system from the start of a phase on; see the module description.
+
+    Its design variables are those of the system, then D, then further numbers of the start. `first`
+    says that the start is that of the system itself, which is projected only where that allows it;
+    at all others the consistent start follows the jump there.
+    """
+
+    def __init__(
+        self, base: MechanicalSystem, start: PhaseStart, duration: complex, first: bool
+    ) -> None:
+        self.base, self._start, self._duration, self._first = base, start, duration, first
+        self._scale = duration / np.real(duration)
+        self._ahead = base.n_b
+        count = len(start.t_b) - base.n_b
+        more = tuple(f"number {i} of the start" for i in range(1, count + 1))
+        self.design_names = (*base.design_names, DURATION, *more)
+        self.b = np.concatenate([base.b, [duration], np.zeros(count)])
+        self.n_q, self.n_lam, self.naming = base.n_q, base.n_lam, base.naming
+        self.reach, self.vector_size = base.reach, base.vector_size
+        self.called_functions, self.has_loops = base.called_functions, base.has_loops
+        t_0 = float(np.real(start.t))
+        self.traits = replace(
+            base.traits,
+            project_start=base.traits.project_start or not first,
+            breakpoints=tuple(t - t_0 for t in base.traits.breakpoints),
+        )
+        self.pattern, self.constraint_pattern = base.pattern, base.constraint_pattern
+        self.weights, self.constraint_names = base.weights, base.constraint_names
+
+    # -- the start, and other values of the design -------------------------------------------------
+
+    def with_values(self, b: Array) -> PhaseSystem:
+        """Return the same phase at other values, to which the start goes along its derivatives."""
+        n = self._ahead
+        return self._moved(self.base.with_values(b[:n]), np.asarray(b) - self.b)
+
+    def _moved(self, base: MechanicalSystem, change: Array) -> PhaseSystem:
+        n, (t, q, v, t_b, q_b, v_b) = self._ahead, self._start
+        db = np.delete(change, n)
+        start = PhaseStart(t + t_b @ db, q + q_b @ db, v + v_b @ db, t_b, q_b, v_b)
+        system = PhaseSystem(base, start, self._duration, self._first)
+        system._scale = self._scale + change[n] / np.real(self._duration)
+        system.b = self.b + change
+        return system
+
+    def _at_step(self, i: int) -> PhaseSystem:
+        if i not in self._steps:
+            base = self.base._at_step(i) if i < self._ahead else self.base
+            self._steps[i] = self._moved(base, 1j * STEP * np.eye(self.n_b)[i])
+        return self._steps[i]
+
+    @cached_property
+    def _steps(self) -> dict[int, PhaseSystem]:
+        return {}
+
+    def _total(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
+        """Differentiate; further numbers of the start count where states depend on them only."""
+        n = self._ahead
+        moved = np.zeros(self.n_b, dtype=bool)
+        moved[: n + 1] = True
+        moved[n + 1 :] = self._start.t_b[n:] != 0
+        for _, x_b in states:
+            moved |= np.any(x_b != 0, axis=0)
+        total = np.zeros((len(value(self, *(x for x, _ in states))), self.n_b))
+        for i in np.flatnonzero(moved).tolist():
+            at = (x + 1j * STEP * x_b[:, i] for x, x_b in states)
+            total[:, i] = np.imag(value(self._at_step(i), *at)) / STEP
+        return total
+
+    def start(self) -> tuple[Array, Array]:
+        """Return q_0 and w_0 = sigma v_0."""
+        return self._start.q, self._scale * self._start.v
+
+    def start_b(self) -> tuple[Array, Array]:
+        """Return the derivatives of q_0 and w_0 with respect to the design, (n_q, n_b) each."""
+        n, (_, q, v, _, q_b, v_b) = self._ahead, self._start
+        none, stretch = np.zeros(len(q)), v / self._duration
+        return np.insert(q_b, n, none, axis=1), np.insert(v_b, n, stretch, axis=1)
+
+    def _time(self, tau: float) -> tuple[float, float]:
+        """Return the time of the system, and its imaginary part where the design is complex."""
+        t = complex(self._start.t + self._scale * tau)
+        return t.real, t.imag
+
+    def _times(self, tau: Array) -> Array:
+        """Return times of the system."""
+        return np.real(self._start.t + self._scale * tau)
+
+    @cached_property
+    def time_b(self) -> tuple[Array, Array]:
+        """Derivatives of t_0 and of sigma with respect to the design, (n_b,) each."""
+        n, t_b = self._ahead, np.insert(self._start.t_b, self._ahead, 0.0)
+        return t_b, np.eye(1, self.n_b, n)[0] / np.real(self._duration)
+
+    # -- values ------------------------------------------------------------------------------------
+
+    @property
+    def plan(self) -> Plan | None:
+        """Arrays of the system, whose factors of time begin at t_0; None at a complex design."""
+        own = self.base.plan if isinstance(self.base, PlannedSystem) else None
+        if own is None or np.iscomplexobj(self.b):
+            return None
+        t_0, joints, loads = float(np.real(self._start.t)), own.joint_factors, own.load_factors
+        shifted = joints and (lambda t, orders: joints(t_0 + t, orders))
+        return own._replace(joint_factors=shifted, load_factors=lambda t: loads(t_0 + t))
+
+    def mass(self, q: Array) -> Array:
+        """Return the values of M / sigma^2."""
+        return self._slowed(self.base.mass(q))
+
+    def mass_along(self, q: Array, dq: Array) -> Array:
+        """Differentiate M / sigma^2 along dq."""
+        return self._slowed(self.base.mass_along(q, dq))
+
+    def mass_times(self, q: Array, x: Array) -> Array:
+        """Return M x / sigma^2 for a vector or for columns."""
+        return self._slowed(self.base.mass_times(q, x))
+
+    def _slowed(self, M: Array) -> Array:
+        return M if self._scale == 1 else M / self._scale**2
+
+    def _rates(self, *rates: Array) -> tuple[Array, ...]:
+        """Return (v, a, ...) from (w, alpha, ...)."""
+        if self._scale == 1:
+            return rates
+        return tuple(x / self._scale ** (k + 1) for k, x in enumerate(rates))
+
+    def force(self, t: float, q: Array, v: Array) -> Array:
+        """Return Q(t_0 + sigma tau, q, w / sigma)."""
+        (time, late), (v,) = self._time(t), self._rates(v)
+        Q = self.base.force(time, q, v)
+        return Q + 1j * late * self.base.force_along(time, q, v, _in_time(q)) if late else Q
+
+    def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
+        """Differentiate Q along a direction of (tau, q, w)."""
+        (v,), (dv,) = self._rates(v), self._rates(direction.v)
+        # Its part in time may be complex as its other parts are.
+        dt: Any = self._scale * direction.t
+        along = StateDirection(dt, direction.q, dv)
+        return self._over_time(t, lambda s: self.base.force_along(s, q, v, along))
+
+    def constraint(self, t: float, *motion: Array) -> Array:
+        """Return Phi or its derivative of order n in tau, sigma^n times that in time."""
+        q, rates = motion[0], self._rates(*motion[1:])
+        value = self._over_time(t, lambda s: self.base.constraint(s, q, *rates))
+        return value if self._scale == 1 else self._scale ** len(rates) * value
+
+    def constraint_q(self, t: float, *motion: Array) -> Array:
+        """Return the values of Phi_q or of its derivative in tau."""
+        q, rates = motion[0], self._rates(*motion[1:])
+        value = self._over_time(t, lambda s: self.base.constraint_q(s, q, *rates))
+        return value if self._scale == 1 else self._scale ** len(rates) * value
+
+    def _over_time(self, tau: float, value: Callable[[float], Array]) -> Array:
+        """Return a value at a time whose imaginary part is a first-order change.
+
+        Laws of time need not accept complex numbers, and know three derivatives only.
+        """
+        time, late = self._time(tau)
+        now = value(time)
+        if not late or self._stands_still(value, time, now):
+            return now
+        return now + 1j * late * scaled_derivative(lambda s: value(time + s))
+
+    def _stands_still(self, value: Callable[[float], Array], time: float, now: Array) -> bool:
+        """Whether a value is the same at some times beside this one."""
+        D = float(np.real(self._duration))
+        return all(np.array_equal(value(time + x * D), now) for x in _BESIDE)
+
+    def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
+        """Return the Jacobians of the system; at a complex design they serve Newton's method."""
+        return self.base.linearise(self._times(t), q, v, a, lam)
+
+    def constraints_q(self, t: Array, q: Array) -> Array:
+        """Return the values of Phi_q at k instants, shape (k, nnz)."""
+        return self.base.constraints_q(self._times(t), q)
+
+    # -- derivatives with respect to the design ----------------------------------------------------
+
+    def design_partials(
+        self, t: Array, q: Array, v: Array | None, a: Array, lam: Array
+    ) -> DesignPartials:
+        """Return the partials of f and Phi at k instants; without v those of M a + Phi_q^T lam."""
+        n, time = self._ahead, self._times(t)
+        own = self.base.design_partials(time, q, v, a, lam)
+        f_t, f_scale, Phi_t = self._partials_in_time(time, q, v, a, lam)
+        t_b, scale_b = self.time_b
+        late = t_b + t[:, None] * scale_b
+        f_b = f_t[:, :, None] * late[:, None] + f_scale[:, :, None] * scale_b
+        Phi_b = Phi_t[:, :, None] * late[:, None]
+        f_b[:, :, :n] += own.f_b
+        Phi_b[:, :, :n] += own.Phi_b
+        return DesignPartials(f_b, Phi_b)
+
+    def _partials_in_time(
+        self, time: Array, q: Array, v: Array | None, a: Array, lam: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return f_t, f_sigma at a held time, and Phi_t at k instants, rows."""
+        base, still = self.base, np.zeros_like(q[0])
+        f_t, f_scale, Phi_t = np.zeros_like(a), np.zeros_like(a), np.zeros_like(lam)
+        for k, s in enumerate(time.tolist()):
+            f_scale[k] = -2 * base.mass_times(q[k], a[k])
+            Phi_t[k] = base.constraint(s, q[k], still)
+            if v is None:
+                turned = constraint_q_along(base, s, q[k], _in_time(q[k]))
+                f_t[k] = base.constraint_pattern.dot_transposed(turned, lam[k])
+                continue
+            states = q[k], v[k], a[k], lam[k]
+            f_t[k] = residual_along(base, s, states, _in_time(q[k]))
+            if base.traits.velocity_forces:
+                along = StateDirection(0.0, still, v[k])
+                f_scale[k] += base.force_along(s, q[k], v[k], along)
+        return f_t, f_scale, Phi_t
+
+    def pull_back(
+        self,
+        t: Array,
+        states: tuple[Array, Array | None, Array, Array],
+        covectors: tuple[Array, Array],
+    ) -> Array:
+        """Return the sum over k instants of f_b^T mu + Phi_b^T zeta, shape (n_b,)."""
+        n, time, (mu, zeta) = self._ahead, self._times(t), covectors
+        f_t, f_scale, Phi_t = self._partials_in_time(time, *states)
+        on_time = np.sum(f_t * mu, axis=1) + np.sum(Phi_t * zeta, axis=1)
+        t_b, scale_b = self.time_b
+        total = np.sum(on_time) * t_b + (t @ on_time + np.sum(f_scale * mu)) * scale_b
+        total[:n] += self.base.pull_back(time, states, covectors)
+        return np.asarray(total)
+
+    def force_and_total(self, t: float, q_rows: Array, v_rows: Array) -> Array:
+        """Return Q and its total derivatives with respect to the design as rows, (1 + n_b, n_q)."""
+        n, time = self._ahead, self._time(t)[0]
+        q, v = q_rows[0], v_rows[0]
+        known = self.base.force_and_total(time, q_rows[: n + 1], v_rows[: n + 1])
+        t_b, scale_b = self.time_b
+        rows = [*known]
+        for j in range(self.n_b):
+            late = float(t_b[j] + t * scale_b[j])
+            if j < n:
+                if late:
+                    rows[1 + j] = rows[1 + j] + late * self.base.force_along(
+                        time, q, v, _in_time(q)
+                    )
+                continue
+            along = StateDirection(late, q_rows[1 + j], v_rows[1 + j] - scale_b[j] * v)
+            rows.append(self.base.force_along(time, q, v, along))
+        return np.array(rows)
+
+    # -- what is known of the system ---------------------------------------------------------------
+
+    def require_derivatives_at(self, t: float, q: Array, v: Array) -> None:
+        """Refuse functions that are called and lack a derivative at a state."""
+        self.base.require_derivatives_at(self._time(t)[0], q, v)
+
+    def breakpoints(self, t_end: float) -> tuple[float, ...]:
+        """Return the breakpoints of the system from the start of the phase on; s."""
+        t_0 = float(np.real(self._start.t))
+        return tuple(t - t_0 for t in self.base.breakpoints(t_0 + t_end))
+
+    def over_time(self, t: Array) -> Array:
+        """Return how forces and constraints of the system depend on time, shape (k, n)."""
+        return self.base.over_time(self._times(t))
+
+    def centred(self, q: Array) -> Array:
+        """Return coordinates that do not change if the system stands elsewhere."""
+        return self.base.centred(q)
+
+    def folded(self, q: Array) -> str:
+        """Say which parts are folded at q."""
+        return self.base.folded(q)
+
+    def coarse(self, q: Array) -> dict[str, float]:
+        """Return the parts whose mesh is too coarse at q."""
+        return self.base.coarse(q)
+
+    def strained(self, q: Array) -> dict[str, float]:
+        """Return the parts strained beyond the range of their laws at q."""
+        return self.base.strained(q)
+
+    def stress_force(self, q: Array) -> Array:
+        """Return the part of Q at rest that vanishes where bodies are free of stress."""
+        return self.base.stress_force(q)
+
+    def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
+        """Return the loads that turn with the motion, and their Jacobian."""
+        return self.base.following_load(self._time(t)[0], q)
+
+    def off_root(self, t: Array, q: Array) -> tuple[int, str] | None:
+        """Return the first instant at which a constraint holds at a wrong root."""
+        return self.base.off_root(self._times(t), q)
+
+    def mirrored(self, q: Array) -> tuple[int, str] | None:
+        """Return the first state that is mirrored or folded."""
+        return self.base.mirrored(q)
+
+    def turn_rate(self, t: Array) -> Array:
+        """Return the largest rate at which constraints prescribe an angle."""
+        return self.base.turn_rate(self._times(t))
+
+
+def _in_time(q: Array) -> StateDirection:
+    """Return the direction of time with the state held."""
+    return StateDirection(1.0, np.zeros_like(q), np.zeros_like(q))

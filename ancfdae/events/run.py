@@ -1,0 +1,456 @@
+"""Runs with events: one phase after the other, each of which ends exactly where an event happens.
+
+A phase is integrated over a window of time until a function of an event crosses zero in it. Then
+its duration D is found by Newton's method on the function at the end of runs of length D, to
+round-off: all steps of the phase are stretched by the same factor, so that none of them is short,
+and the integrator keeps its order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, cast, final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem, Solution
+from ancfdae.errors.kinds import InconsistentStartError, InvalidInputError
+from ancfdae.errors.outcomes import RunOutcome, Verdict
+from ancfdae.events.crossing import first_crossing
+from ancfdae.events.functions import along_run, partials
+from ancfdae.events.impact import Struck, struck
+from ancfdae.events.kinds import EndEvent, Event, Impact, Switch
+from ancfdae.events.phase_system import PhaseStart, PhaseSystem
+from ancfdae.integrators.high_order import INTERVALS, HighOrder
+from ancfdae.integrators.integrator import Integrator
+from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.integrators.step_control import FixedSteps, PrescribedSteps
+from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.kernels import norm
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.observables.states import States
+
+#: Impacts that follow each other within this part of the run are rest.
+REST = 1e-8
+# Most events of a run.
+_MOST = 100_000
+# Gaps that close within this part of the run after the first one close with it.
+_TOGETHER = 1e-12
+# Newton's corrections of D: most, the size against the time that is round-off, and the size
+# against D that a correction which has stopped shrinking may have.
+_CORRECTIONS, _ROUND_OFF, _ACCEPTED = 30, 4e-16, 1e-6
+# Times that a phase is located anew because another event happens before.
+_ANEW = 8
+# The first window, as a part of the run, and how windows grow: by the length of the last phase.
+_FIRST, _GROWTH = 1 / 8, 2.0
+# Least number of intervals that an integrator of high order reports in a phase.
+_INTERVALS = 4
+# Most steps into which a window is divided because no event was found in longer ones.
+_FINEST = 512
+# Phases in a row that are as short as rest, of whatever events.
+_SHORT = 200
+# A mode whose joints are farther off than this part of the mechanism cannot be switched to.
+_CLOSED = 1e-6
+
+
+class ModeSystem(NamedTuple):
+    """A mode of a run: its name, its system, and its events."""
+
+    name: str
+    system: MechanicalSystem
+    events: tuple[Event, ...]
+
+
+@final
+@dataclass(frozen=True)
+class Jump:
+    """What happens between two phases: impacts, and the mode that follows; `ends` the run."""
+
+    events: tuple[Event, ...]
+    struck: Struck | None
+    mode: ModeSystem
+    ends: bool = False
+
+    def velocities(self, v: Array) -> Array:
+        """Return the velocities after the jump."""
+        return v if self.struck is None else self.struck.after.value
+
+
+@final
+@dataclass(frozen=True)
+class Phase:
+    """A phase of a run: from a state (t_0, q_0, v_0) for a time `duration`, by an integrator.
+
+    `run` counts time from t_0 on; None before it is taken. `event` is what ended the phase, None
+    for a given time; `jump` is what follows, None at the end of the run.
+    """
+
+    mode: ModeSystem
+    state: tuple[float, Array, Array]
+    first: bool
+    duration: float
+    integrator: Integrator
+    run: Solution
+    event: Event | None = None
+    jump: Jump | None = None
+
+    @staticmethod
+    def planned(
+        mode: ModeSystem,
+        state: tuple[float, Array, Array],
+        first: bool,
+        duration: float,
+        integrator: Integrator,
+    ) -> Phase:
+        """Return a phase that has not been integrated."""
+        return Phase(mode, state, first, duration, integrator, cast("Solution", None))
+
+    @property
+    def t_0(self) -> float:
+        """Time at the start of the phase; s."""
+        return self.state[0]
+
+    @property
+    def t_end(self) -> float:
+        """Time at the end of the phase; s."""
+        return self.state[0] + self.duration
+
+    @property
+    def times(self) -> Array:
+        """Times of the instants; of a phase that was finished the last one is its end."""
+        t = self.t_0 + self.run.t
+        return np.append(t[:-1], self.t_end) if self.run.outcome.success else t
+
+    @property
+    def last(self) -> tuple[float, Array, Array]:
+        """Time, coordinates and velocities at the end of the phase."""
+        return self.t_end, self.run.q[-1], self.run.v[-1]
+
+    @property
+    def system(self) -> PhaseSystem:
+        """The system from the start of the phase on, with a start that the design does not move."""
+        start = PhaseStart.held(*self.state, self.mode.system.n_b)
+        return PhaseSystem(self.mode.system, start, self.duration, self.first)
+
+
+@final
+@dataclass(frozen=True)
+class PhasedRun:
+    """All phases of a run, impacts before the first one, and how the last one ended."""
+
+    before: Jump | None
+    phases: tuple[Phase, ...]
+    outcome: RunOutcome
+
+
+@final
+class PhaseMarch:
+    """Runs through the phases of one run at a real design."""
+
+    def __init__(
+        self, modes: Mapping[str, ModeSystem], t_end: float, integrator: Integrator
+    ) -> None:
+        self._modes, self._t_end, self._integrator = modes, t_end, integrator
+        self._window, self._size = t_end * _FIRST, 0.0
+
+    def run(self, mode: ModeSystem) -> PhasedRun:
+        """Run from the start of a mode to the end; a failure keeps the phases before."""
+        q, v = mode.system.start()
+        before = self._at_start(mode, q, v)
+        state, happened, first = (0.0, q, v), _impacts(before), before is None
+        if before is not None:
+            state = 0.0, q, before.velocities(v)
+        phases: list[Phase] = []
+        short = 0
+        while len(phases) < _MOST:
+            phase = self._phase(mode, state, first, happened)
+            if not phase.run.outcome.success:
+                return self._ended(before, [*phases, phase], phase.run.outcome)
+            event, system = phase.event, mode.system
+            sizes = (norm(system.centred(x), system.weights) for x in phase.run.q[[0, -1]])
+            self._size = max(self._size, *sizes)
+            if event is None:
+                return self._ended(before, [*phases, phase], None)
+            short = short + 1 if _short(phase, self._t_end) else 0
+            rests = short > 0 and event in happened and isinstance(event, Impact)
+            if phase.duration <= _ROUND_OFF * self._t_end:
+                if not (rests and phases):
+                    return self._accumulated(before, phases, phase, event)
+                # The gap has not opened since the last impact.
+                phase = phases.pop()
+            if (rests and not event.leads_to) or short > _SHORT:
+                return self._accumulated(before, [*phases, phase], phase, event)
+            jump = self._jump(phase, event, rests)
+            phase = replace(phase, jump=jump)
+            phases.append(phase)
+            left = self._t_end - phase.t_end
+            if jump.ends or left <= _ROUND_OFF * self._t_end:
+                return self._ended(before, phases, None)
+            state = phase.t_end, phase.run.q[-1], jump.velocities(phase.run.v[-1])
+            mode, first, happened = jump.mode, False, jump.events
+        return self._ended(before, phases, self._outcome(Verdict.EVENT_LIMIT, phases, ""))
+
+    # -- one phase -----------------------------------------------------------------------------
+
+    def _phase(
+        self,
+        mode: ModeSystem,
+        state: tuple[float, Array, Array],
+        first: bool,
+        happened: Sequence[Event],
+    ) -> Phase:
+        """Return the phase that begins in a state, up to its event or the end of the run."""
+        left, finer = self._t_end - state[0], 1
+        window = min(left, self._window) if mode.events else left
+        while True:
+            integrator = _in_steps(self._for_phase(state[0], window), window, finer)
+            phase = _integrated(Phase.planned(mode, state, first, window, integrator))
+            found = self._first(phase, happened)
+            if found is not None:
+                located = self._located(phase, found, happened)
+                lost = located.run.outcome.verdict is Verdict.EVENT_NOT_LOCATED
+                if not lost or finer >= _FINEST:
+                    self._window = max(_GROWTH * located.duration, REST * self._t_end)
+                    return located
+                # Steps as long as the phase do not show the motion in it.
+                window, finer = min(window, _GROWTH * found[1]), 8 * finer
+            elif window >= left or not phase.run.outcome.success:
+                return replace(phase, integrator=integrator.frozen(phase.run))
+            else:
+                window = min(left, _GROWTH * window)
+
+    def _for_phase(self, t: float, window: float) -> Integrator:
+        """Return the integrator of a phase of this length that begins at t."""
+        integrator = self._integrator
+        if not isinstance(integrator, HighOrder):
+            return integrator
+        count = (integrator.intervals or INTERVALS) * window / self._t_end
+        stops = tuple(x - t for x in integrator.stops if x > t)
+        return replace(integrator, intervals=max(_INTERVALS, math.ceil(count)), stops=stops)
+
+    def _first(self, phase: Phase, happened: Sequence[Event]) -> tuple[Event, float] | None:
+        """Return the first event in a phase and its time from the start of the phase on."""
+        found: tuple[Event, float] | None = None
+        if len(phase.run.t) < 2:
+            return None
+        for event in phase.mode.events:
+            g, rate = _function(phase, event)
+            side = None
+            if event in happened:
+                side = 1.0 if isinstance(event, Impact) else float(np.sign(rate[0])) or None
+            at = first_crossing(phase.run.t, g, rate, event.crossing[1], side)
+            if at is not None and (found is None or at < found[1]):
+                found = event, at
+        return found
+
+    def _located(
+        self, phase: Phase, found: tuple[Event, float], happened: Sequence[Event]
+    ) -> Phase:
+        """Return the phase up to an event that its run has passed, ended there to round-off."""
+        for _ in range(_ANEW):
+            event, D = found
+            if _ROUND_OFF * self._t_end >= D:
+                return replace(phase, event=event, duration=0.0)
+            steps = _StretchedSteps(phase.integrator, phase.run, D)
+            located = _ended_at(replace(phase, event=event), steps, D)
+            earlier = self._first(located, happened) if located.run.outcome.success else None
+            least = _TOGETHER * self._t_end
+            if earlier is None or earlier[1] >= located.duration - least:
+                return located
+            found = earlier
+        return located
+
+    # -- what happens at its end -------------------------------------------------------------------
+
+    def _at_start(self, mode: ModeSystem, q: Array, v: Array) -> Jump | None:
+        """Return the impacts of gaps that are closed and closing at the start of the run."""
+        closing = self._closing(mode, 0.0, q, v)
+        if not closing:
+            return None
+        return Jump(tuple(closing), struck(mode.system, closing, False, (0.0, q, v)), mode)
+
+    def _closing(self, mode: ModeSystem, t: float, q: Array, v: Array) -> list[Impact]:
+        """Return the impacts whose gaps are closed at an instant and have a negative rate."""
+        closing, system = [], mode.system
+        at = States(np.array([t]), q[None], v[None], np.zeros((1, system.n_lam)))
+        for event in mode.events:
+            if isinstance(event, Impact):
+                g, p = partials(system, event.gap, at)
+                u = p.q @ v + p.t
+                if u < 0 and abs(g) <= -u * _TOGETHER * self._t_end:
+                    closing.append(event)
+                elif g < 0 and t == 0 and -g > abs(u) * _TOGETHER * self._t_end:
+                    where = f"gap of {event.name!r} at the start"
+                    repair = "Begin with bodies apart, or change the sign of the gap."
+                    raise InvalidInputError(where, "must not be negative", f"{g:.6g}", repair)
+        return closing
+
+    def _jump(self, phase: Phase, event: Event, rests: bool) -> Jump:
+        """Return what happens at the end of a phase by an event and those that happen with it."""
+        mode, (t, q, v) = phase.mode, phase.last
+        events = [event, *(x for x in self._with_it(phase) if x is not event)]
+        impacts = [x for x in events if isinstance(x, Impact)]
+        solved = struck(mode.system, impacts, rests, (t, q, v)) if impacts else None
+        ends = any(isinstance(x, EndEvent) for x in events)
+        targets = [x.to for x in events if isinstance(x, Switch)]
+        if rests:
+            targets += event.leads_to
+        if targets and not ends:
+            mode = self._mode(targets[0], phase)
+        return Jump(tuple(events), solved, mode, ends)
+
+    def _with_it(self, phase: Phase) -> list[Event]:
+        """Return the events of a mode whose functions are zero at the end of a phase."""
+        mode, (t, q, v) = phase.mode, phase.last
+        found: list[Event] = list(self._closing(mode, t, q, v))
+        for event in mode.events:
+            function, direction = event.crossing
+            if not isinstance(event, Impact):
+                g, rate = (x[-1] for x in along_run(mode.system, function, phase.t_0, phase.run))
+                near = abs(g) <= abs(rate) * _TOGETHER * self._t_end
+                if near and rate and direction in (0, np.sign(rate)):
+                    found.append(event)
+        return found
+
+    def _mode(self, name: str, phase: Phase) -> ModeSystem:
+        """Return the mode that follows a phase; refuse one whose joints are not closed there."""
+        mode, (t, q, v) = self._modes[name], phase.last
+        system = mode.system
+        start = PhaseStart.held(t, q, v, system.n_b)
+        try:
+            problem = InitialValueProblem.of(PhaseSystem(system, start, 1.0, False), self._t_end)
+            moved = norm(problem.initial.q - q, system.weights)
+        except InconsistentStartError:
+            moved = math.inf
+        if moved > _CLOSED * self._size:
+            rule = f"its joints must be closed where it begins, at t = {t:.6g}"
+            repair = "Let the function of the event be zero where they are closed."
+            got = (
+                f"coordinates that must move by {moved / (self._size or 1.0):.1e} of the mechanism"
+            )
+            raise InvalidInputError(f"mode {name!r}", rule, got, repair)
+        return mode
+
+    # -- how it ends -------------------------------------------------------------------------------
+
+    def _outcome(self, verdict: Verdict, phases: Sequence[Phase], advice: str) -> RunOutcome:
+        steps = sum(x.run.statistics.steps for x in phases)
+        return RunOutcome(verdict, phases[-1].t_end, steps, 0.0, advice=advice)
+
+    def _accumulated(
+        self, before: Jump | None, phases: Sequence[Phase], phase: Phase, event: Event
+    ) -> PhasedRun:
+        """Return the run up to where events have no time between them."""
+        if not phases:
+            rule, got = "must leave a time before the first event", f"{event.name!r} at once"
+            repair = "Begin in a mode in which a joint keeps the gap closed."
+            raise InvalidInputError("start", rule, got, repair)
+        advice = f"The event {event.name!r} follows itself, or others, at once."
+        if isinstance(event, Impact):
+            advice = (
+                f"Impacts {event.name!r} follow each other faster and faster. Give it rest=..., "
+                "the name of a mode with a joint that keeps the gap closed."
+            )
+        outcome = self._outcome(Verdict.EVENTS_ACCUMULATE, phases, advice)
+        return PhasedRun(before, tuple(phases), outcome)
+
+    def _ended(
+        self, before: Jump | None, phases: Sequence[Phase], outcome: RunOutcome | None
+    ) -> PhasedRun:
+        ended = self._outcome(Verdict.FINISHED, phases, "")
+        if outcome is not None:
+            time = phases[-1].t_0 + float(phases[-1].run.t[-1])
+            ended = replace(outcome, time=time, step=ended.step)
+        return PhasedRun(before, tuple(phases), ended)
+
+
+def _impacts(jump: Jump | None) -> tuple[Event, ...]:
+    return () if jump is None else jump.events
+
+
+def _short(phase: Phase, t_end: float) -> bool:
+    """Whether a phase is so short that events have no time between them."""
+    return phase.duration <= REST * t_end
+
+
+def _integrated(phase: Phase) -> Phase:
+    """Return a phase with its run."""
+    return replace(phase, run=phase.integrator.integrate(phase.system, phase.duration))
+
+
+def _function(phase: Phase, event: Event) -> tuple[Array, Array]:
+    """Return values and rates of the function of an event along a phase; refuse NaN."""
+    g, rate = along_run(phase.mode.system, event.crossing[0], phase.t_0, phase.run)
+    if not np.all(np.isfinite(g)):
+        bad = phase.t_0 + float(phase.run.t[np.argmin(np.isfinite(g))])
+        rule, repair = "must be finite along the run", "Check roots and divisions in it."
+        got = f"NaN or infinity at t = {bad:.6g}"
+        raise InvalidInputError(f"event {event.name!r}", rule, got, repair)
+    return g, np.where(np.isfinite(rate), rate, 0.0)
+
+
+def _ended_at(phase: Phase, steps: _StretchedSteps, D: float) -> Phase:
+    """Return the phase whose end is the zero of the function of its event, near D."""
+    event = phase.event
+    assert event is not None
+    last, before = math.inf, (0.0, 0.0)
+    for _ in range(_CORRECTIONS):
+        phase = _integrated(replace(phase, duration=D, integrator=steps.of(D)))
+        if not phase.run.outcome.success:
+            break
+        g, rate = (float(x[-1]) for x in _function(phase, event))
+        if last < math.inf and before[1] != D and g != before[0]:
+            # The change of whole runs: the rate is that of the motion in one run.
+            rate = (g - before[0]) / (D - before[1])
+        change = -g / rate if rate else 0.0
+        stuck = abs(change) >= 0.5 * last and abs(change) <= _ACCEPTED * D
+        if stuck or abs(change) <= _ROUND_OFF * (phase.t_0 + D):
+            break
+        before, last = (g, D), abs(change)
+        D = min(max(D + change, 0.5 * D), 2.0 * D)
+    else:
+        advice = f"The function of {event.name!r} touches zero, or jumps there."
+        done = replace(phase.run.outcome, verdict=Verdict.EVENT_NOT_LOCATED, advice=advice)
+        phase = replace(phase, run=replace(phase.run, outcome=done))
+    return phase
+
+
+def _in_steps(integrator: Integrator, window: float, least: int) -> Integrator:
+    """Return the integrator, with a fixed step so short that it takes some steps at least."""
+    if isinstance(integrator, SteppedIntegrator) and isinstance(integrator.steps, FixedSteps):
+        step = min(integrator.steps.step, window / least)
+        return integrator.with_steps(FixedSteps(step))
+    return integrator
+
+
+@final
+class _StretchedSteps:
+    """The steps of a phase up to an event, stretched to any duration near it."""
+
+    def __init__(self, integrator: Integrator, run: Solution, D: float) -> None:
+        self._integrator, self._D = integrator, D
+        self._shares: Array | None = None
+        self._count = 0
+        if isinstance(integrator, SteppedIntegrator):
+            if isinstance(integrator.steps, FixedSteps):
+                self._count = integrator.steps.count(D)
+                return
+            t = run.t[:: run.degree]
+            before = t[t < D]
+            # A last step that is a small part of the one before joins it.
+            if len(before) > 1 and D - before[-1] < 0.3 * (before[-1] - before[-2]):
+                before = before[:-1]
+            self._shares = np.append(before, D) / D
+
+    def of(self, D: float) -> Integrator:
+        """Return the integrator whose steps end at D."""
+        integrator = self._integrator
+        if not isinstance(integrator, SteppedIntegrator):
+            return integrator
+        if self._shares is None:
+            return integrator.with_steps(FixedSteps(D / self._count))
+        times = self._shares * D
+        times[-1] = D
+        return integrator.with_steps(PrescribedSteps(tuple(times.tolist())))
