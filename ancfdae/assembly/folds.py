@@ -13,12 +13,15 @@ stress, is least at lambda^2 = lambda_f^2/3: a bar that is compressed farther yi
 
 The axis of an element is a cubic, which cannot bend without stretching: one that turns by phi has
 a strain of phi^4/1920 in its middle, whatever its length. So of the strain along an element, less
-what is linear in xi (the loads), the energy E A eps^2/2 is an error of the mesh, and its share
+what is linear in xi (the loads), the energy E A eps^2/2 is an error of the mesh. A wire turns by
+fractions of a radian until that is more than all its bending. Nor is the curvature of a cubic that
+of an arc: the energy of bending errs by up to phi^4/180 (measured; docs/theory/11-statics.md). So
 
-    eta = int E A eps_nl^2 ds / int (E I kappa^2 + E A eps^2 - E A eps_nl^2) ds
+    eta = int E A eps_nl^2 + E I kappa^2 phi^4/180 ds / int E I kappa^2 + E A (eps^2 - eps_nl^2) ds
 
-the error of the stiffness: 12 (l/h)^2 (phi^3/1920)^2 times 0.1 in a beam without tension. A wire
-turns by fractions of a radian until that is more than all its bending.
+is the error of the stiffness, in a beam without tension 1.2 (l/h)^2 (phi^3/1920)^2 + phi^4/180.
+Both terms grow as phi^4, and phi with the load: at given loads the energy errs by 5 eta, and its
+derivative in the stiffness or in a load by 25 eta.
 
 The laws of beams and cables are linear in Green and Lagrange's strain E = (lambda^2 - 1)/2: a force
 of E A e in a body of Hooke's law in the stretch e = lambda - 1 is 1 + 3 e/2 times as large here.
@@ -46,9 +49,11 @@ from ancfdae.numerics.arrays import Array
 _PLACES = np.linspace(0.0, 1.0, 9)
 # Elements of a beam that are named.
 _NAMED = 3
-# Share of the energy of the mesh above which elements are too few: of a wire that hangs slack the
-# pull errs by five times as much (docs/howto/elements.md).
-_SHARE = 0.04
+# Error of the stiffness above which elements are too few: values err by 2 %, derivatives by 10 %.
+_SHARE = 0.004
+# Error of the energy of bending of an element that turns by phi, over phi^4: the larger one, of
+# beams (5.6e-3; of cables 2.8e-3).
+_ARC = 1 / 180
 # What else is asked, fitted, not derived. Where tension shapes an element, N l^2/EI of the mean
 # element above the first number, as of limp cables, pulls are right whatever the share, until one
 # of the elements turns by more than the second one, in rad: by 20 % and more they err then. Below
@@ -177,6 +182,8 @@ class _Beam:
         change = np.sqrt(self._bends(X)) - np.sqrt(self._bend_o)
         bending = self._EI / self._lengths * change**2
         rest = float(np.sum(axial - error) + np.sum(bending))
+        # The change of an element is its turn.
+        error = np.sum(error) + _ARC * np.sum(bending * change**4)
         ends = [_unit(X[:, k + Quantity.SLOPE_X]) for k in (0, X.shape[1] // 2)]
         # |t_2 - t_1| = 2 sin(phi/2).
         turn = np.max(np.sqrt(np.sum((ends[1] - ends[0]) ** 2, axis=1)))
@@ -184,7 +191,7 @@ class _Beam:
         limp = np.mean(force * self._lengths**2 / self._EI) > _LIMP
         if turn <= 2.0 * np.sin(0.5 * (_TURN if limp else _STRAIGHT)) or rest <= 0:
             return 0.0
-        return float(np.sum(error)) / rest
+        return float(error) / rest
 
     def strain(self, Z: Array) -> float:
         """Return the largest strain of a fibre by stretching or bending, without the sign."""
