@@ -20,8 +20,8 @@ of an arc: the energy of bending errs by up to phi^4/180 (measured; docs/theory/
     eta = int E A eps_nl^2 + E I kappa^2 phi^4/180 ds / int E I kappa^2 + E A (eps^2 - eps_nl^2) ds
 
 is the error of the stiffness, in a beam without tension 1.2 (l/h)^2 (phi^3/1920)^2 + phi^4/180.
-Both terms grow as phi^4, and phi with the load: at given loads the energy errs by 5 eta, and its
-derivative in the stiffness or in a load by 25 eta.
+Both terms grow as phi^4, and phi with the load: at given loads the energy errs by about 5 eta, and
+its derivative in the stiffness or in a load by up to 25 eta.
 
 The laws of beams and cables are linear in Green and Lagrange's strain E = (lambda^2 - 1)/2: a force
 of E A e in a body of Hooke's law in the stretch e = lambda - 1 is 1 + 3 e/2 times as large here.
@@ -57,7 +57,8 @@ _ARC = 1 / 180
 # What else is asked, fitted, not derived. Where tension shapes an element, N l^2/EI of the mean
 # element above the first number, as of limp cables, pulls are right whatever the share, until one
 # of the elements turns by more than the second one, in rad: by 20 % and more they err then. Below
-# the third one elements were 3e5 times as long as high; straight beams have a share of round-off.
+# the third one, of a change of the turn, elements were 3e5 times as long as high; beams that keep
+# their shape have a share of round-off.
 _LIMP, _TURN, _STRAIGHT = 25.0, 0.5, 0.1
 # Strain of a fibre up to which elements are made: of bending it moves a shape by 1 %, its gradient
 # by 2.4 %; of stretching it is 15 % of a force.
@@ -184,12 +185,15 @@ class _Beam:
         rest = float(np.sum(axial - error) + np.sum(bending))
         # The change of an element is its turn.
         error = np.sum(error) + _ARC * np.sum(bending * change**4)
-        ends = [_unit(X[:, k + Quantity.SLOPE_X]) for k in (0, X.shape[1] // 2)]
-        # |t_2 - t_1| = 2 sin(phi/2).
-        turn = np.max(np.sqrt(np.sum((ends[1] - ends[0]) ** 2, axis=1)))
         force = np.abs(self._EA * (strain @ _WEIGHTS)[:, None])
-        limp = np.mean(force * self._lengths**2 / self._EI) > _LIMP
-        if turn <= 2.0 * np.sin(0.5 * (_TURN if limp else _STRAIGHT)) or rest <= 0:
+        if np.mean(force * self._lengths**2 / self._EI) > _LIMP:
+            ends = [_unit(X[:, k + Quantity.SLOPE_X]) for k in (0, X.shape[1] // 2)]
+            # |t_2 - t_1| = 2 sin(phi/2).
+            turn = np.max(np.sqrt(np.sum((ends[1] - ends[0]) ** 2, axis=1)))
+            shaped = turn > 2.0 * np.sin(0.5 * _TURN)
+        else:
+            shaped = np.max(np.abs(change)) > _STRAIGHT
+        if not shaped or rest <= 0:
             return 0.0
         return float(error) / rest
 

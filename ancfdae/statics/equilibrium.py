@@ -139,8 +139,8 @@ def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
     warnings.warn(
         f"equilibrium: too few elements for the bending of {listed(map(repr, coarse))}: "
         f"{100 * worst / (1 + worst):.2g} % of the energy is an error of the mesh. Values err by "
-        "about five times as much, derivatives by twenty-five times. Double the number of elements "
-        "until this warning is gone.",
+        "about five times as much, derivatives by up to twenty-five times. Double the number of "
+        "elements until this warning is gone.",
         CoarseMeshWarning,
         stacklevel=5,
     )
