@@ -246,32 +246,38 @@ class _Beam:
 
 
 def first_mirrored(
-    numbering: Numbering, ends: Array, lengths: Array | None, q: Array
+    numbering: Numbering, ends: Array, parameters: Array | None, q: Array
 ) -> tuple[int, str] | None:
-    """Return the first of k states that is mirrored or folded, and what turns in it, in words.
+    """Return the first of k states that is mirrored, folded or crushed, and what is, in words.
 
-    `ends` are vectors of elements, rows of `Numbering.vectors` with their lengths, or of rigid
-    bodies, rows of `Numbering.frames` without; q has the shape (k, n_q). On the axis of an element
-    r_x is quadratic in xi and slopes of the section are linear: det [r_x, r_y(, r_z)] has no root
-    where all products of their Bernstein coefficients have one sign, nor has r_x . (r_2 - r_1) of a
+    `ends` are vectors of elements, rows of `Numbering.vectors` with their `parameters`, or of rigid
+    bodies, rows of `Numbering.frames` without; q has the shape (k, n_q). An axis is crushed at a
+    node or in the middle of an element (module docstring). Along the axis r_x is
+    quadratic in xi and slopes of the section are linear: det [r_x, r_y(, r_z)] has no root where
+    all products of their Bernstein coefficients have one sign, nor has r_x . (r_2 - r_1) of a
     cable. Only where signs differ are places along elements looked at. What the first state has is
     not counted.
     """
     d, n_s = numbering.d, numbering.widest.n_s
-    if lengths is not None and n_s not in (2, d + 1):
+    if parameters is not None and n_s not in (2, d + 1):
         return None
     # Components first, states last.
     X = np.ascontiguousarray(q.reshape(len(q), -1, d)[:, ends].transpose(3, 2, 1, 0))
     # Elements that have fewer vectors than the widest are filled up with their first one.
     cables, looked_at = np.zeros(len(ends), dtype=bool), ends[:, 1] != ends[:, 0]
-    if lengths is None:
+    crushed = np.zeros(X.shape[2:], dtype=bool)
+    if parameters is None:
         tangents, sections = X[:, 1:2], X[:, None, 2:]
     else:
-        chord = (X[:, n_s] - X[:, 0]) / lengths[:, None]
+        chord = (X[:, n_s] - X[:, 0]) / parameters[:, ElementParameter.LENGTH, None]
         along, after = X[:, 1], X[:, n_s + 1]
         tangents = np.stack([along, 3.0 * chord - along - after, after], axis=1)
         sections = X.reshape(d, 2, n_s, *X.shape[2:])[:, :, 2:]
         cables |= (n_s == 2) | (ends[:, min(2, n_s)] == ends[:, 0])
+        places = along, 1.5 * chord - 0.25 * (along + after), after
+        limit = (1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN, None]) / 3.0
+        crushed = np.any([np.sum(r_x * r_x, axis=0) <= limit for r_x in places], axis=0)
+        crushed &= ~crushed[:, :1] & looked_at[:, None]
     if np.all(cables):
         normals = chord[:, None]
     elif d == 2:
@@ -285,32 +291,40 @@ def first_mirrored(
     sides = sum(t[:, None] * n for t, n in zip(tangents, normals, strict=True))
     sides *= np.where(cables[:, None], 1.0, np.sign(sides[0, 0, :, :1]))
     suspects = np.flatnonzero(~(np.min(sides, axis=(0, 1, 3)) > 0) & looked_at)
-    if not len(suspects):
+    if not len(suspects) and not np.any(crushed):
         return None
     # What is not a number is not mirrored: other checks see it.
     weights = _BERNSTEIN[tangents.shape[1], normals.shape[1]]
     folded = np.any(np.tensordot(weights, sides[:, :, suspects], 2) <= 0, axis=0)
-    folded &= ~folded[:, :1]
-    if not np.any(folded):
+    turned = np.zeros_like(crushed)
+    turned[suspects] = folded & ~folded[:, :1]
+    if not np.any(turned | crushed):
         return None
-    first = int(np.argmax(np.any(folded, axis=0)))
-    which = suspects[int(np.argmax(folded[:, first]))]
-    return first, _turning(numbering, ends[which, 0], bool(cables[which]))
+    first = int(np.argmax(np.any(turned | crushed, axis=0)))
+    is_crushed = not np.any(turned[:, first])
+    which = int(np.argmax((crushed if is_crushed else turned)[:, first]))
+    return first, _turning(numbering, ends[which, 0], bool(cables[which]), is_crushed)
 
 
-def _turning(numbering: Numbering, vector: int, is_cable: bool) -> str:
-    """Say what turns in a body or an element that begins with a vector."""
+def _turning(numbering: Numbering, vector: int, is_cable: bool, is_crushed: bool) -> str:
+    """Say what happens to a body or an element that begins with a vector."""
     name = [body.name for body in numbering.bodies if body.first_vector <= vector][-1]
+    if is_crushed:
+        return (
+            f"crushes an element of {name!r} beyond the largest force of its law (a stretch of "
+            "0.58): the load is more than the element bears, or the step too long for its waves. "
+            "Take a stiffer section or a smaller load, or shorter steps"
+        )
     if is_cable:
         return (
-            f"an element of {name!r} back on itself (its tangent turns against its chord): the "
-            "mesh is too coarse for the motion, or the step too long. Take more elements, shorter "
+            f"turns an element of {name!r} back on itself (its tangent turns against its "
+            "chord): the mesh is too coarse for the motion, or the step too long. Take more elements, shorter "
             "steps, or a cable that is less slack"
         )
     return (
-        f"sections of {name!r} inside out (det [r_x r_y r_z] changes its sign), where the strain "
-        "energy is finite: the step is too long for the waves of the section. Take shorter steps, "
-        "give materials a damping_time, or start with sections that have the contraction of their "
+        f"turns sections of {name!r} inside out (det [r_x r_y r_z] changes its sign), where the "
+        "strain energy is finite: the step is too long for the waves of the section. Take shorter "
+        "steps, give materials a damping_time, or start with sections that have the contraction of their "
         "axis; where sections turn between nodes, take more elements"
     )
 

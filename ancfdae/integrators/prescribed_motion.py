@@ -144,7 +144,7 @@ class Watch:
             words = _half_a_turn(self._system, found[1], *t[end : end + 2].tolist())
             return Lost(end, Verdict.OFF_ROOT, words)
         if mirrored is not None:
-            return Lost(first - 1, Verdict.FOLDED, f"The next step turns {what}.")
+            return Lost(first - 1, Verdict.FOLDED, f"The next step {what}.")
         return None
 
     def _elsewhere(self, rows: Rows) -> Lost | None:
