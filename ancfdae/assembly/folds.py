@@ -317,15 +317,15 @@ def _turning(numbering: Numbering, vector: int, is_cable: bool, is_crushed: bool
         )
     if is_cable:
         return (
-            f"turns an element of {name!r} back on itself (its tangent turns against its "
-            "chord): the mesh is too coarse for the motion, or the step too long. Take more elements, shorter "
-            "steps, or a cable that is less slack"
+            f"turns an element of {name!r} back on itself (its tangent turns against its chord): "
+            "the mesh is too coarse for the motion, or the step too long. Take more elements, "
+            "shorter steps, or a cable that is less slack"
         )
     return (
         f"turns sections of {name!r} inside out (det [r_x r_y r_z] changes its sign), where the "
         "strain energy is finite: the step is too long for the waves of the section. Take shorter "
-        "steps, give materials a damping_time, or start with sections that have the contraction of their "
-        "axis; where sections turn between nodes, take more elements"
+        "steps, give materials a damping_time, or start with sections that have the contraction of "
+        "their axis; where sections turn between nodes, take more elements"
     )
 
 
