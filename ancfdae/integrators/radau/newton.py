@@ -143,7 +143,12 @@ class StageSolver:
                 matrix, strained = self._factorised(begin, stages), now > _JUMP * usual
             change = matrix.solve(R)
             x, lam = x - change[:, :n_q], lam - change[:, n_q:]
-            size = self._size(begin, stages, change) / motion
+            correction = self._size(begin, stages, change)
+            if last == math.inf and max(usual, now) < _EPS * correction:
+                # Nothing acts at the start or in the guess: the correction is the motion.
+                motion = usual = correction
+                most = _MOST * usual
+            size = correction / motion
             if not math.isfinite(size):
                 break
             rate = min(size / last, 1.0) if 0 < last < math.inf else float(size > 0)
