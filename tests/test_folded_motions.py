@@ -3,6 +3,8 @@
 Held against SciPy's Hermite splines and determinants at many places of an element.
 """
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
@@ -58,6 +60,13 @@ def sides(nodes, s, places):
     return values
 
 
+def squared_stretches(nodes, s, places):
+    """|r_x|^2 of the axis of all elements, (n, n_places)."""
+    line = CubicHermiteSpline(s, nodes[:, 0], nodes[:, 1])
+    at = (s[:-1, None] + np.diff(s)[:, None] * places).ravel()
+    return np.sum(line(at, 1) ** 2, axis=-1).reshape(len(s) - 1, -1)
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("element", [BEAM_2D, BEAM_3D, CABLE_2D, CABLE_3D], ids=lambda x: x.name)
 def test_random_elements_are_judged_as_determinants_judge_them(element, seed):
@@ -77,8 +86,9 @@ def test_random_elements_are_judged_as_determinants_judge_them(element, seed):
         states = np.tile(q.reshape(-1, d), (3, 1, 1))
         states[1:, layout.nodes] = moved
         values = sides(moved, np.linspace(0.0, 1.5, 4), np.linspace(0, 1, 9))
+        stretches = squared_stretches(moved, np.linspace(0.0, 1.5, 4), np.array([0.0, 0.5, 1.0]))
         # Cables have no first side; sections that are mirrored as a whole count as well.
-        expected = bool(np.any(values <= 0))
+        expected = bool(np.any(values <= 0) or np.any(stretches <= 1 / 3))
         found = system.mirrored(states.reshape(3, -1))
         assert (found is not None) == expected
         if expected:
@@ -128,20 +138,42 @@ def test_a_wire_whose_ends_are_driven_together(elements, integrator):
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.filterwarnings("ignore", category=LargeStrainWarning)
 def test_a_strip_that_is_pushed_through_itself(d, integrator):
-    """Sections at the nodes stand upright while the one in the middle of the element turns."""
+    """Sections at the nodes stand upright while the middle of the element is crushed."""
     z = (0.0,) * (d - 1)
     strip = Beam("strip", (0.0, *z), (1.0, *z), 1, Rectangle(0.05, 0.05), RUBBER)
     joints = [Clamp(strip.at_start), PointOnLine(strip.at_end, direction=(1, *z))]
     joints.append(TranslationDriver(strip.at_end, (1, *z), SmoothStep(0.0, -1.2, 1.0)))
     run = simulate(Scene([strip], joints), 1.0, integrator)
     assert run.outcome.verdict is Verdict.FOLDED
-    assert "sections of 'strip' inside out" in run.outcome.advice
+    assert "crushes an element of 'strip'" in run.outcome.advice
     nodes = run.nodes("strip")
     assert np.all(np.linalg.det(nodes[:, :, 1:]) > 0)
-    kept = [sides(x, np.array([0.0, 1.0]), np.linspace(0, 1, 101)).min() for x in nodes]
-    assert min(kept) > 0
-    # It ends shortly before the middle has no length.
-    assert kept[-1] < 0.2
+    s, places = np.array([0.0, 1.0]), np.linspace(0, 1, 101)
+    kept = np.array([squared_stretches(x, s, places).min() for x in nodes])
+    # The force of a stretch, lambda (lambda^2 - 1)/2, is largest at 1/3.
+    assert np.all(kept > 1 / 3)
+    assert kept[-1] < 0.4
+
+
+@pytest.mark.parametrize("strain", [0.0, 0.1, -0.2])
+@pytest.mark.parametrize("integrator", EVERY, ids=str)
+def test_a_cable_that_is_crushed_ends_at_the_largest_force_of_its_law(integrator, strain):
+    """N = E A lambda (lambda^2 - 1 + 2 eps_i)/2 is least at lambda^2 = (1 - 2 eps_i)/3.
+
+    Its end is driven slowly, so that it stays straight and is strained alike along itself.
+    """
+    made = Rectangle(0.02, 0.02), Material(1000, 1e7, 0.3, damping_time=1e-2)
+    more = {"element": CABLE_2D, "initial_strain": strain}
+    rope = Beam("rope", (0.0, 0.0), (1.0, 0.0), 2, *made, **more)
+    joints = [Pin(rope.at_start), PointOnLine(rope.at_end, direction=(1, 0))]
+    joints.append(TranslationDriver(rope.at_end, (1, 0), SmoothStep(0.0, -0.8, 1.0)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LargeStrainWarning)
+        run = simulate(Scene([rope], joints), 1.0, integrator)
+    assert run.outcome.verdict is Verdict.FOLDED
+    assert "crushes an element of 'rope'" in run.outcome.advice
+    end = np.sqrt((1 - 2 * strain) / 3)
+    assert end < run.nodes("rope")[-1, -1, 0, 0] < end + 0.06
 
 
 def test_an_element_that_starts_folded_is_the_users():

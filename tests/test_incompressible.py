@@ -202,6 +202,6 @@ def test_states_in_which_a_body_is_mirrored_are_found(d):
     for body, k in ((of_rod, 0), (of_rod, 2 * (d + 1)), (of_bar, 0)):
         first, words = system.mirrored(mirrored_in(system, body, k, d))
         assert first == 3
-        assert words.startswith(f"sections of {body.name!r} inside out")
+        assert words.startswith(f"turns sections of {body.name!r} inside out")
     # What has diverged is not judged.
     assert system.mirrored(np.full((2, system.n_q), np.nan)) is None

@@ -47,7 +47,7 @@ from ancfdae.equations import prepared
 from ancfdae.equations import system as equations_of_systems
 from ancfdae.equations.system import called_plan
 from ancfdae.errors import InvalidInputError
-from ancfdae.extend import MaterialPoint
+from ancfdae.extend import FormulaSystem, MaterialPoint
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau.tableau import BUTCHER, EMBEDDED, GAMMA, PLACES, continued
 from ancfdae.integrators.recorder import SolutionRecorder
@@ -574,3 +574,37 @@ def test_other_units_give_the_same_digits():
     assert told.steps == told_scaled.steps
     np.testing.assert_allclose(t, t_scaled, rtol=1e-9)
     np.testing.assert_allclose(tip, tip_scaled, rtol=0, atol=1e-9)
+
+
+class AtRest(FormulaSystem):
+    """Two masses on a spring, the first one moved by t^4: nothing acts at t = 0."""
+
+    n_q, n_lam, design_names = 2, 1, ("stiffness",)
+
+    def mass_matrix(self, q):
+        return 2.0 * np.eye(2)
+
+    def force(self, t, q, v):
+        pull = self.b[0] * (q[1] - q[0])
+        return np.array([pull, -pull])
+
+    def position_constraint(self, t, q):
+        return np.array([q[0] - t**4])
+
+    def start(self):
+        return np.zeros(2), np.zeros(2)
+
+    def with_values(self, b):
+        return type(self)(b)
+
+
+@pytest.mark.parametrize("by_list", [True, False])
+@pytest.mark.parametrize("stiffness", [1.0, 1e-200])
+def test_a_system_starts_at_which_nothing_acts(stiffness, by_list):
+    """x'' = k (t^4 - x) from rest: x = k t^6/30 - k^2 t^8/1680 + k^3 t^10/151200."""
+    system = AtRest((stiffness if by_list else stiffness + 0j,))
+    run = Radau(step=0.1).integrate(system, 1.0)
+    assert run.outcome.success
+    k, t = stiffness / 2, 1.0
+    exact = k * t**6 / 30 - k**2 * t**8 / 1680 + k**3 * t**10 / 151200
+    assert run.q[-1].real == pytest.approx([1.0, exact], rel=1e-6)

@@ -11,7 +11,10 @@ from ancfdae.numerics.enclosures import Interval, enclosed, values
 from ancfdae.numerics.operations import Operations, Traced
 from ancfdae.observables import custom
 from ancfdae.studies.tolerance import places
+from ancfdae.studies.tolerance.features import _timeless
 from ancfdae.studies.tolerance.places import Seen, Witness
+
+from mechanisms import CartesianPendulum
 
 SQUARE = custom(lambda t, q, v, lam, b: q[:, 0] ** 2)
 
@@ -233,3 +236,59 @@ def test_boxes_hold_the_path():
             for row, (low, high) in zip(rows, bounds, strict=True):
                 assert np.all(low <= row + 1e-12)
                 assert np.all(row <= high + 1e-12)
+
+
+def _by_catching(t, pulse):
+    try:
+        return pulse(t)
+    except Exception:  # noqa: BLE001  # the point of the test
+        return 0.0
+
+
+def _by_asking(t, pulse):
+    return pulse(t) if isinstance(t, float) else 0.0
+
+
+def _by_number(t, pulse):
+    try:
+        return pulse(float(t))
+    except TypeError:
+        return 0.0
+
+
+def _never(t, pulse):
+    return 0.0
+
+
+class Pushed(CartesianPendulum):
+    """A pendulum pushed by a pulse of 2 ms, by a formula that takes any time for a number."""
+
+    def __init__(self, by, *settings):
+        super().__init__(*settings)
+        self.by = by
+
+    def with_values(self, b):
+        return Pushed(self.by, self.angle, self.spin, b)
+
+    def force(self, t, q, v):
+        push = self.by(t, lambda t: 2000.0 * np.exp(-(((t - 0.3) / 1e-3) ** 2)))
+        return super().force(0.0, q, v) + np.array([push, 0.0])
+
+
+@pytest.mark.parametrize("by", [_by_catching, _by_asking, _by_number, _never])
+def test_formulas_that_take_anything_for_a_time_do_not_hide_it(by):
+    system = Pushed(by)
+    assert _timeless(system) == (by is _never)
+    found = simulate(system, 0.6, tolerance=1e-4, observables=[custom(lambda t, q, *_: q[:, 0])])
+
+    def slope(t, y):
+        c, s = np.cos(y[0]), np.sin(y[0])
+        push = by(t, lambda t: 2000.0 * np.exp(-(((t - 0.3) / 1e-3) ** 2)))
+        return [y[1], -9.81 * s + push * c]
+
+    start = [-np.pi / 2, 0.0]
+    run = solve_ivp(
+        slope, (0, 0.6), start, "DOP853", found.t, rtol=1e-10, atol=1e-12, max_step=5e-4
+    )
+    expected = np.sin(run.y[0])
+    assert np.linalg.norm(found.values[:, 0] - expected) < 2e-4 * np.linalg.norm(expected)

@@ -13,12 +13,15 @@ stress, is least at lambda^2 = lambda_f^2/3: a bar that is compressed farther yi
 
 The axis of an element is a cubic, which cannot bend without stretching: one that turns by phi has
 a strain of phi^4/1920 in its middle, whatever its length. So of the strain along an element, less
-what is linear in xi (the loads), the energy E A eps^2/2 is an error of the mesh, and its share
+what is linear in xi (the loads), the energy E A eps^2/2 is an error of the mesh. A wire turns by
+fractions of a radian until that is more than all its bending. Nor is the curvature of a cubic that
+of an arc: the energy of bending errs by up to phi^4/180 (measured; docs/theory/11-statics.md). So
 
-    eta = int E A eps_nl^2 ds / int (E I kappa^2 + E A eps^2 - E A eps_nl^2) ds
+    eta = int E A eps_nl^2 + E I kappa^2 phi^4/180 ds / int E I kappa^2 + E A (eps^2 - eps_nl^2) ds
 
-the error of the stiffness: 12 (l/h)^2 (phi^3/1920)^2 times 0.1 in a beam without tension. A wire
-turns by fractions of a radian until that is more than all its bending.
+is the error of the stiffness, in a beam without tension 1.2 (l/h)^2 (phi^3/1920)^2 + phi^4/180.
+Both terms grow as phi^4, and phi with the load: at given loads the energy errs by about 5 eta, and
+its derivative in the stiffness or in a load by up to 25 eta.
 
 The laws of beams and cables are linear in Green and Lagrange's strain E = (lambda^2 - 1)/2: a force
 of E A e in a body of Hooke's law in the stretch e = lambda - 1 is 1 + 3 e/2 times as large here.
@@ -46,13 +49,16 @@ from ancfdae.numerics.arrays import Array
 _PLACES = np.linspace(0.0, 1.0, 9)
 # Elements of a beam that are named.
 _NAMED = 3
-# Share of the energy of the mesh above which elements are too few: of a wire that hangs slack the
-# pull errs by five times as much (docs/howto/elements.md).
-_SHARE = 0.04
+# Error of the stiffness above which elements are too few: values err by 2 %, derivatives by 10 %.
+_SHARE = 0.004
+# Error of the energy of bending of an element that turns by phi, over phi^4: the larger one, of
+# beams (5.6e-3; of cables 2.8e-3).
+_ARC = 1 / 180
 # What else is asked, fitted, not derived. Where tension shapes an element, N l^2/EI of the mean
 # element above the first number, as of limp cables, pulls are right whatever the share, until one
 # of the elements turns by more than the second one, in rad: by 20 % and more they err then. Below
-# the third one elements were 3e5 times as long as high; straight beams have a share of round-off.
+# the third one, of a change of the turn, elements were 3e5 times as long as high; beams that keep
+# their shape have a share of round-off.
 _LIMP, _TURN, _STRAIGHT = 25.0, 0.5, 0.1
 # Strain of a fibre up to which elements are made: of bending it moves a shape by 1 %, its gradient
 # by 2.4 %; of stretching it is 15 % of a force.
@@ -177,14 +183,19 @@ class _Beam:
         change = np.sqrt(self._bends(X)) - np.sqrt(self._bend_o)
         bending = self._EI / self._lengths * change**2
         rest = float(np.sum(axial - error) + np.sum(bending))
-        ends = [_unit(X[:, k + Quantity.SLOPE_X]) for k in (0, X.shape[1] // 2)]
-        # |t_2 - t_1| = 2 sin(phi/2).
-        turn = np.max(np.sqrt(np.sum((ends[1] - ends[0]) ** 2, axis=1)))
+        # The change of an element is its turn.
+        error = np.sum(error) + _ARC * np.sum(bending * change**4)
         force = np.abs(self._EA * (strain @ _WEIGHTS)[:, None])
-        limp = np.mean(force * self._lengths**2 / self._EI) > _LIMP
-        if turn <= 2.0 * np.sin(0.5 * (_TURN if limp else _STRAIGHT)) or rest <= 0:
+        if np.mean(force * self._lengths**2 / self._EI) > _LIMP:
+            ends = [_unit(X[:, k + Quantity.SLOPE_X]) for k in (0, X.shape[1] // 2)]
+            # |t_2 - t_1| = 2 sin(phi/2).
+            turn = np.max(np.sqrt(np.sum((ends[1] - ends[0]) ** 2, axis=1)))
+            shaped = turn > 2.0 * np.sin(0.5 * _TURN)
+        else:
+            shaped = np.max(np.abs(change)) > _STRAIGHT
+        if not shaped or rest <= 0:
             return 0.0
-        return float(np.sum(error)) / rest
+        return float(error) / rest
 
     def strain(self, Z: Array) -> float:
         """Return the largest strain of a fibre by stretching or bending, without the sign."""
@@ -235,32 +246,38 @@ class _Beam:
 
 
 def first_mirrored(
-    numbering: Numbering, ends: Array, lengths: Array | None, q: Array
+    numbering: Numbering, ends: Array, parameters: Array | None, q: Array
 ) -> tuple[int, str] | None:
-    """Return the first of k states that is mirrored or folded, and what turns in it, in words.
+    """Return the first of k states that is mirrored, folded or crushed, and what is, in words.
 
-    `ends` are vectors of elements, rows of `Numbering.vectors` with their lengths, or of rigid
-    bodies, rows of `Numbering.frames` without; q has the shape (k, n_q). On the axis of an element
-    r_x is quadratic in xi and slopes of the section are linear: det [r_x, r_y(, r_z)] has no root
-    where all products of their Bernstein coefficients have one sign, nor has r_x . (r_2 - r_1) of a
+    `ends` are vectors of elements, rows of `Numbering.vectors` with their `parameters`, or of rigid
+    bodies, rows of `Numbering.frames` without; q has the shape (k, n_q). An axis is crushed at a
+    node or in the middle of an element (module docstring). Along the axis r_x is
+    quadratic in xi and slopes of the section are linear: det [r_x, r_y(, r_z)] has no root where
+    all products of their Bernstein coefficients have one sign, nor has r_x . (r_2 - r_1) of a
     cable. Only where signs differ are places along elements looked at. What the first state has is
     not counted.
     """
     d, n_s = numbering.d, numbering.widest.n_s
-    if lengths is not None and n_s not in (2, d + 1):
+    if parameters is not None and n_s not in (2, d + 1):
         return None
     # Components first, states last.
     X = np.ascontiguousarray(q.reshape(len(q), -1, d)[:, ends].transpose(3, 2, 1, 0))
     # Elements that have fewer vectors than the widest are filled up with their first one.
     cables, looked_at = np.zeros(len(ends), dtype=bool), ends[:, 1] != ends[:, 0]
-    if lengths is None:
+    crushed = np.zeros(X.shape[2:], dtype=bool)
+    if parameters is None:
         tangents, sections = X[:, 1:2], X[:, None, 2:]
     else:
-        chord = (X[:, n_s] - X[:, 0]) / lengths[:, None]
+        chord = (X[:, n_s] - X[:, 0]) / parameters[:, ElementParameter.LENGTH, None]
         along, after = X[:, 1], X[:, n_s + 1]
         tangents = np.stack([along, 3.0 * chord - along - after, after], axis=1)
         sections = X.reshape(d, 2, n_s, *X.shape[2:])[:, :, 2:]
         cables |= (n_s == 2) | (ends[:, min(2, n_s)] == ends[:, 0])
+        places = along, 1.5 * chord - 0.25 * (along + after), after
+        limit = (1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN, None]) / 3.0
+        crushed = np.any([np.sum(r_x * r_x, axis=0) <= limit for r_x in places], axis=0)
+        crushed &= ~crushed[:, :1] & looked_at[:, None]
     if np.all(cables):
         normals = chord[:, None]
     elif d == 2:
@@ -274,33 +291,41 @@ def first_mirrored(
     sides = sum(t[:, None] * n for t, n in zip(tangents, normals, strict=True))
     sides *= np.where(cables[:, None], 1.0, np.sign(sides[0, 0, :, :1]))
     suspects = np.flatnonzero(~(np.min(sides, axis=(0, 1, 3)) > 0) & looked_at)
-    if not len(suspects):
+    if not len(suspects) and not np.any(crushed):
         return None
     # What is not a number is not mirrored: other checks see it.
     weights = _BERNSTEIN[tangents.shape[1], normals.shape[1]]
     folded = np.any(np.tensordot(weights, sides[:, :, suspects], 2) <= 0, axis=0)
-    folded &= ~folded[:, :1]
-    if not np.any(folded):
+    turned = np.zeros_like(crushed)
+    turned[suspects] = folded & ~folded[:, :1]
+    if not np.any(turned | crushed):
         return None
-    first = int(np.argmax(np.any(folded, axis=0)))
-    which = suspects[int(np.argmax(folded[:, first]))]
-    return first, _turning(numbering, ends[which, 0], bool(cables[which]))
+    first = int(np.argmax(np.any(turned | crushed, axis=0)))
+    is_crushed = not np.any(turned[:, first])
+    which = int(np.argmax((crushed if is_crushed else turned)[:, first]))
+    return first, _turning(numbering, ends[which, 0], bool(cables[which]), is_crushed)
 
 
-def _turning(numbering: Numbering, vector: int, is_cable: bool) -> str:
-    """Say what turns in a body or an element that begins with a vector."""
+def _turning(numbering: Numbering, vector: int, is_cable: bool, is_crushed: bool) -> str:
+    """Say what happens to a body or an element that begins with a vector."""
     name = [body.name for body in numbering.bodies if body.first_vector <= vector][-1]
+    if is_crushed:
+        return (
+            f"crushes an element of {name!r} beyond the largest force of its law (a stretch of "
+            "0.58): the load is more than the element bears, or the step too long for its waves. "
+            "Take a stiffer section or a smaller load, or shorter steps"
+        )
     if is_cable:
         return (
-            f"an element of {name!r} back on itself (its tangent turns against its chord): the "
-            "mesh is too coarse for the motion, or the step too long. Take more elements, shorter "
-            "steps, or a cable that is less slack"
+            f"turns an element of {name!r} back on itself (its tangent turns against its chord): "
+            "the mesh is too coarse for the motion, or the step too long. Take more elements, "
+            "shorter steps, or a cable that is less slack"
         )
     return (
-        f"sections of {name!r} inside out (det [r_x r_y r_z] changes its sign), where the strain "
-        "energy is finite: the step is too long for the waves of the section. Take shorter steps, "
-        "give materials a damping_time, or start with sections that have the contraction of their "
-        "axis; where sections turn between nodes, take more elements"
+        f"turns sections of {name!r} inside out (det [r_x r_y r_z] changes its sign), where the "
+        "strain energy is finite: the step is too long for the waves of the section. Take shorter "
+        "steps, give materials a damping_time, or start with sections that have the contraction of "
+        "their axis; where sections turn between nodes, take more elements"
     )
 
 

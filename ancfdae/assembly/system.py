@@ -345,13 +345,14 @@ class AncfSystem(PlannedSystem):
         return first, self.constraint_names[int(np.argmax(off[first]))]
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
-        """Compare sides of sections and tangents with the first state."""
+        """Compare sides of sections, tangents and stretches with the first state."""
         numbering, found = self._numbering, None
-        lengths, count = self.naming.lengths.real[numbering.elements], max(1, _STATES // len(q))
-        for table, l in ((numbering.frames, None), (numbering.vectors, lengths)):
+        own, count = self._mapping.values(self.b.real)[numbering.elements], _STATES // len(q) or 1
+        for table, parameters in ((numbering.frames, None), (numbering.vectors, own)):
             for k in range(0, len(table), count):
                 some = slice(k, k + count)
-                each = first_mirrored(numbering, table[some], l if l is None else l[some], q.real)
+                law = None if parameters is None else parameters[some]
+                each = first_mirrored(numbering, table[some], law, q.real)
                 # The first state of all, cut back for the ones to come.
                 if each is not None:
                     found, q = each, q[: each[0]]

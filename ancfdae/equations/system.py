@@ -326,12 +326,12 @@ class MechanicalSystem(ComplexSteps):
         return None
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
-        """Return the first of k states that is mirrored or folded, and in words what turns.
+        """Return the first of k states that is mirrored, folded or crushed, and in words what is.
 
         q has the shape (k, n_q). A body is mirrored where its orientation differs from that in the
-        first state, and folded where it is bent back on itself: steps may end there, for the strain
-        energy is finite, but no motion leads there. The words end with a remedy. None if no state
-        is, and by default.
+        first state, folded where it is bent back on itself, and crushed where its law gives way:
+        steps may end there, for the strain energy is finite, but no motion leads there. The words
+        begin with a verb and end with a remedy. None if no state is, and by default.
         """
         return None
 

@@ -141,7 +141,7 @@ class Watch:
             words = _half_a_turn(self._system, found[1], *t[end : end + 2].tolist())
             return Lost(end, Verdict.OFF_ROOT, words)
         if mirrored is not None:
-            return Lost(first - 1, Verdict.FOLDED, f"The next step turns {what}.")
+            return Lost(first - 1, Verdict.FOLDED, f"The next step {what}.")
         return None
 
     def _elsewhere(self, rows: Rows) -> Lost | None:
@@ -194,6 +194,35 @@ def _singular_within(system: MechanicalSystem, rows: Rows) -> float | None:
         if reached < end:
             return reached
     return None
+
+
+def nearest_to_singular(system: MechanicalSystem, rows: Rows) -> tuple[float, float]:
+    """Return the time at which Phi_q comes nearest to losing rank, and how much nearer it is then.
+
+    Nearness is the smallest singular value of Phi_q W^(-1/2) with rows of length one, W the weights
+    of the coordinates. The largest such value of a run over the smallest one is the factor by which
+    errors grow along the constraints there. It is taken at some states, evenly spaced and at the
+    ends of the steps that turn the velocity most. What constraints determine alone has no errors
+    that grow; it is left out. The factor is one where that is all.
+    """
+    taken, known = determined(system.constraint_pattern)
+    if np.all(taken):
+        return float(rows.t[0]), 1.0
+    w, pattern = np.sqrt(system.weights), system.constraint_pattern
+    v = rows.v * w
+    sizes, least = np.linalg.norm(v, axis=1), np.finfo(float).tiny
+    turns = np.linalg.norm(np.diff(v, axis=0), axis=1) / (sizes[1:] + sizes[:-1] + least)
+    sharpest = np.argsort(turns)[-_FEW:]
+    even = np.linspace(0, len(rows.t) - 1, _FEW).astype(int)
+    some = np.unique(np.concatenate([even, sharpest, sharpest + 1]))
+    scaled = np.zeros((len(some), *pattern.shape))
+    values = system.constraints_q(rows.t[some], rows.q[some])
+    scaled[:, pattern.rows, pattern.columns] = values / w[pattern.columns]
+    scaled = scaled[:, ~taken][:, :, ~known]
+    scaled /= np.linalg.norm(scaled, axis=2, keepdims=True)
+    nearness = np.linalg.svd(scaled, compute_uv=False)[:, -1]
+    nearest = int(np.argmin(nearness))
+    return float(rows.t[some[nearest]]), float(np.max(nearness) / max(nearness[nearest], least))
 
 
 def half_a_turn_off(system: MechanicalSystem, begin: float, t: Array, q: Array) -> str:

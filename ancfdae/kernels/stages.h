@@ -243,7 +243,13 @@ template <class T> int stages_iterated(StageStep<T> *s)
         if (fresh && stages_singular<T>(s))
             return STAGES_SINGULAR;
         strained = fresh ? now > rules->jump * usual : strained;
-        double size = s->size = stages_changed<T>(s) / motion;
+        double change = stages_changed<T>(s);
+        /* Nothing acts at the start or in the guess: the correction is the motion. */
+        if (last == INFINITY && fmax(usual, now) < DBL_EPSILON * change) {
+            motion = usual = change;
+            most = rules->most * usual;
+        }
+        double size = s->size = change / motion;
         if (!isfinite(size))
             return STAGES_DIVERGED;
         double rate = last < INFINITY ? fmin(size / last, 1) : size > 0;

@@ -237,7 +237,7 @@ class Run:
             run = self._told(run, sensitivities)
         system, traits = self.system, self.system.traits
         if sensitivities and (system.called_functions or not traits.linear_constraints):
-            require_differentiable(system, run.t, run.q, run.v)
+            require_differentiable(system, run.t, run.q, run.v, run.estimated_errors)
         slopes = run.sensitivities if run.outcome.success else None
         if slopes is not None and not np.all(np.isfinite(slopes.v_b[-1:])):
             wrong = np.any(~np.isfinite(slopes.v_b), axis=(1, 2))
@@ -256,7 +256,7 @@ class Run:
         if self.after is not None or not isinstance(integrator, QuadratureIntegrator):
             run = finished(self.solution(sensitivities=sensitivities))
             if differentiated and not sensitivities:
-                require_differentiable(self.system, run.t, run.q, run.v)
+                require_differentiable(self.system, run.t, run.q, run.v, run.estimated_errors)
             return run, NO_TOTALS
         totals = totals_of(self.system, objectives, differentiated)
         if read_at_end(self.system, objectives, self.t_end):
@@ -269,7 +269,7 @@ class Run:
             integrands=list(totals.values()),
         )
         if differentiated:
-            require_differentiable(self.system, run.t, run.q, run.v)
+            require_differentiable(self.system, run.t, run.q, run.v, run.estimated_errors)
         return finished(self._told(run, sensitivities)), totals
 
     def _told(self, run: Solution, sensitivities: bool) -> Solution:

@@ -154,7 +154,8 @@ class ComplexStep(Perturbation):
             )
 
     def _changed(self, run: Run, solution: Solution) -> list[tuple[float, list[Run]]]:
-        require_differentiable(run.system, solution.t, solution.q, solution.v)
+        states, errors = (solution.t, solution.q, solution.v), solution.estimated_errors
+        require_differentiable(run.system, *states, errors)
         return super()._changed(run, solution)
 
     def changes(self, b: float) -> Sequence[complex]:

@@ -138,8 +138,9 @@ def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
     worst = max(coarse.values())
     warnings.warn(
         f"equilibrium: too few elements for the bending of {listed(map(repr, coarse))}: "
-        f"{100 * worst / (1 + worst):.2g} % of the energy is a stretch that cubics need to "
-        "bend. Double the number of elements until this warning is gone.",
+        f"{100 * worst / (1 + worst):.2g} % of the energy is an error of the mesh. Values err by "
+        "about five times as much, derivatives by up to twenty-five times. Double the number of "
+        "elements until this warning is gone.",
         CoarseMeshWarning,
         stacklevel=5,
     )

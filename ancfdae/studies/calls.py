@@ -17,11 +17,13 @@ from ancfdae.errors.kinds import InvalidInputError, LargeStrainWarning, Stabilit
 from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.errors.text import listed
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
+from ancfdae.integrators.recorder import Rows
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
+from ancfdae.sensitivity.along_runs import warn_near_singular
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRunError
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import Observable
@@ -88,10 +90,10 @@ def simulate(
 ) -> Solution | EventSolution | ObservableEstimates:
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
 
-    Warns of errors estimated larger than the motion (`StabilityWarning`), of very many steps under
-    error control (`ManyStepsWarning`), of a tolerance out of reach (`ToleranceWarning`), and of
-    beams that are strained beyond what their elements are made for (`LargeStrainWarning`) at one of
-    nine instants, the end included.
+    Warns of errors estimated larger than the motion, or large beside a singular position of joints
+    (`StabilityWarning`), of very many steps under error control (`ManyStepsWarning`), of a
+    tolerance out of reach (`ToleranceWarning`), and of beams that are strained beyond what their
+    elements are made for (`LargeStrainWarning`) at one of nine instants, the end included.
 
     Parameters
     ----------
@@ -144,7 +146,7 @@ def simulate(
     solution = with_remedies(model, run, uninterrupted(run.solution()))
     if solution.outcome.success:
         warn_of_strains("simulate", system, solution.q)
-    return _warned(solution)
+    return _warned(system, solution)
 
 
 def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 3) -> None:
@@ -179,10 +181,15 @@ def _thinned(run: Run, keep: Keep) -> Solution:
     return uninterrupted(parts.solution())
 
 
-def _warned(solution: Solution) -> Solution:
+def _warned(system: MechanicalSystem, solution: Solution) -> Solution:
     """Return the run; tell the caller of the caller where errors are larger than the motion."""
     errors = solution.estimated_errors
-    if solution.outcome.success and errors is not None and not errors.motion <= 1:
+    if not solution.outcome.success:
+        return solution
+    if errors is None or errors.motion <= 1:
+        rows = Rows(solution.t, solution.q, solution.v)
+        warn_near_singular(system, rows, errors, stacklevel=4)
+    else:
         warnings.warn(
             f"the errors of this run are estimated at {errors.motion:.2g} times the size of the "
             "coordinates: its steps are too long to follow the motion. Take shorter ones "

@@ -9,6 +9,7 @@ one's own, and observables with the states held.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NoReturn
 
 import numpy as np
 
@@ -45,22 +46,43 @@ def features(
 
 
 class _Untold:
-    """A time that nobody may use: comparing it, or calculating with it, raises TypeError."""
+    """A time that nobody may use: it notes that it was asked for anything, and raises TypeError."""
 
-    def __eq__(self, other: object) -> bool:
+    def __init__(self) -> None:
+        self.asked = False
+
+    def _ask(self, *_: object) -> NoReturn:
+        self.asked = True
         raise TypeError
 
-    def __bool__(self) -> bool:
-        raise TypeError
+    def __getattr__(self, name: str) -> NoReturn:
+        # Arrays look for their own protocols in whatever they hold.
+        if not name.startswith("__array"):
+            self.asked = True
+        raise AttributeError(name)
+
+    @property  # type: ignore[misc]
+    def __class__(self) -> type:
+        """The class, of which a formula asks by isinstance."""
+        self.asked = True
+        return _Untold
+
+    __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = __bool__ = __abs__ = _ask
+    __neg__ = __pos__ = __float__ = __int__ = __complex__ = __index__ = __round__ = _ask
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __pow__ = __rpow__ = _ask
+    __truediv__ = __rtruediv__ = __floordiv__ = __rfloordiv__ = __mod__ = __rmod__ = _ask
+    __divmod__ = __rdivmod__ = __str__ = __format__ = _ask
 
 
 def _timeless(system: MechanicalSystem) -> bool:
     """Return whether nothing in a system of equations looks at the time."""
+    time = _Untold()
     try:
-        values = system.over_time(np.array([_Untold()], dtype=object))
+        values = system.over_time(np.array([time], dtype=object))
     except Exception:  # noqa: BLE001 A formula may raise anything where it meets that time.
         return False
-    return np.asarray(values).dtype != object
+    # A formula that catches what is raised has asked.
+    return np.asarray(values).dtype != object and not time.asked
 
 
 def _held(problem: InitialValueProblem, observables: Sequence[Observable], t: Array) -> Array:
