@@ -76,7 +76,7 @@ AT_MOST: dict[str, int] = {
     "opens with what": 52,
     "as far as": 5,
     "is none": 72,
-    "that of, those of": 546,
+    "that of, those of": 545,
     "inversion": 1,
     "tells": 85,
     "all of them": 50,
