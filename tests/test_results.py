@@ -212,7 +212,7 @@ def test_a_file_of_another_version_says_which(tmp_path):
     with np.load(DATA / "solution_6.npz") as file:
         arrays = dict(file)
     path = tmp_path / "run.npz"
-    for version, match in ((10, "format 10, of a newer ancfdae. Install"), (4, "of an older")):
+    for version, match in ((11, "format 11, of a newer ancfdae. Install"), (4, "of an older")):
         told = json.loads(str(arrays["meta"])) | {"format": f"ancfdae solution {version}"}
         np.savez(path, **(arrays | {"meta": np.array(json.dumps(told))}))
         with pytest.raises(InvalidInputError, match=match):

@@ -131,8 +131,15 @@ def test_matrices_are_factorised_in_one_thread(name, seen):
     assert all(each == {1} for each in seen)
 
 
+def in_its_own_process(program):
+    """Run a program without the variables of BLAS: one thread for each core of the machine."""
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "GOTO_NUM_THREADS", "MKL_NUM_THREADS")
+    free = {name: x for name, x in os.environ.items() if name not in names}
+    free["PYTHONPATH"] = os.pathsep.join([*sys.path, str(Path(__file__).parent)])
+    subprocess.run([sys.executable, "-c", textwrap.dedent(program)], env=free, check=True)
+
+
 def test_a_run_without_the_variables_has_one_thread():
-    # In a process of its own: the number of threads is that of the machine, which may be one.
     program = """
         import threadpoolctl
         from test_threads import calls, counts
@@ -147,10 +154,33 @@ def test_a_run_without_the_variables_has_one_thread():
         assert seen == {1}, seen
         assert counts() == before, before
     """
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "GOTO_NUM_THREADS", "MKL_NUM_THREADS")
-    free = {name: x for name, x in os.environ.items() if name not in names}
-    free["PYTHONPATH"] = os.pathsep.join([*sys.path, str(Path(__file__).parent)])
-    subprocess.run([sys.executable, "-c", textwrap.dedent(program)], env=free, check=True)
+    in_its_own_process(program)
+
+
+def test_a_library_that_a_run_loads_has_one_thread():
+    """The first wide band of a process loads LAPACK of SciPy: once 125 ms a step, 3 later on."""
+    program = """
+        import sys
+        import threadpoolctl
+        from ancfdae import Beam, Material, Pin, Radau, Scene, simulate
+        from ancfdae.numerics.threads import in_one_thread
+        from ancfdae.sections import Rectangle
+        def counts():
+            blas = threadpoolctl.ThreadpoolController().select(user_api="blas")
+            return [x.num_threads for x in blas.lib_controllers]
+        material = Material(1000.0, 1e7, 0.3)
+        rod = Beam("rod", (0, 0, 0), (1, 0, 0), 10, Rectangle(0.02, 0.02), material)
+        scene = Scene([rod], [Pin(rod.at_start)], gravity=(0, 0, -9.81))
+        @in_one_thread
+        def run():
+            assert simulate(scene, 0.001, Radau(0.001)).outcome.success
+            return counts()
+        before, within = counts(), run()
+        assert "scipy.linalg.cython_lapack" in sys.modules
+        assert set(within) == {1}, within
+        assert set(counts()) == set(before), counts()
+    """
+    in_its_own_process(program)
 
 
 def test_elements_are_prepared_in_one_thread(monkeypatch):

@@ -26,9 +26,12 @@ from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.numerics.arrays import Array
 
 # What is written, and the oldest version that is read: it lacks `control`, and 6 kinks of bodies;
-# before 8 all beams have the element of the layout; before 9 HDF5 files have no checksum.
-_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 9, 5
-_CHECKED, _CHECKSUM = 9, "checksum"
+# before 8 all beams have the element of the layout; before 10 HDF5 files do not end with a
+# checksum, and format 9 holds one that is not read.
+_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 10, 5
+_CHECKED, _CHECKSUM = 10, "checksum"
+# What stands behind the HDF5 file before the CRC-32 of all its bytes; HDF5 does not read that far.
+_SEAL, _CRC, _PIECE = b"\x89CRC-32\n", 4, 1 << 20
 _HDF5, _SIGNATURE = (".h5", ".hdf5"), b"\x89HDF\r\n\x1a\n"
 # Arrays that are not worth compressing; bytes.
 _SMALL = 10_000
@@ -97,40 +100,42 @@ def _put_hdf5(file: IO[bytes], arrays: Mapping[str, Array], text: str) -> None:
     memory = io.BytesIO()
     with _h5py().File(memory, "w") as hdf5:
         for name, array in arrays.items():
-            packed: dict[str, Any] = {"fletcher32": True} if array.size else {}
-            if array.nbytes > _SMALL:
-                packed |= {"compression": "gzip", "shuffle": True}
+            packed = {"compression": "gzip", "shuffle": True} if array.nbytes > _SMALL else {}
             hdf5.create_dataset(name, data=array, **packed)
         hdf5.create_dataset("meta", data=text)
-        hdf5.create_dataset(_CHECKSUM, data=_checksum(arrays, text))
     file.write(memory.getbuffer())
+    file.write(_SEAL + zlib.crc32(memory.getbuffer()).to_bytes(_CRC, "little"))
 
 
 def _get_hdf5(raw: IO[bytes]) -> tuple[dict[str, Array], str]:
+    sealed = _require_unharmed(raw)
     with _h5py().File(raw, "r") as hdf5:
         text = hdf5["meta"].asstr()[()]
         arrays = {name: hdf5[name][()] for name in hdf5 if name not in ("meta", _CHECKSUM)}
-        kept = hdf5[_CHECKSUM][()] if _CHECKSUM in hdf5 else None
-    if kept is None:
-        # Files of earlier formats have none.
-        if int(json.loads(text)["format"].rpartition(" ")[2]) >= _CHECKED:
-            raise ValueError("no checksum")
-    elif int(kept) != _checksum(arrays, text):
-        raise ValueError("the checksum does not match")
+    # Files of earlier formats have none.
+    if not sealed and int(json.loads(text)["format"].rpartition(" ")[2]) >= _CHECKED:
+        raise ValueError("no checksum")
     return arrays, text
 
 
-def _checksum(arrays: Mapping[str, Array], text: str) -> int:
-    """Return a checksum of all that a file holds: names, types, shapes and numbers.
+def _require_unharmed(raw: IO[bytes]) -> bool:
+    """Return whether a file ends with a checksum; raise ValueError if other bytes have it.
 
-    Checksums of HDF5 cover the numbers of a chunk alone, not what says how to read them.
+    Asked before HDF5 reads the file: HDF5 2.0 may end the process where its tables are damaged.
     """
-    total = zlib.crc32(text.encode())
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        total = zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), total)
-        total = zlib.crc32(array.tobytes(), total)
-    return total
+    left, total = raw.seek(0, io.SEEK_END) - len(_SEAL) - _CRC, 0
+    raw.seek(max(left, 0))
+    seal = raw.read()
+    raw.seek(0)
+    if not seal.startswith(_SEAL):
+        return False
+    while left > 0:
+        piece = raw.read(min(left, _PIECE))
+        total, left = zlib.crc32(piece, total), left - len(piece)
+    if seal[len(_SEAL) :] != total.to_bytes(_CRC, "little"):
+        raise ValueError("the checksum does not match")
+    raw.seek(0)
+    return True
 
 
 def _h5py() -> Any:
@@ -184,8 +189,8 @@ def _packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]
 
 
 def _require_shapes(arrays: Mapping[str, Array], names: Sequence[str] | None) -> None:
-    """Raise ValueError unless states and derivatives are numbers of shapes that fit together."""
-    n_t, n_q, n_lam = len(arrays["t"]), arrays["q"].shape[-1], arrays["lam"].shape[-1]
+    """Raise ValueError unless arrays are numbers, states and derivatives of shapes that fit."""
+    n_t, n_q, n_lam = (np.atleast_1d(arrays[name]).shape[-1] for name in ("t", "q", "lam"))
     shapes = {"t": (n_t,), "q": (n_t, n_q), "v": (n_t, n_q), "a": (n_t, n_q), "lam": (n_t, n_lam)}
     if names is not None:
         n_b = len(names)
@@ -194,9 +199,12 @@ def _require_shapes(arrays: Mapping[str, Array], names: Sequence[str] | None) ->
         shapes["sensitivity_lam_b"] = (n_t, n_lam, n_b)
     for name, shape in shapes.items():
         array = arrays[name]
-        if array.shape != shape or array.dtype.kind not in "fc" or not n_t:
-            raise ValueError(f"{name} of type {array.dtype} and shape {array.shape}, not {shape}")
-    if not np.all(np.diff(arrays["t"].real) > 0):
+        if array.shape != shape or not n_t:
+            raise ValueError(f"{name} of shape {array.shape}, not {shape}")
+    for name, array in arrays.items():
+        if array.dtype.kind not in ("f" if name == "t" else "fc"):
+            raise ValueError(f"{name} of type {array.dtype}")
+    if not np.all(np.diff(arrays["t"]) > 0):
         raise ValueError("instants that do not ascend")
 
 

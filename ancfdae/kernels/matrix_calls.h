@@ -137,12 +137,12 @@ Array<int64_t> py_narrow_order(Indices first_K, Indices columns_K, Indices first
 
 /* ---- bands ---------------------------------------------------------------------------------- */
 
-/* A LAPACK routine of SciPy. The capsule that holds it is named after its arguments: they must begin
- * so. */
+/* A LAPACK routine of SciPy, loaded by Python, which limits its threads. The capsule that holds it is
+ * named after its arguments: they must begin so. */
 void *lapack(const char *name, const char *beginning)
 {
-    Ref module = made(PyImport_ImportModule("scipy.linalg.cython_lapack"));
-    Ref routines = made(PyObject_GetAttrString(module.get(), "__pyx_capi__"));
+    Ref module = made(PyImport_ImportModule("ancfdae.numerics.threads"));
+    Ref routines = made(PyObject_CallMethod(module.get(), "lapack", nullptr));
     Ref capsule = made(PyMapping_GetItemString(routines.get(), name));
     const char *arguments = PyCapsule_GetName(capsule.get());
     if (!arguments || strncmp(arguments, beginning, strlen(beginning)) != 0) {

@@ -10,6 +10,7 @@ computation sets it, the last one restores what the user had, in whatever Python
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Callable
 from functools import cache, wraps
@@ -44,6 +45,12 @@ class _Pools:
                 library.set_num_threads(1)
             if wide:
                 _disown(controller)
+
+    def hold_loaded(self) -> None:
+        """Limit the libraries that a running computation has just loaded, too."""
+        with self._lock:
+            for holder in list(self._holders)[:1]:
+                self.hold(holder)
 
     def release(self, holder: object) -> None:
         """Restore all limits if nobody else needs them; does no harm if called again."""
@@ -99,6 +106,17 @@ class _Block:
 
     def __exit__(self, *_: object) -> None:
         _POOLS.release(self)
+
+
+def lapack() -> Any:
+    """Return the capsules of SciPy's LAPACK routines by name.
+
+    The kernels load them at the first wide band. SciPy then brings a library of its own, which has
+    the threads of the machine until it is limited as those loaded before.
+    """
+    capsules = importlib.import_module("scipy.linalg.cython_lapack").__pyx_capi__
+    _POOLS.hold_loaded()
+    return capsules
 
 
 _P = ParamSpec("_P")
