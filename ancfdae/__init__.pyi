@@ -1,5 +1,7 @@
 """First-order design sensitivities of flexible multibody systems in ANCF."""
 
+from ancfdae.model.loads.actuators import DCMotor, FirstOrderLag
+from ancfdae.model.loads.pid import PID
 from ancfdae.assembly.saved import load_solution
 from ancfdae.assembly.system import assemble
 from ancfdae.equations.conformance import check_system
@@ -72,6 +74,7 @@ __all__ = [
     "HHT",
     "IDA",
     "IDAS",
+    "PID",
     "AdaptiveSteps",
     "Adjoint",
     "AtTimes",
@@ -83,6 +86,7 @@ __all__ = [
     "CriticalValue",
     "CurvedBeam",
     "Cylindrical",
+    "DCMotor",
     "DesignVariable",
     "DirectDifferentiation",
     "Distance",
@@ -91,6 +95,7 @@ __all__ = [
     "EquilibriumStart",
     "Evaluator",
     "FiniteDifference",
+    "FirstOrderLag",
     "FixedSteps",
     "FollowerForce",
     "FrequencyMisfit",

@@ -1,5 +1,7 @@
 """Base classes for joints, loads, laws, sections, systems and integrators of one's own."""
 
+from ancfdae.model.loads.control_axes import ControlAxis, RotationAxis, TranslationAxis
+from ancfdae.model.loads.controller import Controller, ControllerInput
 from ancfdae.equations import FormulaSystem, MechanicalSystem, StateDirection, SystemProperties
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
@@ -25,6 +27,9 @@ __all__ = [
     "AdjointIntegrator",
     "BeamElement",
     "BodyShape",
+    "ControlAxis",
+    "Controller",
+    "ControllerInput",
     "ElementIntegrals",
     "ExternalFunction",
     "FormulaSystem",
@@ -39,12 +44,14 @@ __all__ = [
     "Objective",
     "Observable",
     "Quantity",
+    "RotationAxis",
     "Section",
     "SolutionRecorder",
     "SparsityPattern",
     "StateDirection",
     "StrainEnergyFunction",
     "SystemProperties",
+    "TranslationAxis",
     "box_rule",
     "concatenate",
     "cross",

@@ -1,5 +1,6 @@
 """Observables: quantities of a motion at every instant, with exact partial derivatives."""
 
+from ancfdae.sensitivity.observables.controllers import effort, state
 from ancfdae.sensitivity.observables.drives import (
     driver_force,
     driver_torque,
@@ -52,6 +53,7 @@ __all__ = [
     "design_value",
     "driver_force",
     "driver_torque",
+    "effort",
     "elapsed_time",
     "gravitational_energy",
     "inertia",
@@ -68,6 +70,7 @@ __all__ = [
     "shear_force",
     "slope",
     "slope_angle",
+    "state",
     "strain_energy",
     "torsional_moment",
     "velocity",

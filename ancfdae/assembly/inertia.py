@@ -95,6 +95,15 @@ def other_masses(
     return tuple(_together([x for x in single if len(x.vectors) == size]) for size in sizes)
 
 
+def of_states(numbering: Numbering) -> MassBlocks:
+    """Return the masses of the vectors of states, which belong to no owner and no variable."""
+    masses, none = numbering.masses, np.zeros(0, dtype=np.int64)
+    vectors = numbering.n_q // numbering.d - len(masses) + np.arange(len(masses))
+    nobody = np.full(len(masses), -1)
+    blocks = vectors[:, None], masses[:, None, None], nobody
+    return MassBlocks(*blocks, none, none, lambda: np.zeros((0, 1, 1)))
+
+
 @final
 @dataclass(frozen=True)
 class _Single:

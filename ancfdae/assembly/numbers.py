@@ -8,7 +8,7 @@ same structure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -17,7 +17,7 @@ from ancfdae.assembly.assembled_start import AssembledStart
 from ancfdae.assembly.block import ElementBlock
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces
-from ancfdae.assembly.inertia import Inertia, MassBlocks, other_masses
+from ancfdae.assembly.inertia import Inertia, MassBlocks, of_states, other_masses
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadForces
@@ -27,6 +27,7 @@ from ancfdae.assembly.numbering import Numbering, number
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.part_inputs import PartInputs
 from ancfdae.assembly.reference import Reference
+from ancfdae.assembly.state_scales import state_masses
 from ancfdae.assembly.structure import Structure
 from ancfdae.assembly.turning import TurningForces
 from ancfdae.model.design import DesignVariable
@@ -103,8 +104,26 @@ class Numbers:
     ) -> Numbers:
         """Return the numbers of a scene, with the structure that they share with those to come."""
         numbering = number(scene)
+        if len(numbering.masses):
+            # At first they are one: those of the states follow from the mechanism.
+            of_one = Numbers._on(numbering, scene, design, mapping, b.real)
+            loads, weights = of_one.geometry.loads, of_one.inertia.weights
+            masses = [state_masses(item, weights) for item in loads if len(item.masses)]
+            numbering = replace(numbering, masses=np.concatenate(masses))
+        return Numbers._on(numbering, scene, design, mapping, b)
+
+    @staticmethod
+    def _on(
+        numbering: Numbering,
+        scene: Scene,
+        design: tuple[DesignVariable, ...],
+        mapping: ParameterMap,
+        b: Array,
+    ) -> Numbers:
+        """Return the numbers of a scene on a numbering of its coordinates."""
         masses = tuple(mass.name for mass in scene.point_masses)
-        layout = Layout(numbering.d, numbering.bodies, numbering.beams, masses, ())
+        bodies = numbering.bodies, numbering.beams
+        layout = Layout(numbering.d, *bodies, masses, (), numbering.controllers)
         geometry = Geometry.of(scene, layout, numbering, mapping, b)
         parts = geometry.joints, geometry.loads
         structure = Structure.of(scene, design, mapping, numbering, layout, parts)
@@ -174,6 +193,8 @@ def _masses(
     soft, pairs = structure.soft, block.mass_pairs
     of_pairs = soft.elements[pairs], soft.variables[pairs], lambda: block.partials.m_b
     blocks = (MassBlocks(numbering.vectors, block.m, numbering.owners, *of_pairs), *others)
+    if len(numbering.masses):
+        blocks = (*blocks, of_states(numbering))
     inertia = Inertia(blocks, numbering, n_b, structure.pattern, gravity)
     turns = scene.frame
     return inertia, turns and TurningForces(turns, frame, inertia, structure.pattern)

@@ -11,6 +11,7 @@ import numpy as np
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
+from ancfdae.model.loads.load import Load
 from ancfdae.model.scene import Scene
 from ancfdae.model.starts import InitialVelocity, NodalState
 from ancfdae.numerics.arrays import STEP, Array
@@ -43,12 +44,16 @@ class Reference:
         moving = np.any(self._naming.lengths_b != 0, axis=0)
         for body in self._scene.members:
             moving |= np.any(self._placed(body)[1] != 0, axis=0)
+        for load in self._scene.loads:
+            if load.states:
+                moving |= self._start_moves(load)
         return np.flatnonzero(moving).tolist()
 
     @cached_property
     def q(self) -> Array:
         """Coordinates of the reference configuration, shape (n_q,)."""
-        return np.concatenate([self._vectors[body.name].ravel() for body in self._scene.members])
+        parts = [self._vectors[body.name].ravel() for body in self._scene.members]
+        return np.concatenate([*parts, np.zeros(self._state_numbers)])
 
     @cached_property
     def Z(self) -> Array:
@@ -57,7 +62,8 @@ class Reference:
         for body in self._scene.members:
             X, start = self._vectors[body.name], self._scene.start_of.get(body.name)
             parts.append(self._of(start.coordinates, body) if isinstance(start, NodalState) else X)
-        return np.concatenate(parts)
+        d = self._scene.dimension
+        return np.concatenate([*parts, np.zeros((self._state_numbers // d, d))])
 
     def velocities(self, q: Array, motion: Array | None) -> Array:
         """Return the declared velocities at coordinates that a rigid motion brought there, if any.
@@ -76,7 +82,7 @@ class Reference:
                 V = self._of(start.velocities, body)
                 V = V if motion is None else V @ cayley(motion[k : k + 1, d:], d)[0].T
             parts.append(V.ravel())
-        return np.concatenate(parts)
+        return np.concatenate([*parts, *self._states()])
 
     def moved(self, i: int) -> Reference:
         """Return them moved in design variable i by an imaginary step."""
@@ -88,6 +94,26 @@ class Reference:
             naming = replace(self._naming, lengths=lengths)
             self._moved[i] = Reference(self._scene, self._mapping, b, naming)
         return self._moved[i]
+
+    @property
+    def _state_numbers(self) -> int:
+        """Number of coordinates of states; the last ones, zero at the start."""
+        return self._scene.dimension * sum(len(load.states) for load in self._scene.loads)
+
+    def _states(self) -> list[Array]:
+        """Return the initial states, each as the rate of its vector, (d,)."""
+        d, parts = self._scene.dimension, list[Array]()
+        for load in self._scene.loads:
+            if load.states:
+                p = self._mapping.numbers(load.name, self._b)[0][: len(load.parameters())]
+                parts += [np.append(x, np.zeros(d - 1)) for x in load.start(p)]
+        return parts
+
+    def _start_moves(self, load: Load) -> Array:
+        """Whether each design variable drives the initial states of a load, (n_b,)."""
+        p, p_b = (x[: len(load.parameters())] for x in self._mapping.numbers(load.name, self._b))
+        moved = [load.start(p.real + 1j * STEP * column) for column in p_b.T]
+        return np.array([np.any(np.imag(x)) for x in moved], dtype=bool)
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
         """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""

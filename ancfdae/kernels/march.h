@@ -54,11 +54,12 @@ enum { ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME };
 /* Corrections from a guess close to the solution shrink by this factor at least (`_CLOSE`). */
 #define CLOSE 0.5
 
-/* A load that moves, and whether it uses velocities. */
+/* A load that moves, whether it uses velocities, and its first factor in a row. */
 template <class T> struct MovingLoad {
     const LoadTable *plan;
     LoadNumbers<T> numbers;
     int velocity;
+    Size factor;
 };
 
 /* A system of lists of operations in place of elements, joints and loads. All lists take t, q, v, A,
@@ -214,8 +215,8 @@ void force_at(const Plan<T> *p, Room<T> *r, const double *factors, const T *q, c
         for (Size i = 0; i < p->n_q; i++)
             r->Q[i] += factors[k] * p->loads[k * p->n_q + i];
     for (Size k = 0; k < p->n_moving; k++)
-        load_force<T>(p->moving[k].plan, &p->moving[k].numbers, factors[p->n_loads + k], q, v,
-                      r->of_load, r->Q);
+        load_force<T>(p->moving[k].plan, &p->moving[k].numbers, factors + p->moving[k].factor, q,
+                      v, r->of_load, r->Q);
 }
 
 /* Phi = defect + its integral over a small step along dq. */
@@ -383,8 +384,9 @@ void load_tangents(const Plan<T> *p, Room<T> *r, const double *factors, int velo
 {
     for (Size k = 0; k < p->n_moving; k++)
         if (!velocity || p->moving[k].velocity)
-            load_tangent<T>(p->moving[k].plan, &p->moving[k].numbers, -factors[p->n_loads + k],
-                            r->q, r->v, velocity, r->of_load, values);
+            load_tangent<T>(p->moving[k].plan, &p->moving[k].numbers, -1,
+                            factors + p->moving[k].factor, r->q, r->v, velocity, r->of_load,
+                            values);
 }
 
 /* Values of f_q and f_v at the state as it stands, from a row of factors of loads. */

@@ -144,8 +144,8 @@ void rest_path(const Plan<double> *p, Room<double> *r, const RestProblem *x, Res
 {
     memcpy(r->R, x->r_0, (size_t)p->n_q * sizeof(double));
     for (Size k = 0; k < p->n_moving; k++)
-        load_force<double>(p->moving[k].plan, &p->moving[k].numbers, x->of_turning[p->n_loads + k],
-                           r->q, r->v, r->of_load, r->R);
+        load_force<double>(p->moving[k].plan, &p->moving[k].numbers,
+                           x->of_turning + p->moving[k].factor, r->q, r->v, r->of_load, r->R);
     for (Size i = 0; i < p->n_lam; i++)
         r->R[p->n_q + i] = -x->rules.closing * x->Phi_0[i];
     rest_solved(p, r);

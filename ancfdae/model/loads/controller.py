@@ -1,0 +1,149 @@
+"""Base class of controllers: loads with states of their own, x' = f(x, s, s', r, r', b).
+
+A controller measures coordinates s of the mechanism (`ControlAxis`) and laws of time r, and acts on
+the same coordinates with efforts e(x, s, s', r, r', b): torques and forces. Each state x is the
+rate of a coordinate y of its own with a mass w, so that w y'' = w f stands among the equations of
+motion and all integrators, sensitivity methods and kernels take it as it is
+(docs/theory/17-controllers.md).
+"""
+
+import abc
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.laws.law import Law
+from ancfdae.model.loads.control_axes import ControlAxis
+from ancfdae.model.loads.load import Load
+from ancfdae.model.loads.sections import rate_of
+from ancfdae.model.parts import Elements, StateVector, Vectors
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import concatenate
+
+
+@final
+class ControllerInput(NamedTuple):
+    """What a controller reads at an instant; each field has one number per item.
+
+    Attributes
+    ----------
+    states : sequence
+        x, in the order of `Controller.states`.
+    coordinates, rates : sequence
+        s and s' of the axes; rad and rad/s, or m and m/s.
+    laws, law_rates : sequence
+        r and r' of the laws among the fields of the controller, in their order.
+    """
+
+    states: Sequence[Any]
+    coordinates: Sequence[Any]
+    rates: Sequence[Any]
+    laws: Sequence[Any]
+    law_rates: Sequence[Any]
+
+
+@dataclass(frozen=True)
+class Controller(Load):
+    """A load with states: x' = f(x, s, s', r, r', b), with torques and forces of the same inputs.
+
+    A subclass names its `states`, and writes `axes`, `equations` and, where states do not start
+    from zero, `start`. Its fields that hold a `Law` are the laws r. It has no factor ``law``.
+    """
+
+    elastic = True
+    refers = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        where = f"load {self.name!r}"
+        if self.law is not None:
+            rule = "must be left out: a controller has no factor over time"
+            repair = "Give a law as a field that `equations` reads."
+            raise InvalidInputError(f"{where}, law", rule, repr(self.law), repair)
+        if len(set(self.states)) < len(self.states):
+            rule, repair = "must have different names", "Rename one of them."
+            raise InvalidInputError(f"{where}, states", rule, self.states, repair)
+
+    @abc.abstractmethod
+    def axes(self, p: Array) -> tuple[ControlAxis, ...]:
+        """Return what the controller measures and drives; p as in `Load.force`."""
+
+    @abc.abstractmethod
+    def equations(self, at: ControllerInput, p: Array) -> tuple[Sequence[Any], Sequence[Any]]:
+        """Return the rates x' of the states, and an effort on each axis; N m or N.
+
+        In functions of NumPy. p has the values of `parameters`, as `split` takes them.
+        """
+
+    def uses_velocity(self, driven: Collection[str]) -> bool:
+        """Return true: states are velocities."""
+        return True
+
+    @final
+    def vectors(self, elements: Elements) -> Vectors:
+        """Return the vectors of the axes, and a vector for each state."""
+        states = (StateVector(self.name, k) for k in range(len(self.states)))
+        of_axes = (axis.vectors(elements) for axis in self.axes(self._declared_values()))
+        return (*(vector for some in of_axes for vector in some), *states)
+
+    @final
+    def signals(self, p: Array, t: Array, order: int) -> Array:
+        """Return the laws and behind them their rates, or time derivatives of these, (k, n)."""
+        values = zip(self._design_values(), self.split(p), strict=True)
+        laws = [(x, its) for (_, x), its in values if isinstance(x, Law)]
+        columns = [x.derivative(its, t, order + k) for k in (0, 1) for x, its in laws]
+        return np.stack(columns, axis=-1) if columns else np.zeros((len(t), 0))
+
+    @final
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """Return `force_at` with the laws as they are at t = 0."""
+        return self.force_at(U, V, self.signals(p, np.zeros(1), 0), p, U_o)
+
+    @final
+    def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
+        """Return e s_U on the vectors of the axes, and x' on component 0 of those of states."""
+        still = 0.0 * V[..., :1, :1]
+        at, gradients = self._input(U, V, signals, p, U_o)
+        rates, efforts = (tuple(x) for x in self.equations(at, p))
+        self._require(rates, self.states, "rates of states", "state")
+        self._require(efforts, gradients, "efforts", "axis")
+        unit = np.eye(U_o.shape[1])[:1]
+        forces = [effort * s_U for effort, s_U in zip(efforts, gradients, strict=True)]
+        return concatenate([*forces, *((still + rate) * unit for rate in rates)])
+
+    def _require(self, given: Sequence[Any], wanted: Sequence[Any], what: str, each: str) -> None:
+        """Raise InvalidInputError unless `equations` returns as many numbers as are wanted."""
+        if len(given) != len(wanted):
+            where = f"equations of {self.kind} {self.name!r}"
+            rule, repair = f"must return {len(wanted)} {what}", f"Return one for each {each}."
+            raise InvalidInputError(where, rule, len(given), repair)
+
+    def _declared_values(self) -> Array:
+        return np.array(list(self.parameters().values()), dtype=float)
+
+    @final
+    def efforts_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
+        """Return the efforts on the axes, (..., 1, 1) each."""
+        at, _ = self._input(U, V, signals, p, U_o)
+        return tuple(self.equations(at, p)[1])
+
+    def _input(
+        self, U: Any, V: Any, signals: Any, p: Array, U_o: Array
+    ) -> tuple[ControllerInput, list[Any]]:
+        """Return what the controller reads, (..., 1, 1) each, and the gradients of the axes."""
+        coordinates, rates, gradients, first = [], [], [], 0
+        for axis in self.axes(p):
+            count = axis.count(U_o.shape[1])
+            its = slice(first, first + count)
+            s, s_U = axis.coordinate(U[..., its, :], U_o[its])
+            coordinates.append(s)
+            rates.append(rate_of(s_U, V[..., its, :]))
+            gradients.append(s_U)
+            first += count
+        n_x, n_r = len(self.states), signals.shape[-1] // 2
+        x = [V[..., first + k : first + k + 1, :1] for k in range(n_x)]
+        r = [signals[..., k, None, None] for k in range(2 * n_r)]
+        return ControllerInput(x, coordinates, rates, r[:n_r], r[n_r:]), gradients
