@@ -1,7 +1,5 @@
 """First-order design sensitivities of flexible multibody systems in ANCF."""
 
-from ancfdae.model.loads.actuators import DCMotor, FirstOrderLag
-from ancfdae.model.loads.pid import PID
 from ancfdae.assembly.saved import load_solution
 from ancfdae.assembly.system import assemble
 from ancfdae.equations.conformance import check_system
@@ -30,8 +28,10 @@ from ancfdae.model.joints.held_sections import Clamp, MovingSupport, Weld
 from ancfdae.model.joints.point_joints import Distance, Pin, PointOnLine, Spherical
 from ancfdae.model.joints.prismatic import Prismatic
 from ancfdae.model.joints.universal import Universal
+from ancfdae.model.loads.actuators import DCMotor, FirstOrderLag
 from ancfdae.model.loads.forces import DistributedForce, FollowerForce, PointForce
 from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
+from ancfdae.model.loads.pid import PID
 from ancfdae.model.loads.springs import Bushing, SpringDamper
 from ancfdae.model.loads.torques import Moment, MotorTorque, TorsionalSpringDamper
 from ancfdae.model.material import Material

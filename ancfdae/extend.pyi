@@ -1,7 +1,5 @@
 """Base classes for joints, loads, laws, sections, systems and integrators of one's own."""
 
-from ancfdae.model.loads.control_axes import ControlAxis, RotationAxis, TranslationAxis
-from ancfdae.model.loads.controller import Controller, ControllerInput
 from ancfdae.equations import FormulaSystem, MechanicalSystem, StateDirection, SystemProperties
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
@@ -13,6 +11,8 @@ from ancfdae.model.elements import BeamElement, StrainEnergyFunction
 from ancfdae.model.elements.element import ElementIntegrals, Quantity
 from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
 from ancfdae.model.laws.law import Law
+from ancfdae.model.loads.control_axes import ControlAxis, RotationAxis, TranslationAxis
+from ancfdae.model.loads.controller import Controller, ControllerInput
 from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.model.sections.section import Section
 from ancfdae.numerics.external import ExternalFunction

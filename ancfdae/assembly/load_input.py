@@ -41,8 +41,9 @@ class LoadInput:
 
     def factors(self, t: Array, order: int) -> Array:
         """Return the law of time and its signals, or their derivatives, (k, 1 + n_signals)."""
-        law, signals = self.load.factor(self.p, t, order), self.load.signals(self.p, t, order)
-        return np.concatenate([law[:, None], signals], axis=1)
+        law = self.load.factor(self.p, t, order)[:, None]
+        signals = self.load.signals(self.p, t, order)
+        return law if signals is None else np.concatenate([law, signals], axis=1)
 
     def force(self, U: Any, V: Any, signals: Any) -> Any:
         """Return the forces on the vectors, without the law: on those of states w x'."""

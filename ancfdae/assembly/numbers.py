@@ -100,27 +100,23 @@ class Numbers:
 
     @staticmethod
     def first(
-        scene: Scene, design: tuple[DesignVariable, ...], mapping: ParameterMap, b: Array
-    ) -> Numbers:
-        """Return the numbers of a scene, with the structure that they share with those to come."""
-        numbering = number(scene)
-        if len(numbering.masses):
-            # At first they are one: those of the states follow from the mechanism.
-            of_one = Numbers._on(numbering, scene, design, mapping, b.real)
-            loads, weights = of_one.geometry.loads, of_one.inertia.weights
-            masses = [state_masses(item, weights) for item in loads if len(item.masses)]
-            numbering = replace(numbering, masses=np.concatenate(masses))
-        return Numbers._on(numbering, scene, design, mapping, b)
-
-    @staticmethod
-    def _on(
-        numbering: Numbering,
         scene: Scene,
         design: tuple[DesignVariable, ...],
         mapping: ParameterMap,
         b: Array,
+        numbering: Numbering | None = None,
     ) -> Numbers:
-        """Return the numbers of a scene on a numbering of its coordinates."""
+        """Return the numbers of a scene, with the structure that they share with those to come.
+
+        Masses of states are those of the numbering, by default they follow from the mechanism.
+        """
+        if numbering is None:
+            numbering = number(scene)
+            if len(numbering.masses):
+                of_one = Numbers.first(scene, design, mapping, b.real, numbering)
+                loads, weights = of_one.geometry.loads, of_one.inertia.weights
+                found = [state_masses(item, weights) for item in loads if len(item.masses)]
+                numbering = replace(numbering, masses=np.concatenate(found))
         masses = tuple(mass.name for mass in scene.point_masses)
         bodies = numbering.bodies, numbering.beams
         layout = Layout(numbering.d, *bodies, masses, (), numbering.controllers)

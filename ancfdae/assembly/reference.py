@@ -11,7 +11,6 @@ import numpy as np
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
-from ancfdae.model.loads.load import Load
 from ancfdae.model.scene import Scene
 from ancfdae.model.starts import InitialVelocity, NodalState
 from ancfdae.numerics.arrays import STEP, Array
@@ -37,6 +36,10 @@ class Reference:
         self._lengths, self._naming = naming.lengths, naming
         self._firsts = scene.first_elements()
         self._moved: dict[int, Reference] = {}
+        self._controllers = [load for load in scene.loads if load.states]
+        # Their vectors, the integrals of states, start from zero.
+        shapes = [(len(load.states), scene.dimension) for load in self._controllers]
+        self._zero_states = [np.zeros(shape) for shape in shapes]
 
     @cached_property
     def active(self) -> list[int]:
@@ -44,16 +47,15 @@ class Reference:
         moving = np.any(self._naming.lengths_b != 0, axis=0)
         for body in self._scene.members:
             moving |= np.any(self._placed(body)[1] != 0, axis=0)
-        for load in self._scene.loads:
-            if load.states:
-                moving |= self._start_moves(load)
+        if self._controllers:
+            moving |= np.any(self.state_rates_b != 0, axis=0)
         return np.flatnonzero(moving).tolist()
 
     @cached_property
     def q(self) -> Array:
         """Coordinates of the reference configuration, shape (n_q,)."""
         parts = [self._vectors[body.name].ravel() for body in self._scene.members]
-        return np.concatenate([*parts, np.zeros(self._state_numbers)])
+        return np.concatenate([*parts, *(x.ravel() for x in self._zero_states)])
 
     @cached_property
     def Z(self) -> Array:
@@ -62,8 +64,7 @@ class Reference:
         for body in self._scene.members:
             X, start = self._vectors[body.name], self._scene.start_of.get(body.name)
             parts.append(self._of(start.coordinates, body) if isinstance(start, NodalState) else X)
-        d = self._scene.dimension
-        return np.concatenate([*parts, np.zeros((self._state_numbers // d, d))])
+        return np.concatenate([*parts, *self._zero_states])
 
     def velocities(self, q: Array, motion: Array | None) -> Array:
         """Return the declared velocities at coordinates that a rigid motion brought there, if any.
@@ -82,7 +83,7 @@ class Reference:
                 V = self._of(start.velocities, body)
                 V = V if motion is None else V @ cayley(motion[k : k + 1, d:], d)[0].T
             parts.append(V.ravel())
-        return np.concatenate([*parts, *self._states()])
+        return np.concatenate([*parts, *([self.state_rates] if self._controllers else [])])
 
     def moved(self, i: int) -> Reference:
         """Return them moved in design variable i by an imaginary step."""
@@ -96,24 +97,23 @@ class Reference:
         return self._moved[i]
 
     @property
-    def _state_numbers(self) -> int:
-        """Number of coordinates of states; the last ones, zero at the start."""
-        return self._scene.dimension * sum(len(load.states) for load in self._scene.loads)
+    def state_rates(self) -> Array:
+        """Initial states of controllers, each as the rate of its vector, (d n_states,)."""
+        return self._state_rates(self._b)
 
-    def _states(self) -> list[Array]:
-        """Return the initial states, each as the rate of its vector, (d,)."""
-        d, parts = self._scene.dimension, list[Array]()
-        for load in self._scene.loads:
-            if load.states:
-                p = self._mapping.numbers(load.name, self._b)[0][: len(load.parameters())]
-                parts += [np.append(x, np.zeros(d - 1)) for x in load.start(p)]
-        return parts
+    @cached_property
+    def state_rates_b(self) -> Array:
+        """Design derivatives of `state_rates`, (d n_states, n_b)."""
+        steps = 1j * STEP * np.eye(len(self._b))
+        columns = [self._state_rates(self._b.real + step).imag / STEP for step in steps]
+        return np.array(columns).reshape(len(self._b), len(self.state_rates)).T
 
-    def _start_moves(self, load: Load) -> Array:
-        """Whether each design variable drives the initial states of a load, (n_b,)."""
-        p, p_b = (x[: len(load.parameters())] for x in self._mapping.numbers(load.name, self._b))
-        moved = [load.start(p.real + 1j * STEP * column) for column in p_b.T]
-        return np.array([np.any(np.imag(x)) for x in moved], dtype=bool)
+    def _state_rates(self, b: Array) -> Array:
+        d, parts = self._scene.dimension, [np.zeros(0)]
+        for load in self._controllers:
+            p = self._mapping.numbers(load.name, b)[0][: len(load.parameters())]
+            parts += [np.append(x, np.zeros(d - 1)) for x in load.start(p)]
+        return np.concatenate(parts)
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
         """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""

@@ -155,13 +155,14 @@ class Works:
         """
         if (name, axis) not in self._loads:
             controllers = [load for load in self._scene.loads if isinstance(load, Controller)]
-            item = self._inputs.load(named("controller", name, controllers))
-            count = len(item.load.axes(item.p))
+            load = named("controller", name, controllers)
+            item = self._inputs.load(load)
+            count = len(load.axes(item.p))
             require_index(f"effort of {name!r}, axis", axis, count, "Axes are counted from 0 on.")
 
             def effort(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
                 at = U, V, factors[:, 1:], item.p, item.reference
-                shape, its = U.shape[:-2], item.load.efforts_at(*at)[axis]
+                shape, its = U.shape[:-2], load.efforts_at(*at)[axis]
                 return np.broadcast_to(np.reshape(its, np.shape(its)[:-2]), shape)
 
             self._loads[name, axis] = LoadFunction(item, self._n_b, effort)

@@ -1,4 +1,4 @@
-"""Actuators whose torque or force has a state: a motor with inductance, and a lag of first order."""
+"""Actuators with a state: a motor with inductance, and a torque or force that lags."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

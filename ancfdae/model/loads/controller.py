@@ -53,7 +53,6 @@ class Controller(Load):
     from zero, `start`. Its fields that hold a `Law` are the laws r. It has no factor ``law``.
     """
 
-    elastic = True
     refers = True
 
     def __post_init__(self) -> None:
@@ -66,6 +65,15 @@ class Controller(Load):
         if len(set(self.states)) < len(self.states):
             rule, repair = "must have different names", "Rename one of them."
             raise InvalidInputError(f"{where}, states", rule, self.states, repair)
+
+    @final
+    def numbers_of(self, name: str) -> dict[str, float]:
+        """Return the numbers of a design field; of one of several laws by its field and theirs."""
+        numbers = super().numbers_of(name)
+        laws = [field for field, value in self._design_values() if isinstance(value, Law)]
+        if len(laws) < 2 or name not in laws:
+            return numbers
+        return {f"{name}_{inner}": number for inner, number in numbers.items()}
 
     @abc.abstractmethod
     def axes(self, p: Array) -> tuple[ControlAxis, ...]:

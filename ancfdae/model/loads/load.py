@@ -87,9 +87,12 @@ class Load(Part):
         """
         return self.force(U, V, p, U_o)
 
-    def signals(self, p: Array, t: Array, order: int) -> Array:
-        """Return the laws that `force_at` reads, or their time derivative, at times t, (k, n)."""
-        return np.zeros((len(t), 0))
+    def signals(self, p: Array, t: Array, order: int) -> Array | None:
+        """Return the laws that `force_at` reads, or their time derivative, at times t, (k, n).
+
+        None if there are none.
+        """
+        return None
 
     def start(self, p: Array) -> Sequence[Any]:
         """Return the `states` at t = 0; by default zero."""
