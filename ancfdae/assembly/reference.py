@@ -112,7 +112,7 @@ class Reference:
         d, parts = self._scene.dimension, [np.zeros(0)]
         for load in self._controllers:
             p = self._mapping.numbers(load.name, b)[0][: len(load.parameters())]
-            parts += [np.append(x, np.zeros(d - 1)) for x in load.start(p)]
+            parts += [np.append(x, np.zeros(d - 1)) for x in load.initial_states(p)]
         return np.concatenate(parts)
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:

@@ -52,7 +52,7 @@ def _partials(item: LoadInput) -> tuple[Array, Array, Array, Array]:
     """
     n, U = len(item.masses), item.reference.real
     first, V = len(U) - n, np.zeros_like(U)
-    V[first:, 0] = np.real(item.load.start(item.p.real))
+    V[first:, 0] = np.real(item.load.initial_states(item.p.real))
     signals, lift = item.factors(np.zeros(1), 0)[0, 1:], item.vectors.lift
     steps = 1j * STEP * np.eye(U.size).reshape(-1, *U.shape)
     F_U, F_V = (

@@ -86,6 +86,17 @@ class Controller(Load):
         In functions of NumPy. p has the values of `parameters`, as `split` takes them.
         """
 
+    def start(self, p: Array) -> Sequence[Any]:
+        """Return the states at t = 0; by default zero."""
+        return [0.0] * len(self.states)
+
+    @final
+    def initial_states(self, p: Array) -> Sequence[Any]:
+        """Return `start`, one number for each state."""
+        given = tuple(self.start(p))
+        self._require("start", given, self.states, "initial states", "state")
+        return given
+
     def uses_velocity(self, driven: Collection[str]) -> bool:
         """Return true: states are velocities."""
         return True
@@ -94,7 +105,11 @@ class Controller(Load):
     def vectors(self, elements: Elements) -> Vectors:
         """Return the vectors of the axes, and a vector for each state."""
         states = (StateVector(self.name, k) for k in range(len(self.states)))
-        of_axes = (axis.vectors(elements) for axis in self.axes(self._declared_values()))
+        axes = self.axes(self._declared_values())
+        if not all(isinstance(axis, ControlAxis) for axis in axes):
+            where, repair = f"axes of {self.kind} {self.name!r}", "Return (RotationAxis(point),)."
+            raise InvalidInputError(where, "must return axes", repr(axes), repair)
+        of_axes = (axis.vectors(elements) for axis in axes)
         return (*(vector for some in of_axes for vector in some), *states)
 
     @final
@@ -116,16 +131,18 @@ class Controller(Load):
         still = 0.0 * V[..., :1, :1]
         at, gradients = self._input(U, V, signals, p, U_o)
         rates, efforts = (tuple(x) for x in self.equations(at, p))
-        self._require(rates, self.states, "rates of states", "state")
-        self._require(efforts, gradients, "efforts", "axis")
+        self._require("equations", rates, self.states, "rates of states", "state")
+        self._require("equations", efforts, gradients, "efforts", "axis")
         unit = np.eye(U_o.shape[1])[:1]
         forces = [effort * s_U for effort, s_U in zip(efforts, gradients, strict=True)]
         return concatenate([*forces, *((still + rate) * unit for rate in rates)])
 
-    def _require(self, given: Sequence[Any], wanted: Sequence[Any], what: str, each: str) -> None:
-        """Raise InvalidInputError unless `equations` returns as many numbers as are wanted."""
+    def _require(
+        self, method: str, given: Sequence[Any], wanted: Sequence[Any], what: str, each: str
+    ) -> None:
+        """Raise InvalidInputError unless a method returns as many numbers as are wanted."""
         if len(given) != len(wanted):
-            where = f"equations of {self.kind} {self.name!r}"
+            where = f"{method} of {self.kind} {self.name!r}"
             rule, repair = f"must return {len(wanted)} {what}", f"Return one for each {each}."
             raise InvalidInputError(where, rule, len(given), repair)
 

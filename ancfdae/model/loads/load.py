@@ -94,9 +94,9 @@ class Load(Part):
         """
         return None
 
-    def start(self, p: Array) -> Sequence[Any]:
-        """Return the `states` at t = 0; by default zero."""
-        return [0.0] * len(self.states)
+    def initial_states(self, p: Array) -> Sequence[Any]:
+        """Return the `states` at t = 0."""
+        return ()
 
     @final
     def factor(self, p: Array, t: Array, order: int) -> Array:
