@@ -10,7 +10,7 @@ from ancfdae.model.design import design_numbers
 from ancfdae.model.elements import BeamElement, StrainEnergyFunction
 from ancfdae.model.elements.element import ElementIntegrals, Quantity
 from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
-from ancfdae.model.laws.law import Law
+from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.loads.control_axes import ControlAxis, RotationAxis, TranslationAxis
 from ancfdae.model.loads.controller import Controller, ControllerInput
 from ancfdae.model.loads.load import LAW_FIELD, Load
@@ -58,5 +58,6 @@ __all__ = [
     "design_numbers",
     "dot",
     "empty_equations",
+    "require_law",
     "stacked",
 ]

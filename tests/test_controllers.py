@@ -16,6 +16,7 @@ from ancfdae import (
     DOP853,
     HHT,
     IDA,
+    IDAS,
     PID,
     AdaptiveSteps,
     Adjoint,
@@ -238,6 +239,14 @@ def arm_slopes():
 def test_derivatives_in_gains_are_those_of_minimal_coordinates(method):
     for objective, expected in zip(map(Terminal, ENDS), arm_slopes(), strict=True):
         found = gradient(arm_scene(), objective, TIME, method, design=ARM).gradient
+        assert found == pytest.approx(expected, abs=1e-7 * np.max(np.abs(expected)))
+
+
+@pytest.mark.idas
+@pytest.mark.parametrize("way", [DirectDifferentiation(), Adjoint()], ids=repr)
+def test_idas_has_the_same_derivatives_forward_and_backward(way):
+    for objective, expected in zip(map(Terminal, ENDS), arm_slopes(), strict=True):
+        found = gradient(arm_scene(), objective, TIME, IDAS(1e-11), design=ARM, method=way).gradient
         assert found == pytest.approx(expected, abs=1e-7 * np.max(np.abs(expected)))
 
 

@@ -15,6 +15,7 @@ from ancfdae.extend import (
     MaterialPoint,
     RotationAxis,
     design_numbers,
+    require_law,
 )
 from ancfdae.laws import Harmonic
 from ancfdae.observables import position
@@ -35,7 +36,7 @@ class FilteredPD(Controller):
     kind = "filtered-pd"
     states = ("filtered",)
     design_fields = (
-        ("reference", lambda where, value: None),
+        ("reference", require_law),
         *design_numbers("proportional", "derivative", "filter_time", "largest_torque"),
         LAW_FIELD,
     )
@@ -53,7 +54,9 @@ class FilteredPD(Controller):
         return [rate], [most * np.tanh((P * error + D * rate) / most)]
 
 
-arm = Beam("arm", (0, 0), (0.4, 0), 2, Rectangle(0.01, 0.02), Material(2700, 7e8, 0.3))
+arm = Beam(
+    "arm", (0, 0), (0.4, 0), 2, Rectangle(0.01, 0.02), Material(2700, 7e8, 0.3, damping_time=2e-3)
+)
 servo = FilteredPD(arm.at_start, Harmonic(0.4, 9.0, 1.0), 6.0, 0.4, 0.02, 0.8, name="servo")
 SCENE = Scene([arm], [Pin(arm.at_start)], loads=[servo])
 DESIGN = ["servo.proportional", "servo.derivative", "servo.filter_time", "servo.amplitude"]
