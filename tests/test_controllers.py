@@ -166,7 +166,7 @@ TIME = 1.5
 
 @dataclass(frozen=True)
 class Units:
-    """Sizes of the units of length, mass and time in those of the scenes here, and the place."""
+    """Units of length, mass and time relative to m, kg and s, and the place in m."""
 
     length: float = 1.0
     mass: float = 1.0
@@ -447,7 +447,7 @@ def test_a_motor_between_two_bodies_in_space_is_the_planar_one():
 
 @dataclass(frozen=True)
 class Follower(Controller):
-    """A mass on two rails that follows two laws, with a filter for each, and a sum of both."""
+    """A mass on two rails that follows two laws, with a filter for each, and their sum."""
 
     point: MaterialPoint
     to_x: Law
@@ -493,7 +493,7 @@ def test_states_of_a_controller_with_two_axes_and_laws_are_a_linear_system():
     design = ["follower.to_x_speed", "follower.to_y_value", "follower.gain", "body.mass"]
     objective = Terminal(state("follower", "sum") + effort("follower", 1))
     compared(scene, objective, 0.6, HHT(0.01), design, 1e-10)
-    # The third state only meets the others: it counts as they do over the time of their filters.
+    # The third state meets states only: it counts as they do over the time of their filters.
     masses = assemble(scene).weights.reshape(-1, 2)[-3:, 0]
     assert masses[2] == pytest.approx(20**2 * masses[0])
     assert check_system(assemble(scene, design), samples=1).passed

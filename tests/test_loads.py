@@ -141,7 +141,7 @@ class LoadSetting(MeasuredSetting):
         return np.pad(value, [(0, self.system.n_q - n)] * value.ndim)
 
     def motion(self, seed):
-        """A rigid motion of all bodies: a turn, a shift, and the rates of both; states stay."""
+        """A rigid motion of all bodies, a turn and a shift, and its rate; states stay."""
         d, rng = self.scene.dimension, np.random.default_rng(seed)
         first = self.bare.n_q // d
         spin, at = rng.uniform(-1, 1, (d, d)), self.positions

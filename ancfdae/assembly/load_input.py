@@ -21,7 +21,7 @@ from ancfdae.numerics.patterns import SparsityPattern
 class LoadInput:
     """One load with its vectors, parameters, (n_p,), and vectors of the reference, (n_v, d).
 
-    `masses` are those of the vectors of its states, (n_states,), which come last.
+    `masses` belong to the vectors of its states, (n_states,), which come last.
     """
 
     load: Load
@@ -46,7 +46,7 @@ class LoadInput:
         return law if signals is None else np.concatenate([law, signals], axis=1)
 
     def force(self, U: Any, V: Any, signals: Any) -> Any:
-        """Return the forces on the vectors, without the law: on those of states w x'."""
+        """Return the forces on the vectors, without the law; w x' on vectors of states."""
         F = self.load.force_at(U, V, signals, self.p, self.reference)
         if not len(self.masses):
             return F

@@ -108,7 +108,7 @@ class Numbers:
     ) -> Numbers:
         """Return the numbers of a scene, with the structure that they share with those to come.
 
-        Masses of states are those of the numbering, by default they follow from the mechanism.
+        The numbering has masses of states; by default they follow from the mechanism.
         """
         if numbering is None:
             numbering = number(scene)

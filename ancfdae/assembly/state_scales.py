@@ -10,7 +10,7 @@ With W the weights of the coordinates q of the mechanism, at the start,
 the loop that it closes with the mechanism. Then w = (g T)^2: sqrt(w) x is the velocity, in the norm
 of W, that the forces of x cause in the time T. A state that acts on no axis has
 w = 1/(e T^2)^2 or 1/(d T)^2, the same from its input; one that only meets other states has theirs
-through f_x. No unit and no place enters w but those of an energy over x^2.
+through f_x. The unit of w is an energy over x^2, so that units and places do not matter.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ from ancfdae.numerics.arrays import STEP, Array
 def state_masses(item: LoadInput, weights: Array) -> Array:
     """Return the masses of the vectors of the states of a load, shape (n_states,).
 
-    `weights` are those of the coordinates of the mechanism, (n_q,).
+    `weights` belong to the coordinates of the mechanism, (n_q,).
     """
     n = len(item.masses)
     Q_x, f_q, f_v, f_x = _partials(item)

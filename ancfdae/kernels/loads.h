@@ -83,7 +83,7 @@ void load_numbers_at(const LoadTable *p, const LoadNumbers<T> *of, const S *sign
         x[before + k] = operation<T>(p->op[k], x[p->a[k]], x[p->b[k]], on_a + k, on_b + k);
 }
 
-/* Derivatives of all numbers, rows of `lanes` directions, from those of U, V and signals. */
+/* Derivatives of all numbers, rows of `lanes` directions, from derivatives of U, V and signals. */
 template <class T> void load_derivatives(const LoadTable *p, Size lanes, const T *x, T *dx)
 {
     Size before = load_ahead(p);

@@ -321,7 +321,7 @@ struct LoadPlan {
     }
 };
 
-/* Run f(factors, offset of q and v, work, row of out) at each instant; `lanes` as in `load_work`. */
+/* Run f(factors, offset of q and v, work, row of out) at each time; `lanes` as in `load_work`. */
 template <class T, class F>
 Array<T> loaded(const LoadPlan &plan, std::initializer_list<const Array<T, 2> *> factors,
                 std::initializer_list<const Array<T, 2> *> states, Size lanes, Size size, F f)

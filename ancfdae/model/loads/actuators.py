@@ -20,8 +20,9 @@ from ancfdae.numerics.arrays import Array
 class DCMotor(Controller):
     """A direct-current motor about an axis: its winding has a resistance and an inductance.
 
-    With u the voltage and w the speed of the section at `point`, as a revolute joint turns it, the
-    state ``current`` i obeys L i' = u - R i - k w, and the torque is k i, the opposite on `other`.
+    u is the voltage and w the speed of the section at `point`, as a revolute joint turns it. The
+    state ``current`` i obeys L i' = u - R i - k w. The torque is k i, and the opposite acts on
+    `other`.
     Design targets: ``resistance``, ``inductance``, ``torque_constant``, ``initial_current``,
     ``axis_x`` ..., and the parameters of the law.
 

@@ -2,10 +2,11 @@
 
 A controller measures coordinates s of the mechanism (`ControlAxis`) and laws of time r, and acts on
 the same coordinates with efforts e(x, s, s', r, r', b): torques and forces. Each state x is the
-rate of a coordinate y of its own with a mass w, so that w y'' = w f stands among the equations of
-motion and all integrators, sensitivity methods and kernels take it as it is
-(docs/theory/17-controllers.md).
+rate of a coordinate y of its own with a mass w. So w y'' = w f is one of the equations of motion,
+for all integrators, sensitivity methods and kernels (docs/theory/17-controllers.md).
 """
+
+from __future__ import annotations
 
 import abc
 from collections.abc import Collection, Sequence
@@ -26,23 +27,23 @@ from ancfdae.numerics.jets import concatenate
 
 @final
 class ControllerInput(NamedTuple):
-    """What a controller reads at an instant; each field has one number per item.
+    """Input of the equations of a controller at one time; each field has one number per item.
 
     Attributes
     ----------
-    states : sequence
+    states : tuple
         x, in the order of `Controller.states`.
-    coordinates, rates : sequence
+    coordinates, rates : tuple
         s and s' of the axes; rad and rad/s, or m and m/s.
-    laws, law_rates : sequence
+    laws, law_rates : tuple
         r and r' of the laws among the fields of the controller, in their order.
     """
 
-    states: Sequence[Any]
-    coordinates: Sequence[Any]
-    rates: Sequence[Any]
-    laws: Sequence[Any]
-    law_rates: Sequence[Any]
+    states: tuple[Array, ...]
+    coordinates: tuple[Array, ...]
+    rates: tuple[Array, ...]
+    laws: tuple[Array, ...]
+    law_rates: tuple[Array, ...]
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class Controller(Load):
 
     @abc.abstractmethod
     def axes(self, p: Array) -> tuple[ControlAxis, ...]:
-        """Return what the controller measures and drives; p as in `Load.force`."""
+        """Return the coordinates that the controller measures and drives; p as in `Load.force`."""
 
     @abc.abstractmethod
     def equations(self, at: ControllerInput, p: Array) -> tuple[Sequence[Any], Sequence[Any]]:
@@ -127,7 +128,7 @@ class Controller(Load):
 
     @final
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
-        """Return e s_U on the vectors of the axes, and x' on component 0 of those of states."""
+        """Return e s_U on the vectors of the axes, and x' on component 0 of vectors of states."""
         still = 0.0 * V[..., :1, :1]
         at, gradients = self._input(U, V, signals, p, U_o)
         rates, efforts = (tuple(x) for x in self.equations(at, p))
@@ -158,7 +159,7 @@ class Controller(Load):
     def _input(
         self, U: Any, V: Any, signals: Any, p: Array, U_o: Array
     ) -> tuple[ControllerInput, list[Any]]:
-        """Return what the controller reads, (..., 1, 1) each, and the gradients of the axes."""
+        """Return the input of the equations, (..., 1, 1) each, and the gradients of the axes."""
         coordinates, rates, gradients, first = [], [], [], 0
         for axis in self.axes(p):
             count = axis.count(U_o.shape[1])
@@ -169,6 +170,7 @@ class Controller(Load):
             gradients.append(s_U)
             first += count
         n_x, n_r = len(self.states), signals.shape[-1] // 2
-        x = [V[..., first + k : first + k + 1, :1] for k in range(n_x)]
-        r = [signals[..., k, None, None] for k in range(2 * n_r)]
-        return ControllerInput(x, coordinates, rates, r[:n_r], r[n_r:]), gradients
+        x = tuple(V[..., first + k : first + k + 1, :1] for k in range(n_x))
+        r = tuple(signals[..., k, None, None] for k in range(2 * n_r))
+        at = ControllerInput(x, tuple(coordinates), tuple(rates), r[:n_r], r[n_r:])
+        return at, gradients

@@ -83,14 +83,14 @@ class Load(Part):
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
         """Return `force` where laws of time other than `law` have the values `signals`, (..., n).
 
-        By default there are none.
+        By default it reads no laws.
         """
         return self.force(U, V, p, U_o)
 
     def signals(self, p: Array, t: Array, order: int) -> Array | None:
         """Return the laws that `force_at` reads, or their time derivative, at times t, (k, n).
 
-        None if there are none.
+        None without such laws.
         """
         return None
 

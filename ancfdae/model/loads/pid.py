@@ -19,11 +19,11 @@ from ancfdae.numerics.arrays import Array
 class PID(Controller):
     """A proportional-integral-derivative controller of an angle, by a torque on it.
 
-    With theta the angle of the section at `point`, as a joint turns it, and r its reference, the
-    torque is P e + I z + D e' with e = r - theta and the state ``integral`` z, z' = e; it acts on
-    the section, and its opposite on `other`. The angle counts from the reference configuration and
-    lies between -pi and pi. Design targets: ``proportional``, ``integral``, ``derivative``,
-    ``axis_x`` ..., and the parameters of the law.
+    theta is the angle of the section at `point`, as a joint turns it, and r its reference. The
+    torque is P e + I z + D e' with the error e = r - theta and the state ``integral`` z, z' = e.
+    It acts on the section, and its opposite on `other`. The angle counts from the reference
+    configuration and lies between -pi and pi. Design targets: ``proportional``, ``integral``,
+    ``derivative``, ``axis_x`` ..., and the parameters of the law.
 
     Parameters
     ----------
