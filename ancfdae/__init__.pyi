@@ -29,8 +29,10 @@ from ancfdae.model.joints.held_sections import Clamp, MovingSupport, Weld
 from ancfdae.model.joints.point_joints import Distance, Pin, PointOnLine, Spherical
 from ancfdae.model.joints.prismatic import Prismatic
 from ancfdae.model.joints.universal import Universal
+from ancfdae.model.loads.actuators import DCMotor, FirstOrderLag
 from ancfdae.model.loads.forces import DistributedForce, FollowerForce, PointForce
 from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
+from ancfdae.model.loads.pid import PID
 from ancfdae.model.loads.springs import Bushing, SpringDamper
 from ancfdae.model.loads.torques import Moment, MotorTorque, TorsionalSpringDamper
 from ancfdae.model.material import Material
@@ -73,6 +75,7 @@ __all__ = [
     "HHT",
     "IDA",
     "IDAS",
+    "PID",
     "AdaptiveSteps",
     "Adjoint",
     "AtTimes",
@@ -84,6 +87,7 @@ __all__ = [
     "CriticalValue",
     "CurvedBeam",
     "Cylindrical",
+    "DCMotor",
     "DesignVariable",
     "DirectDifferentiation",
     "Distance",
@@ -93,6 +97,7 @@ __all__ = [
     "EquilibriumStart",
     "Evaluator",
     "FiniteDifference",
+    "FirstOrderLag",
     "FixedSteps",
     "FollowerForce",
     "FrequencyMisfit",

@@ -10,7 +10,9 @@ from ancfdae.model.design import design_numbers
 from ancfdae.model.elements import BeamElement, StrainEnergyFunction
 from ancfdae.model.elements.element import ElementIntegrals, Quantity
 from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
-from ancfdae.model.laws.law import Law
+from ancfdae.model.laws.law import Law, require_law
+from ancfdae.model.loads.control_axes import ControlAxis, RotationAxis, TranslationAxis
+from ancfdae.model.loads.controller import Controller, ControllerInput
 from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.model.sections.section import Section
 from ancfdae.numerics.external import ExternalFunction
@@ -25,6 +27,9 @@ __all__ = [
     "AdjointIntegrator",
     "BeamElement",
     "BodyShape",
+    "ControlAxis",
+    "Controller",
+    "ControllerInput",
     "ElementIntegrals",
     "ExternalFunction",
     "FormulaSystem",
@@ -39,17 +44,20 @@ __all__ = [
     "Objective",
     "Observable",
     "Quantity",
+    "RotationAxis",
     "Section",
     "SolutionRecorder",
     "SparsityPattern",
     "StateDirection",
     "StrainEnergyFunction",
     "SystemProperties",
+    "TranslationAxis",
     "box_rule",
     "concatenate",
     "cross",
     "design_numbers",
     "dot",
     "empty_equations",
+    "require_law",
     "stacked",
 ]

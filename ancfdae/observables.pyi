@@ -1,6 +1,7 @@
 """Observables: quantities of a motion at every instant, with exact partial derivatives."""
 
 from ancfdae.sensitivity.observables.accelerations import acceleration
+from ancfdae.sensitivity.observables.controllers import effort, state
 from ancfdae.sensitivity.observables.drives import (
     driver_force,
     driver_torque,
@@ -56,6 +57,7 @@ __all__ = [
     "design_value",
     "driver_force",
     "driver_torque",
+    "effort",
     "elapsed_time",
     "gravitational_energy",
     "inertia",
@@ -72,6 +74,7 @@ __all__ = [
     "shear_force",
     "slope",
     "slope_angle",
+    "state",
     "strain_energy",
     "torsional_moment",
     "velocity",

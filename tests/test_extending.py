@@ -32,9 +32,9 @@ from ancfdae.plotting import snapshots
 from ancfdae.plotting.symbols import Symbols
 from ancfdae.sensitivity.observables.observable import observe
 
-from extending import element, integrator, joint, law, load, section
+from extending import controller, element, integrator, joint, law, load, section
 
-MODULES = (joint, load, law, section, element, integrator)
+MODULES = (joint, load, controller, law, section, element, integrator)
 
 
 #: The magnets on two bodies that nothing else pulls, one of them heavy.

@@ -14,10 +14,13 @@ import pytest
 from ancfdae import (
     CABLE_2D,
     HHT,
+    PID,
     Beam,
     Bushing,
     Clamp,
+    DCMotor,
     DistributedForce,
+    FirstOrderLag,
     FollowerForce,
     InitialVelocity,
     Material,
@@ -38,7 +41,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.errors import InvalidInputError
-from ancfdae.extend import MaterialPoint
+from ancfdae.extend import Controller, Law, MaterialPoint
 from ancfdae.model import loads
 from ancfdae.model.bodies import Quantity
 from ancfdae.model.elements import ElementParameter
@@ -121,11 +124,40 @@ class LoadSetting(MeasuredSetting):
         self.start = self.system.start()[0]
         self.factor = 1.0 if self.load.law is None else self.load.law.at(self.t)
 
+        layout = self.system.naming.layout
+        places = np.concatenate([body.positions for body in layout.bodies])
+        self.positions = np.isin(np.arange(self.system.n_q // layout.d), places)
+
     def added(self, q=None, v=None, t=None):
         """Generalised force of the load."""
         q, v = self.q if q is None else q, self.v if v is None else v
         t = self.t if t is None else t
-        return self.system.force(t, q, v) - self.bare.force(t, q, v)
+        return self.system.force(t, q, v) - self.without(lambda x, *z: x.force(*z), t, q, v)
+
+    def without(self, of, t, *states):
+        """A term of the equations without the load; zero for vectors of its states."""
+        n = self.bare.n_q
+        value = of(self.bare, t, *(x[:n] for x in states))
+        return np.pad(value, [(0, self.system.n_q - n)] * value.ndim)
+
+    def motion(self, seed):
+        """A rigid motion of all bodies, a turn and a shift, and its rate; states stay."""
+        d, rng = self.scene.dimension, np.random.default_rng(seed)
+        first = self.bare.n_q // d
+        spin, at = rng.uniform(-1, 1, (d, d)), self.positions
+        rate = self.q.reshape(-1, d) @ (spin - spin.T)
+        rate[at] += rng.uniform(-1, 1, d)
+        rate[first:] = 0.0
+        R, shift = ancf.random_rotation(d, rng), rng.uniform(-1, 1, d)
+
+        def turned(x):
+            X = x.reshape(-1, d).copy()
+            X[:first] = X[:first] @ R.T
+            return X.ravel()
+
+        moved = turned(self.q).reshape(-1, d)
+        moved[at] += shift
+        return rate.ravel(), moved.ravel(), turned
 
 
 setting_of = functools.cache(LoadSetting)
@@ -158,7 +190,8 @@ def force_by_hand(s, q, v):
         )
         parts = zip(load.force_components, slopes, strict=True)
         return [load.point], [sum(f * r / np.linalg.norm(r) for f, r in parts)]
-    if isinstance(load, Moment | MotorTorque | TorsionalSpringDamper | RotationalFriction):
+    turning = Moment | MotorTorque | TorsionalSpringDamper | RotationalFriction | PID | DCMotor
+    if isinstance(load, turning) or (isinstance(load, FirstOrderLag) and load.direction is None):
         return [], []
     assert isinstance(load, SpringDamper), f"write what a {type(load).__name__} means"
     points = [load.point] if load.other is None else [load.point, load.other]
@@ -192,7 +225,12 @@ def power_by_hand(s, virtual):
         return moment_power(s, virtual)
     if isinstance(
         s.load,
-        MotorTorque | TorsionalSpringDamper | RotationalFriction | TranslationalFriction | Bushing,
+        MotorTorque
+        | TorsionalSpringDamper
+        | RotationalFriction
+        | TranslationalFriction
+        | Bushing
+        | Controller,
     ):
         return coordinate_power(s, virtual)
     points, forces = force_by_hand(s, s.q, s.v)
@@ -271,14 +309,15 @@ def coordinates_by_hand(s, q):
     """Values of the coordinates that a load works on, each with how it shows its rate."""
     load, d = s.load, s.scene.dimension
     found = []
-    if isinstance(load, TranslationalFriction | Bushing):
+    slides = isinstance(load, FirstOrderLag) and load.direction is not None
+    if isinstance(load, TranslationalFriction | Bushing) or slides:
         e, e_o = (vector_by_hand(s.system, x, load.point, 0) for x in (q, s.start))
         if load.other is not None:
             e = e - vector_by_hand(s.system, q, load.other, 0)
             e_o = e_o - vector_by_hand(s.system, s.start, load.other, 0)
         elif isinstance(load, Bushing):
             e, e_o = e - e_o, 0 * e_o
-        if isinstance(load, TranslationalFriction):
+        if isinstance(load, TranslationalFriction) or slides:
             a = directions_by_hand(s, q, [load.direction])[0]
             return [a @ e / np.sqrt(a @ a)]
         found += list(directions_by_hand(s, q, np.eye(d)) @ e - e_o)
@@ -306,6 +345,14 @@ def coordinate_power(s, virtual):
     elif isinstance(load, TorsionalSpringDamper):
         stretched = values[0] - load.free_angle
         resisting = [load.stiffness * stretched + load.damping * rates[0]]
+    elif isinstance(load, Controller):
+        state, r = s.v[s.bare.n_q], next(x for x in vars(load).values() if isinstance(x, Law))
+        resisting = [-state]
+        if isinstance(load, DCMotor):
+            resisting = [-load.torque_constant * state]
+        elif isinstance(load, PID):
+            errors = np.array([r.at(s.t) - values[0], state, r.at(s.t, 1) - rates[0]])
+            resisting = [-np.dot([load.proportional, load.integral, load.derivative], errors)]
     elif isinstance(load, Bushing):
         turning = np.zeros(1 if d == 2 else 3)
         k = np.append(
@@ -372,6 +419,7 @@ def test_cantilever_under_an_end_moment_bends_to_a_circle(d, n):
 
 def test_virtual_work_is_that_of_the_forces_on_their_points(one):
     virtual = np.random.default_rng(1).uniform(-1, 1, one.system.n_q)
+    virtual[one.bare.n_q :] = 0.0  # Forces on states are their equations.
     Q = one.added()
     # Forces of 10 N in 40 terms of size one; relative to the sum of their magnitudes.
     size = np.sum(np.abs(Q * virtual))
@@ -382,12 +430,12 @@ def test_virtual_work_is_that_of_the_forces_on_their_points(one):
 def test_resultant_of_a_load_is_its_force(one):
     d = one.scene.dimension
     translation = np.zeros((one.system.n_q // d, d, d))
-    translation[:: one.system.naming.layout.bodies[0].stride] = np.eye(d)
+    translation[one.positions] = np.eye(d)
     resultant = one.added() @ translation.reshape(-1, d) / one.factor
     if isinstance(one.load, DistributedForce):
         length = one.scene.beam(one.load.beam).length
         expected = length * np.array(one.load.force_per_length)
-    elif isinstance(one.load, TranslationalFriction | Bushing):
+    elif isinstance(one.load, TranslationalFriction | Bushing | FirstOrderLag):
         # Of a translation of everything: nothing between two beams.
         expected = [power_by_hand(one, field) for field in translation.reshape(-1, d).T]
     else:
@@ -447,7 +495,7 @@ def test_constant_loads_are_constant_and_the_others_are_not(one):
     damped = one.load.uses_velocity(())
     assert (change > 1e-3) == damped
     own = [one.load.numbers_of(name) for name in one.load.damping_fields]
-    assert one.load.uses_velocity(one.load.parameters()) == any(own)
+    assert one.load.uses_velocity(one.load.parameters()) == any([*own, one.load.states])
     assert one.system.traits.velocity_forces or not damped
 
 
@@ -456,24 +504,12 @@ BETWEEN = [name for name, load in VARIANTS.items() if len(load.points) == 2]
 
 @pytest.mark.parametrize("name", BETWEEN)
 def test_action_and_reaction_do_no_work_in_a_rigid_motion(name):
-    s, rng = setting_of(name), np.random.default_rng(1)
-    d = s.scene.dimension
-    spin = rng.uniform(-1, 1, (d, d))
-    V = (s.q.reshape(-1, d) @ (spin - spin.T)).reshape(
-        -1, s.system.naming.layout.bodies[0].stride, d
-    )
-    V[:, 0] += rng.uniform(-1, 1, d)
-    work = s.added() * V.ravel()
+    s = setting_of(name)
+    rate, moved, turned = s.motion(1)
+    work = s.added() * rate
     assert abs(np.sum(work)) <= VALUE * np.sum(np.abs(work))
     # And a motion of both together neither loads nor relieves it.
-    R, shift = ancf.random_rotation(d, rng), rng.uniform(-1, 1, d)
-    q, v = (
-        ((x.reshape(-1, d)) @ R.T).reshape(-1, s.system.naming.layout.bodies[0].stride, d)
-        for x in (s.q, s.v)
-    )
-    q[:, 0] += shift
-    turned = (s.added().reshape(-1, d) @ R.T).ravel()
-    assert_close(s.added(q.ravel(), v.ravel()), turned, 10 * VALUE)
+    assert_close(s.added(moved, turned(s.v)), turned(s.added()), 10 * VALUE)
 
 
 # ---------------------------------------------------------------- springs and dampers
@@ -548,8 +584,8 @@ def test_damper_takes_the_energy_out_of_a_swinging_beam():
 
 def test_force_q_is_the_complex_step_of_force(one):
     s, x = one, one.system
-    tangent = x.pattern.dense(force_q(x, s.t, s.q, s.v)) - s.bare.pattern.dense(
-        force_q(s.bare, s.t, s.q, s.v)
+    tangent = x.pattern.dense(force_q(x, s.t, s.q, s.v)) - s.without(
+        lambda bare, *z: bare.pattern.dense(force_q(bare, *z)), s.t, s.q, s.v
     )
     expected = s.by_coordinate(lambda q: s.added(q))
     if s.load.constant or not np.any(expected):
@@ -567,6 +603,8 @@ def test_force_v_is_the_complex_step_of_force(one):
         assert not np.any(expected)
         return
     assert_close(Q_v, expected, DERIVATIVE)
+    if s.load.states:
+        return
     # A damper is symmetric, and takes energy out where its numbers are positive.
     assert_close(Q_v, Q_v.T, VALUE)
     if not isinstance(s.load, Bushing):
@@ -584,7 +622,7 @@ def test_force_rate_is_the_complex_step_of_force_along_the_motion(one):
     e = 1j * STEP
     moved = s.added(s.q + e * s.v, s.v + e * s.a, s.t + e).imag / STEP
     arguments = (s.t, s.q, s.v, s.a)
-    rate = force_rate(s.system, *arguments) - force_rate(s.bare, *arguments)
+    rate = force_rate(s.system, *arguments) - s.without(force_rate, *arguments)
     if s.load.constant and s.load.law is None:
         assert not np.any(rate)
         return
@@ -605,13 +643,17 @@ def test_force_rate_total_is_the_complex_step_of_force_rate(one):
 def test_every_parameter_of_a_load_moves_its_force(one):
     s = one
     partial = force_b(s.system, s.t, s.q, s.v)
+    starts = s.system.start_b()[1][s.bare.n_q :]
     for name in s.own:
+        if np.any(starts[:, s.system.design_names.index(name)]):
+            continue  # An initial state moves the start.
         assert np.max(np.abs(partial[:, s.system.design_names.index(name)])) > 1e-6, name
 
 
 def test_loads_of_a_scene_add_up():
     rod, bow = beams(2)
-    many = [load for name, load in VARIANTS.items() if name.startswith("planar")]
+    here = [load for name, load in VARIANTS.items() if name.startswith("planar")]
+    many = [load for load in here if not load.states]  # Others have coordinates of their own.
     many = [replace(load, name=str(k)) for k, load in enumerate(many)]
     scene = kinked(Scene([rod, bow], loads=many))
     bare, whole = assemble(replace(scene, loads=[])), assemble(scene)

@@ -95,16 +95,17 @@ def test_constraints_are_what_the_joint_declares(case):
 
 
 def called(item, x, q, v):
+    """x has the law and behind it the signals of a load."""
     U, V = item.vectors.of(q), item.vectors.of(v)
-    return item.vectors.lift(x[:, None, None] * item.force(U, V))
+    return item.vectors.lift(x[:, :1, None] * item.force(U, V, x[:, 1:]))
 
 
-def along(item, x, q, v, dq, dv):
+def along(item, x, dx, q, v, dq, dv):
     """The derivative by jets; zero of a force that is constant."""
     U, V, dU, dV = (item.vectors.of(state) for state in (q, v, dq, dv))
-    F = item.load.force(Jet(U, dU), Jet(V, dV), item.p, item.reference)
+    F = item.force(Jet(U, dU), Jet(V, dV), Jet(x[:, 1:], dx[:, 1:]))
     dF = F.derivatives[1] if isinstance(F, Jet) else np.zeros_like(U)
-    return item.vectors.lift(x[:, None, None] * dF)
+    return item.vectors.lift(x[:, :1, None] * dF)
 
 
 def tangents(item, x, q, v, which):
@@ -113,7 +114,7 @@ def tangents(item, x, q, v, which):
     for e in np.eye(q.shape[1]):
         rates = [np.zeros_like(q), np.zeros_like(q)]
         rates[which] = rates[which] + e
-        columns.append(along(item, x, q, v, *rates))
+        columns.append(along(item, x, 0 * x, q, v, *rates))
     return np.stack(columns, axis=2)
 
 
@@ -130,12 +131,15 @@ def test_loads_are_what_their_formulas_say(case):
             x + 0.1 * rng.normal(size=(3, system.n_q)) + s * rng.normal(size=(3, system.n_q))
             for x in (q_o, 0, 0, 0)
         )
-        x = rng.normal(size=3)
+        x, dx = rng.normal(size=(2, 3, item.factors(np.zeros(1), 0).shape[1]))
         dense = system.pattern.dense
         by_q, by_v = (kernels.load_tangents(plan, x, q, v, which) for which in (False, True))
         pairs = [
             (kernels.load_forces(plan, x, q, v), called(item, x, q, v)),
-            (kernels.load_forces_along(plan, x, q, v, dq, dv), along(item, x, q, v, dq, dv)),
+            (
+                kernels.load_forces_along(plan, x, dx, q, v, dq, dv),
+                along(item, x, dx, q, v, dq, dv),
+            ),
             *zip(map(dense, by_q), tangents(item, x, q, v, 0), strict=True),
             *zip(map(dense, by_v), tangents(item, x, q, v, 1), strict=True),
         ]
@@ -194,9 +198,9 @@ def test_derivatives_of_every_operation_are_those_of_its_formula(function):
     def rate(dU, dV):
         return item.vectors.lift(plain(U + 1j * STEP * dU, V + 1j * STEP * dV).imag / STEP)
 
-    one = np.ones(1)
+    one = np.ones((1, 1))
     close(kernels.load_forces(plan, one, q, v), item.vectors.lift(plain(U, V)))
-    close(kernels.load_forces_along(plan, one, q, v, dq, dv), rate(dU, dV))
+    close(kernels.load_forces_along(plan, one, 0 * one, q, v, dq, dv), rate(dU, dV))
     for velocity, direction in enumerate((dq, dv)):
         (tangent,) = kernels.load_tangents(plan, one, q, v, bool(velocity))
         rates = [np.zeros_like(U), np.zeros_like(U)]

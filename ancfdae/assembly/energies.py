@@ -28,7 +28,7 @@ class Energies:
         layout: Layout,
         centrifugal: Callable[[Array], Array] | None = None,
     ) -> None:
-        self._centrifugal = centrifugal
+        self._centrifugal, self._of_states = centrifugal, numbering.d * len(numbering.masses)
         self._elastic, self._inertia = elastic, inertia
         self._owners, self._layout, self.places = numbering.owners, layout, inertia.positions
 
@@ -51,7 +51,9 @@ class Energies:
     def momenta(self, v: Array, owner: str | None = None) -> Array:
         """Return M v, the gradient of `kinetic`, shape (k, n_q)."""
         if owner is None:
-            return self._inertia.times(v.T).T
+            p = self._inertia.times(v.T).T
+            p[:, len(p.T) - self._of_states :] = 0.0  # Their masses are no masses of bodies.
+            return p
         return self._inertia.owner_times(v, self._layout.owner(owner))
 
     def kinetic_b(self, v: Array, owner: str | None = None) -> Array:

@@ -121,6 +121,15 @@ def other_masses(
     return tuple(_together([x for x in single if len(x[0]) == size]) for size in sizes)
 
 
+def of_states(numbering: Numbering) -> MassBlocks:
+    """Return the masses of the vectors of states, which belong to no owner and no variable."""
+    masses, none = numbering.masses, np.zeros(0, dtype=np.int64)
+    vectors = numbering.n_q // numbering.d - len(masses) + np.arange(len(masses))
+    nobody = np.full(len(masses), -1)
+    derivative = lambda: MassPartials(none, none, np.zeros((0, 1, 1)))  # noqa: E731
+    return MassBlocks(vectors[:, None], masses[:, None, None], nobody, derivative)
+
+
 def _together(blocks: Sequence[tuple[Array, int, _Mass]]) -> MassBlocks:
     """Return blocks of one size, each with its vectors and its owner."""
     vectors, owners, masses = zip(*blocks, strict=True)

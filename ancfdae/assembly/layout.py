@@ -140,11 +140,24 @@ class JointLayout:
 
 @final
 @dataclass(frozen=True)
+class StatesLayout:
+    """Place of the states of a controller: a vector for each, in a row from `first_vector` on.
+
+    Component 0 of the rate of a vector is the state; the other components are zero.
+    """
+
+    name: str
+    first_vector: int
+    states: tuple[str, ...]
+
+
+@final
+@dataclass(frozen=True)
 class Layout:
     """Places of all parts of a scene of dimension d.
 
     `bodies` are beams and rigid bodies in the order of their coordinates, `masses` the names of
-    the point masses.
+    the point masses, `controllers` the loads that have states.
     """
 
     d: int
@@ -152,6 +165,7 @@ class Layout:
     beams: tuple[BeamLayout, ...]
     masses: tuple[str, ...]
     joints: tuple[JointLayout, ...]
+    controllers: tuple[StatesLayout, ...] = ()
 
     @property
     def owners(self) -> tuple[str, ...]:
@@ -184,6 +198,10 @@ class Layout:
         """Return the joint of this name, or raise UnknownNameError."""
         return named("joint", name, self.joints)
 
+    def controller(self, name: str) -> StatesLayout:
+        """Return the states of the controller of this name, or raise UnknownNameError."""
+        return named("controller with states", name, self.controllers)
+
     def plain(self) -> dict[str, Any]:
         """Return all of it as JSON knows it; of elements the name."""
         named = [replace(beam, element=beam.element.name) for beam in self.beams]  # type: ignore[arg-type]
@@ -194,7 +212,8 @@ class Layout:
 
         ``rod[2].y`` is the position of node 2, counted from 0, ``rod[2].slope_x.y`` its slope along
         the beam, at a kink that after it, and ``rod[2].slope_x before.y`` that before it; ``box.y``
-        the reference point of something rigid and ``box.axis_1.y`` its first direction.
+        the reference point of something rigid and ``box.axis_1.y`` its first direction. The rate of
+        ``motor.current integral.x`` is the state `current` of a controller.
         """
         soft = [beam for beam in self.beams if beam.rigid is None]
         words = {beam.name: [x.name.lower() for x in beam.element.quantities] for beam in soft}
@@ -209,4 +228,5 @@ class Layout:
                 names += [f"{vector}.{axis}" for axis in axes]
             kinks = [f"{body.name}[{k}].slope_x before" for k in body.kinks]
             names += [f"{vector}.{axis}" for vector in kinks for axis in axes]
-        return names
+        vectors = [f"{each.name}.{state}" for each in self.controllers for state in each.states]
+        return names + [f"{vector} integral.{axis}" for vector in vectors for axis in axes]

@@ -24,20 +24,21 @@ class MovingLoad:
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
         """Return the force of this load, shape (n_q,), at time t."""
-        return load_forces(self.plan, self.item.factor(t, 0), q, v)
+        return load_forces(self.plan, self.item.factors(t, 0), q, v)
 
     def force_along(
         self, states: tuple[Array, Array], rates: tuple[Array, Array], t: Array, dt: float
     ) -> Array:
         """Differentiate its Q along rates of (q, v) and of time."""
-        dQ = load_forces_along(self.plan, self.item.factor(t, 0), *states, *rates)
+        factors, of_time = self.item.factors(t, 0), dt * self.item.factors(t, 1)
+        dQ = load_forces_along(self.plan, factors, of_time, *states, *rates)
         if self.item.load.law is None:
             return dQ
-        return dQ + load_forces(self.plan, dt * self.item.factor(t, 1), *states)
+        return dQ + load_forces(self.plan, of_time, *states)
 
     def tangents(self, q: Array, v: Array, t: Array, velocity: bool) -> Array:
         """Return values of Q_q or Q_v."""
-        return load_tangents(self.plan, self.item.factor(t, 0), q, v, velocity)
+        return load_tangents(self.plan, self.item.factors(t, 0), q, v, velocity)
 
 
 @final
@@ -67,14 +68,17 @@ class LoadForces:
             if not item.load.constant:
                 continue
             U = item.vectors.of(zero)
-            row = item.vectors.lift(item.force(U, U))[0]
+            row = item.vectors.lift(item.force(U, U, zero[:, :0]))[0]
             if item.load.law is None:
                 self._steady = self._steady + row
             else:
                 self._timed.append((item, row))
         # One for each law of `factors` whose load turns with the motion, else zero.
-        turning = [float(not load.item.load.elastic) for load in self._moving]
-        self.turning = np.append(np.zeros(len(self._timed)), turning)
+        turning = np.zeros(len(self._timed))
+        for load in self._moving:
+            signals = np.zeros(load.item.factors(np.zeros(1), 0).shape[1] - 1)
+            turning = np.concatenate([turning, [float(not load.item.load.elastic)], signals])
+        self.turning = turning
 
     def plans(self) -> tuple[tuple[LoadPlan, bool], ...]:
         """Return plans of the moving loads for the kernels, and whether they use velocities."""
@@ -86,16 +90,19 @@ class LoadForces:
         return self._steady, np.array(rows).reshape(len(rows), self._n_q)
 
     def factors(self, t: Array) -> Array:
-        """Return the laws at instants, (k, n_loads): of loads that do not move, then of others."""
+        """Return the laws at times t, (k, n): of loads that do not move, then of others.
+
+        Behind the law of a load stand its signals.
+        """
         items = [item for item, _ in self._timed] + [load.item for load in self._moving]
-        columns = [item.factor(t, 0) for item in items]
-        return np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
+        columns = [item.factors(t, 0) for item in items]
+        return np.concatenate(columns, axis=1) if columns else np.zeros((len(t), 0))
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
         """Return the sum Q of all loads in k states, shape (k, n_q)."""
         Q = np.broadcast_to(self._steady, (len(q), self._n_q))
         for item, row in self._timed:
-            Q = Q + item.factor(t, 0)[:, None] * row
+            Q = Q + item.factors(t, 0) * row
         for load in self._moving:
             Q = Q + load.force(q, v, t)
         return Q
@@ -119,7 +126,7 @@ class LoadForces:
         """Differentiate Q along rates of (q, v) and of time, shape (k, n_q)."""
         change = np.zeros((len(states[0]), self._n_q), dtype=np.result_type(*states, *rates))
         for item, row in self._timed:
-            change = change + dt * item.factor(t, 1)[:, None] * row
+            change = change + dt * item.factors(t, 1) * row
         for load in self._moving:
             change = change + load.force_along(states, rates, t, dt)
         return change
@@ -144,10 +151,10 @@ class LoadForces:
         """Add the derivatives of Q_q and Q_v along rates of one instant, shape (1, nnz)."""
         q, v = (x[None].real + 1j * STEP * dx.real for x, dx in zip(states, rates, strict=True))
         for load in self._moving:
-            factor = load.item.factor(t, 0).real + 1j * STEP * dt * load.item.factor(t, 1).real
-            Q_q += load_tangents(load.plan, factor, q, v, False).imag / STEP
+            factors = load.item.factors(t, 0).real + 1j * STEP * dt * load.item.factors(t, 1).real
+            Q_q += load_tangents(load.plan, factors, q, v, False).imag / STEP
             if Q_v is not None and load.item.uses_velocity:
-                Q_v += load_tangents(load.plan, factor, q, v, True).imag / STEP
+                Q_v += load_tangents(load.plan, factors, q, v, True).imag / STEP
 
     def force_along_pull_back(
         self,

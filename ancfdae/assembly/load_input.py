@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -19,7 +19,10 @@ from ancfdae.numerics.patterns import SparsityPattern
 @final
 @dataclass(frozen=True)
 class LoadInput:
-    """One load with its vectors, parameters, (n_p,), and vectors of the reference, (n_v, d)."""
+    """One load with its vectors, parameters, (n_p,), and vectors of the reference, (n_v, d).
+
+    `masses` belong to the vectors of its states, (n_states,), which come last.
+    """
 
     load: Load
     vectors: Vectors
@@ -27,6 +30,7 @@ class LoadInput:
     p_b: Array
     reference: Array
     reference_b: dict[int, Array]
+    masses: Array
 
     @property
     def uses_velocity(self) -> bool:
@@ -35,13 +39,19 @@ class LoadInput:
         driven = [name for name, row in zip(names, self.p_b, strict=True) if np.any(row)]
         return self.load.uses_velocity(driven)
 
-    def factor(self, t: Array, order: int) -> Array:
-        """Return the law of time or its derivative; shape as t."""
-        return self.load.factor(self.p, t, order)
+    def factors(self, t: Array, order: int) -> Array:
+        """Return the law of time and its signals, or their derivatives, (k, 1 + n_signals)."""
+        law = self.load.factor(self.p, t, order)[:, None]
+        signals = self.load.signals(self.p, t, order)
+        return law if signals is None else np.concatenate([law, signals], axis=1)
 
-    def force(self, U: Array, V: Array) -> Array:
-        """Return the forces on the vectors, without the law."""
-        return self.load.force(U, V, self.p, self.reference)
+    def force(self, U: Any, V: Any, signals: Any) -> Any:
+        """Return the forces on the vectors, without the law; w x' on vectors of states."""
+        F = self.load.force_at(U, V, signals, self.p, self.reference)
+        if not len(self.masses):
+            return F
+        n = len(self.reference) - len(self.masses)
+        return F * np.concatenate([np.ones(n), self.masses])[:, None]
 
     @property
     def couplings(self) -> tuple[Array, Array]:
@@ -59,14 +69,16 @@ class LoadInput:
         force on each of its vectors.
         """
         shape, size, vectors = self.reference.shape, self.reference.size, self.vectors
-        operations = Operations(2 * size)
+        n_signals = self.factors(np.zeros(1), 0).shape[1] - 1
+        operations = Operations(2 * size + n_signals)
         U, V = (Listed(operations, x) for x in np.arange(2 * size).reshape(2, *shape))
-        F = self.load.force(U, V, self.p, self.reference)
+        F = self.force(U, V, Listed(operations, 2 * size + np.arange(n_signals)))
         results = self._on_vectors(F, U)
         constants, *lists = operations.arrays(results.ravel())
         arrays = vectors.first, vectors.column, *lists, pattern.index(*self.couplings)
         indices = tuple(np.asarray(x, np.int32) for x in arrays)
-        return LoadPlan(indices, (vectors.value, constants), vectors.n_q, pattern.size)
+        numbers = vectors.value, constants
+        return LoadPlan(indices, numbers, vectors.n_q, pattern.size, n_signals)
 
     def _on_vectors(self, F: object, U: Listed) -> Array:
         """Return the numbers of the forces F, in the shape of the reference vectors.

@@ -183,6 +183,11 @@ class SceneNaming(Naming):
         at = self.layout.body(body).vectors[[number]]
         return PointVector(at, np.ones(1), np.zeros((1, self.lengths_b.shape[1])))
 
+    def state(self, controller: str, number: int) -> PointVector:
+        """Return the vector whose rate is a state of a controller, counted from 0 on."""
+        at = np.array([self.layout.controller(controller).first_vector + number])
+        return PointVector(at, np.ones(1), np.zeros((1, self.lengths_b.shape[1])))
+
     def _beam(self, name: str) -> BeamLayout | None:
         return next((beam for beam in self.layout.beams if beam.name == name), None)
 

@@ -1,7 +1,8 @@
 """Numbering of coordinates: vectors of d numbers, of all beams and rigid bodies in a row.
 
 A beam has n_s vectors per node and one more per kink, what is rigid one frame of d + 1 vectors: its
-reference point and its directions (docs/theory/02-strain-energy.md).
+reference point and its directions (docs/theory/02-strain-energy.md). Behind them each state of a
+controller has a vector of its own (docs/theory/17-controllers.md).
 """
 
 from collections.abc import Iterable
@@ -10,7 +11,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.layout import BeamLayout, BodyLayout, RigidNodes
+from ancfdae.assembly.layout import BeamLayout, BodyLayout, RigidNodes, StatesLayout
 from ancfdae.assembly.rigid_motions import RigidMotions
 from ancfdae.model.bodies import BeamBody, RigidBody
 from ancfdae.model.elements import BeamElement, default_element
@@ -40,10 +41,15 @@ class Numbering:
     sections: Array
     frames: Array  # of int, (n_rigid, d + 1): vectors of everything rigid
     positions: Array  # of int: vectors that are positions
+    controllers: tuple[StatesLayout, ...]
+    masses: Array  # of the vectors of states, (n_states,)
 
     def rigid_motions(self) -> RigidMotions:
         """Return the rigid motions of all bodies."""
-        owner = np.repeat(np.arange(len(self.bodies)), [body.count for body in self.bodies])
+        counts = [body.count for body in self.bodies]
+        # Vectors of states start at zero and are no positions: no motion of a body moves them.
+        counts[-1] += len(self.masses)
+        owner = np.repeat(np.arange(len(self.bodies)), counts)
         is_position = np.zeros(len(owner), dtype=bool)
         is_position[self.positions] = True
         return RigidMotions(owner, is_position, self.d)
@@ -107,6 +113,11 @@ def number(scene: Scene) -> Numbering:
             elements.append(first + numbers)
         beams.append(_beam_layout(member, first))
         first += member.element_count
+    controllers, first_state = [], vector
+    for load in scene.loads:
+        if load.states:
+            controllers.append(StatesLayout(load.name, vector, load.states))
+            vector += len(load.states)
     empty = np.zeros(0, dtype=np.int64)
     return Numbering(
         d=scene.dimension,
@@ -120,6 +131,8 @@ def number(scene: Scene) -> Numbering:
         sections=np.concatenate([empty.reshape(0, scene.dimension + 1), *sections]),
         frames=np.concatenate([empty.reshape(0, scene.dimension + 1), *frames]),
         positions=np.concatenate(positions),
+        controllers=tuple(controllers),
+        masses=np.ones(vector - first_state),
     )
 
 

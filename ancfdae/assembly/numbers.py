@@ -8,7 +8,7 @@ same structure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -17,7 +17,14 @@ from ancfdae.assembly.assembled_start import AssembledStart
 from ancfdae.assembly.block import ElementBlock
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces
-from ancfdae.assembly.inertia import Inertia, MassBlocks, MassPartials, MassPlaces, other_masses
+from ancfdae.assembly.inertia import (
+    Inertia,
+    MassBlocks,
+    MassPartials,
+    MassPlaces,
+    of_states,
+    other_masses,
+)
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadForces
@@ -27,6 +34,7 @@ from ancfdae.assembly.numbering import Numbering, number
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.part_inputs import PartInputs
 from ancfdae.assembly.reference import Reference
+from ancfdae.assembly.state_scales import state_masses
 from ancfdae.assembly.structure import Structure
 from ancfdae.assembly.turning import TurningForces
 from ancfdae.model.design import DesignVariable
@@ -99,12 +107,26 @@ class Numbers:
 
     @staticmethod
     def first(
-        scene: Scene, design: tuple[DesignVariable, ...], mapping: ParameterMap, b: Array
+        scene: Scene,
+        design: tuple[DesignVariable, ...],
+        mapping: ParameterMap,
+        b: Array,
+        numbering: Numbering | None = None,
     ) -> Numbers:
-        """Return the numbers of a scene, with the structure that they share with those to come."""
-        numbering = number(scene)
+        """Return the numbers of a scene, with the structure that they share with those to come.
+
+        The numbering has masses of states; by default they follow from the mechanism.
+        """
+        if numbering is None:
+            numbering = number(scene)
+            if len(numbering.masses):
+                of_one = Numbers.first(scene, design, mapping, b.real, numbering)
+                loads, weights = of_one.geometry.loads, of_one.inertia.weights
+                found = [state_masses(item, weights) for item in loads if len(item.masses)]
+                numbering = replace(numbering, masses=np.concatenate(found))
         masses = tuple(mass.name for mass in scene.point_masses)
-        layout = Layout(numbering.d, numbering.bodies, numbering.beams, masses, ())
+        bodies = numbering.bodies, numbering.beams
+        layout = Layout(numbering.d, *bodies, masses, (), numbering.controllers)
         geometry = Geometry.of(scene, layout, numbering, mapping, b)
         parts = geometry.joints, geometry.loads
         structure = Structure.of(scene, design, mapping, numbering, layout, parts)
@@ -179,6 +201,8 @@ def _masses(
     of_pairs = soft.elements[pairs], soft.variables[pairs]
     derivative = lambda: MassPartials(*of_pairs, block.partials.m_b)  # noqa: E731
     blocks = (MassBlocks(numbering.vectors, block.m, numbering.owners, derivative), *others)
+    if len(numbering.masses):
+        blocks = (*blocks, of_states(numbering))
     inertia = Inertia(blocks, numbering, n_b, structure.pattern, gravity, places)
     turns = scene.frame
     return inertia, turns and TurningForces(turns, frame, inertia, structure.pattern)

@@ -104,7 +104,14 @@ class PartInputs:
         vectors = self._vectors(points)
         reference, reference_b = self._in_reference(vectors)
         used = reference_b if load.refers else {}
-        return LoadInput(load, vectors, p, p_b, reference, used)
+        return LoadInput(load, vectors, p, p_b, reference, used, self._masses(load))
+
+    def _masses(self, load: Load) -> Array:
+        """Return the masses of the vectors of the states of a load, (n_states,)."""
+        numbering = self.numbering
+        first = numbering.n_q // numbering.d - len(numbering.masses)
+        its = [x.first_vector - first for x in numbering.controllers if x.name == load.name]
+        return numbering.masses[its[0] : its[0] + len(load.states)] if its else numbering.masses[:0]
 
     def in_reference(self, point: MaterialPoint, quantity: Quantity) -> tuple[Array, Array]:
         """Return a vector of a point in the reference, (d,), and its design partials, (d, n_b)."""

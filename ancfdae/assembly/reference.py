@@ -36,6 +36,10 @@ class Reference:
         self._lengths, self._naming = naming.lengths, naming
         self._firsts = scene.first_elements()
         self._moved: dict[int, Reference] = {}
+        self._controllers = [load for load in scene.loads if load.states]
+        # Their vectors, the integrals of states, start from zero.
+        shapes = [(len(load.states), scene.dimension) for load in self._controllers]
+        self._zero_states = [np.zeros(shape) for shape in shapes]
 
     @cached_property
     def active(self) -> list[int]:
@@ -43,12 +47,15 @@ class Reference:
         moving = np.any(self._naming.lengths_b != 0, axis=0)
         for body in self._scene.members:
             moving |= np.any(self._placed(body)[1] != 0, axis=0)
+        if self._controllers:
+            moving |= np.any(self.state_rates_b != 0, axis=0)
         return np.flatnonzero(moving).tolist()
 
     @cached_property
     def q(self) -> Array:
         """Coordinates of the reference configuration, shape (n_q,)."""
-        return np.concatenate([self._vectors[body.name].ravel() for body in self._scene.members])
+        parts = [self._vectors[body.name].ravel() for body in self._scene.members]
+        return np.concatenate([*parts, *(x.ravel() for x in self._zero_states)])
 
     @cached_property
     def Z(self) -> Array:
@@ -57,7 +64,7 @@ class Reference:
         for body in self._scene.members:
             X, start = self._vectors[body.name], self._scene.start_of.get(body.name)
             parts.append(self._of(start.coordinates, body) if isinstance(start, NodalState) else X)
-        return np.concatenate(parts)
+        return np.concatenate([*parts, *self._zero_states])
 
     def velocities(self, q: Array, motion: Array | None) -> Array:
         """Return the declared velocities at coordinates that a rigid motion brought there, if any.
@@ -76,7 +83,7 @@ class Reference:
                 V = self._of(start.velocities, body)
                 V = V if motion is None else V @ cayley(motion[k : k + 1, d:], d)[0].T
             parts.append(V.ravel())
-        return np.concatenate(parts)
+        return np.concatenate([*parts, *([self.state_rates] if self._controllers else [])])
 
     def moved(self, i: int) -> Reference:
         """Return them moved in design variable i by an imaginary step."""
@@ -88,6 +95,25 @@ class Reference:
             naming = replace(self._naming, lengths=lengths)
             self._moved[i] = Reference(self._scene, self._mapping, b, naming)
         return self._moved[i]
+
+    @property
+    def state_rates(self) -> Array:
+        """Initial states of controllers, each as the rate of its vector, (d n_states,)."""
+        return self._state_rates(self._b)
+
+    @cached_property
+    def state_rates_b(self) -> Array:
+        """Design derivatives of `state_rates`, (d n_states, n_b)."""
+        steps = 1j * STEP * np.eye(len(self._b))
+        columns = [self._state_rates(self._b.real + step).imag / STEP for step in steps]
+        return np.array(columns).reshape(len(self._b), len(self.state_rates)).T
+
+    def _state_rates(self, b: Array) -> Array:
+        d, parts = self._scene.dimension, [np.zeros(0)]
+        for load in self._controllers:
+            p = self._mapping.numbers(load.name, b)[0][: len(load.parameters())]
+            parts += [np.append(x, np.zeros(d - 1)) for x in load.initial_states(p)]
+        return np.concatenate(parts)
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
         """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""

@@ -6,7 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from ancfdae.assembly.layout import BeamLayout, BodyLayout, JointLayout, Layout, RigidNodes
+from ancfdae.assembly.layout import (
+    BeamLayout,
+    BodyLayout,
+    JointLayout,
+    Layout,
+    RigidNodes,
+    StatesLayout,
+)
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.equations import Solution, solution_file
 from ancfdae.errors.checks import named, require_each, require_path
@@ -41,6 +48,10 @@ def _require_fits(layout: Layout, arrays: Mapping[str, Array]) -> None:
         if body.first_vector != n_vectors or body.count < len(body.kinks) + body.stride:
             raise ValueError(f"the vectors of {body.name!r}")
         n_vectors += body.count
+    for controller in layout.controllers:
+        if controller.first_vector != n_vectors:
+            raise ValueError(f"the states of {controller.name!r}")
+        n_vectors += len(controller.states)
     first = 0
     for beam in layout.beams:
         fractions, count = np.array(beam.fractions), layout.body(beam.name).count
@@ -70,6 +81,7 @@ def _layout(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> Layout:
         beams=tuple(_beam(x) for x in known),
         masses=tuple(meta["masses"]),
         joints=tuple(JointLayout(**x) for x in meta["joints"]),
+        controllers=tuple(_states(x) for x in meta.get("controllers", ())),
     )
 
 
@@ -79,6 +91,10 @@ def _element(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> dict[s
 
 def _body(meta: Mapping[str, Any]) -> BodyLayout:
     return BodyLayout(**{**meta, "kinks": tuple(meta.get("kinks", ()))})
+
+
+def _states(meta: Mapping[str, Any]) -> StatesLayout:
+    return StatesLayout(**{**meta, "states": tuple(meta["states"])})
 
 
 def _beam(meta: Mapping[str, Any]) -> BeamLayout:

@@ -83,6 +83,7 @@ class AncfSystem(PlannedSystem):
         self.pattern, self.constraint_pattern = structure.pattern, geometry.joints.pattern
         self.naming = replace(geometry.naming, layout=structure.layout)
         self.constraint_names, self.reach = structure.constraint_names, structure.reach
+        self.controllers = tuple(each.name for each in structure.numbering.controllers)
         self.inputs, self.weights = geometry.inputs, numbers.inertia.weights
         self.traits = self._described()
 
@@ -226,19 +227,23 @@ class AncfSystem(PlannedSystem):
     def start(self) -> tuple[Array, Array]:
         """Return q and v at t = 0, shape (n_q,) each: as declared, or the equilibrium."""
         if self._rest is not None:
-            return self._rest.q, np.zeros_like(self._rest.q)
+            at_rest, states = self._rest.q, self._reference.state_rates
+            return np.append(at_rest, 0 * states), np.append(0 * at_rest, states)
         return self._start.state
 
     def start_b(self) -> tuple[Array, Array]:
         """Return the design derivatives of q and v at t = 0, shape (n_q, n_b) each."""
         if self._rest is not None:
-            return self._rest.q_b, np.zeros_like(self._rest.q_b)
+            at_rest, states = self._rest.q_b, self._reference.state_rates_b
+            return np.append(at_rest, 0 * states, axis=0), np.append(0 * at_rest, states, axis=0)
         return self._start.state_b()
 
     def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
         """Return q_b^T on_q + v_b^T on_v at t = 0, shape (n_b,)."""
         if self._rest is not None:
-            return self._rest.pull_back(on_q)
+            states_b = self._reference.state_rates_b
+            first = self.n_q - len(states_b)
+            return self._rest.pull_back(on_q[:first]) + on_v[first:] @ states_b
         return self._start.pull_back(on_q, on_v)
 
     def mass(self, q: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.elements import Quantity
-from ancfdae.model.parts import CentreLine, FrameDirection, Normal
+from ancfdae.model.parts import CentreLine, FrameDirection, Normal, StateVector
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import LinearMap
@@ -116,6 +116,8 @@ def point_vectors(
             vectors.append(naming.centre_line(name.beam))
         elif isinstance(name, FrameDirection):
             vectors.append(naming.direction(name.body, name.number))
+        elif isinstance(name, StateVector):
+            vectors.append(naming.state(name.controller, name.number))
         elif isinstance(name, Normal):
             place = None if places is None else places[name.point]
             vectors.append(replace(naming.vector(name.point, Quantity.SLOPE_X, place), turned=True))

@@ -5,6 +5,7 @@ its rate, Phi_t = Phi_x x', so that lam . Phi_x, the power at x' = 1, is what do
 power of a load is F . V, the forces on its vectors times their rates.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any, final
 
@@ -17,10 +18,11 @@ from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.part_inputs import PartInputs
 from ancfdae.assembly.vectors import Vectors
-from ancfdae.errors.checks import named
+from ancfdae.errors.checks import named, require_index
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.joints.joint import DrivenJoint
 from ancfdae.model.laws.law import Law, require_law
+from ancfdae.model.loads.controller import Controller
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import SparsityPattern
@@ -73,39 +75,45 @@ def at_unit_rate(joint: DrivenJoint) -> DrivenJoint:
 
 @final
 @dataclass(frozen=True, eq=False)
-class LoadWork:
-    """Power of one load with its partials, complex steps of a few vectors."""
+class LoadFunction:
+    """A function of the state of one load, such as its power, with partials by complex steps.
+
+    `of` takes the load, its vectors U and V, and its law and signals at the times, (k, 1 + n).
+    """
 
     item: LoadInput
     n_b: int
+    of: Callable[[LoadInput, Array, Array, Array], Array]
 
     def value(self, t: Array, q: Array, v: Array) -> Array:
-        """Return the power of the load in k states, shape (k,); W."""
-        return self._power(self.item, t, q, v)
+        """Return the function in k states, shape (k,)."""
+        return self._value(self.item, t, q, v)
 
     def partials(self, t: Array, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """Return partial derivatives with respect to q, v and b; shape (k, n) each."""
         item, b = self.item, np.zeros((len(t), self.n_b))
-        U, V = item.vectors.of(q), item.vectors.of(v)
+        U, V, factors = item.vectors.of(q), item.vectors.of(v), item.factors(t, 0)
         shape = U.shape[1:]
         # All directions at once, in a leading axis.
         step = 1j * STEP * np.eye(U[0].size).reshape(-1, 1, *shape)
         on_U, on_V = (
-            np.moveaxis(_product(item, *moved, t).imag / STEP, 0, -1).reshape(len(t), *shape)
+            np.moveaxis(self.of(item, *moved, factors).imag / STEP, 0, -1).reshape(len(t), *shape)
             for moved in ((U + step, V + 0 * step), (U + 0 * step, V + step))
         )
         for i in item.active:
-            b[:, i] = self._power(item.moved(i), t, q, v).imag / STEP
+            b[:, i] = self._value(item.moved(i), t, q, v).imag / STEP
         return item.vectors.lift(on_U), item.vectors.lift(on_V), b
 
-    def _power(self, item: LoadInput, t: Array, q: Array, v: Array) -> Array:
-        return _product(item, item.vectors.of(q), item.vectors.of(v), t)
+    def _value(self, item: LoadInput, t: Array, q: Array, v: Array) -> Array:
+        return self.of(item, item.vectors.of(q), item.vectors.of(v), item.factors(t, 0))
 
 
-def _product(item: LoadInput, U: Array, V: Array, t: Array) -> Array:
-    """F . V over the leading axes."""
-    factor = np.broadcast_to(item.factor(t, 0), U.shape[:-2])
-    return np.asarray(factor * np.sum(item.force(U, V) * V, axis=(-2, -1)))
+def power(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
+    """Return F . V over the leading axes, without the vectors of states; W."""
+    n = len(item.reference) - len(item.masses)
+    factor = np.broadcast_to(factors[:, 0], U.shape[:-2])
+    F = item.force(U, V, factors[:, 1:])
+    return np.asarray(factor * np.sum((F * V)[..., :n, :], axis=(-2, -1)))
 
 
 @final
@@ -115,7 +123,7 @@ class Works:
     def __init__(self, scene: Scene, inputs: PartInputs, layout: Layout, n_b: int) -> None:
         self._scene, self._inputs, self._layout, self._n_b = scene, inputs, layout, n_b
         self._joints: dict[tuple[str, bool], JointWork] = {}
-        self._loads: dict[str, LoadWork] = {}
+        self._loads: dict[tuple[str, int | None], LoadFunction] = {}
 
     def of_joint(self, name: str, unit_rate: bool) -> JointWork:
         """Return the evaluator of the power of a driven joint, or, at unit rate, of its force."""
@@ -133,9 +141,29 @@ class Works:
             self._joints[key] = JointWork(*item, place.first_row)
         return self._joints[key]
 
-    def of_load(self, name: str) -> LoadWork:
+    def of_load(self, name: str) -> LoadFunction:
         """Return the evaluator of the power of a load; raise UnknownNameError."""
-        if name not in self._loads:
+        if (name, None) not in self._loads:
             load = named("load", name, self._scene.loads)
-            self._loads[name] = LoadWork(self._inputs.load(load), self._n_b)
-        return self._loads[name]
+            self._loads[name, None] = LoadFunction(self._inputs.load(load), self._n_b, power)
+        return self._loads[name, None]
+
+    def of_controller(self, name: str, axis: int) -> LoadFunction:
+        """Return the evaluator of the effort of a controller on one of its axes.
+
+        Raises UnknownNameError, and InvalidInputError for an axis that it does not have.
+        """
+        if (name, axis) not in self._loads:
+            controllers = [load for load in self._scene.loads if isinstance(load, Controller)]
+            load = named("controller", name, controllers)
+            item = self._inputs.load(load)
+            count = len(load.axes(item.p))
+            require_index(f"effort of {name!r}, axis", axis, count, "Axes are counted from 0 on.")
+
+            def effort(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
+                at = U, V, factors[:, 1:], item.p, item.reference
+                shape, its = U.shape[:-2], load.efforts_at(*at)[axis]
+                return np.broadcast_to(np.reshape(its, np.shape(its)[:-2]), shape)
+
+            self._loads[name, axis] = LoadFunction(item, self._n_b, effort)
+        return self._loads[name, axis]

@@ -19,4 +19,5 @@ from ancfdae.equations.system import (
     SystemProperties,
     planned,
     reaction,
+    require_no_controllers,
 )

@@ -45,6 +45,7 @@ from ancfdae.equations.motion import StateDirection, States
 from ancfdae.equations.naming import Naming
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.text import listed
 from ancfdae.kernels import CalledPlan, ListPlan, OperationList, Plan
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
@@ -146,6 +147,9 @@ class MechanicalSystem(ComplexSteps):
     vector_size: int = 1
     #: Names of functions of a user that are called with complex numbers at each evaluation.
     called_functions: tuple[str, ...] = ()
+    #: Names of controllers with states: velocities of coordinates that do not stand still in an
+    #: equilibrium.
+    controllers: tuple[str, ...] = ()
     #: Whether joints may close loops; a tree of bodies keeps the rank of Phi_q.
     has_loops: bool = True
 
@@ -456,6 +460,13 @@ class ListedSystem(MechanicalSystem):
     @abc.abstractmethod
     def list_plan(self) -> ListPlan:
         """The lists that a kernel integrates."""
+
+
+def require_no_controllers(where: str, system: MechanicalSystem, repair: str) -> None:
+    """Raise InvalidInputError if the system has controllers with states."""
+    if system.controllers:
+        rule = "must have no controllers with states, which are not at rest in an equilibrium"
+        raise InvalidInputError(where, rule, listed(map(repr, system.controllers)), repair)
 
 
 def planned(system: MechanicalSystem) -> Plan | ListPlan | CalledPlan:

@@ -205,7 +205,7 @@ def nearest_to_singular(system: MechanicalSystem, rows: Rows) -> tuple[float, fl
     ends of the steps that turn the velocity most. What constraints determine alone has no errors
     that grow; it is left out. The factor is one where that is all.
     """
-    taken, known = determined(system.constraint_pattern)
+    taken, known = system.constraint_pattern.determined
     if np.all(taken):
         return float(rows.t[0]), 1.0
     w, pattern = np.sqrt(system.weights), system.constraint_pattern

@@ -157,6 +157,7 @@ class LoadPlan:
         numbers: tuple[Array, Array],
         n_q: int,
         n_values: int,
+        n_signals: int,
         /,
     ) -> None: ...
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]: ...
@@ -235,12 +236,19 @@ def explicit_stages(
     """Fill in stages of the step from t to its end; return zero, or what prevents it."""
 
 def load_forces(plan: LoadPlan, factors: Array, q: Array, v: Array, /) -> Array:
-    """Return Q of a load times a factor for each instant, (k, n_q)."""
+    """Return Q of a load, (k, n_q); factors are its law and its signals, (k, 1 + n_signals)."""
 
 def load_forces_along(
-    plan: LoadPlan, factors: Array, q: Array, v: Array, dq: Array, dv: Array, /
+    plan: LoadPlan,
+    factors: Array,
+    rates: Array,
+    q: Array,
+    v: Array,
+    dq: Array,
+    dv: Array,
+    /,
 ) -> Array:
-    """Return its derivative along rows of dq and dv."""
+    """Return its derivative along rows of dq, dv and rates of the signals, law held."""
 
 def load_tangents(plan: LoadPlan, factors: Array, q: Array, v: Array, velocity: bool, /) -> Array:
     """Return values of Q_q, or with `velocity` of Q_v, (k, n_values)."""

@@ -24,11 +24,11 @@ enum {
     OPERATIONS
 };
 
-/* Numbers are those of U, of V, constants, and results one by one: operation k is op[k] of numbers
- * a[k] and b[k]. Forces on U are the numbers `output`. Entries of L^T F_U L go to `places` among
+/* Numbers are entries of U and V, signals, constants, and results one by one: operation k is op[k]
+ * of numbers a[k] and b[k]. Signals are functions of time, given at each time behind the factor. Forces on U are the numbers `output`. Entries of L^T F_U L go to `places` among
  * n_values values: for components i and j those of the entries in rows i and j of L. */
 struct LoadTable {
-    Size n_q, n_U, n_constants, n_operations, n_numbers, n_values;
+    Size n_q, n_U, n_signals, n_constants, n_operations, n_numbers, n_values;
     const int32_t *first, *columns, *op, *a, *b, *output, *places;
 };
 

@@ -64,25 +64,32 @@ INLINE void load_lifted(const LoadTable *p, const T *l, T s, const T *x, Size st
     }
 }
 
-/* All numbers at q and v, and partials of the operations behind them. */
-template <class T>
-void load_numbers_at(const LoadTable *p, const LoadNumbers<T> *of, const T *q, const T *v, T *x)
+/* Numbers of a load that stand ahead of its results. */
+INLINE Size load_ahead(const LoadTable *p) { return 2 * p->n_U + p->n_signals + p->n_constants; }
+
+/* All numbers at q, v and signals, and partials of the operations behind them. */
+template <class T, class S>
+void load_numbers_at(const LoadTable *p, const LoadNumbers<T> *of, const S *signals, const T *q,
+                     const T *v, T *x)
 {
-    Size before = 2 * p->n_U + p->n_constants;
+    Size before = load_ahead(p);
     T *on_a = x + p->n_numbers, *on_b = on_a + p->n_operations;
     load_vectors<T>(p, of->l, q, 1, x);
     load_vectors<T>(p, of->l, v, 1, x + p->n_U);
-    memcpy(x + 2 * p->n_U, of->constants, (size_t)p->n_constants * sizeof(T));
+    for (Size i = 0; i < p->n_signals; i++)
+        x[2 * p->n_U + i] = signals[i];
+    memcpy(x + before - p->n_constants, of->constants, (size_t)p->n_constants * sizeof(T));
     for (Size k = 0; k < p->n_operations; k++)
         x[before + k] = operation<T>(p->op[k], x[p->a[k]], x[p->b[k]], on_a + k, on_b + k);
 }
 
-/* Derivatives of all numbers, rows of `lanes` directions, from those of U and V. */
+/* Derivatives of all numbers, rows of `lanes` directions, from derivatives of U, V and signals. */
 template <class T> void load_derivatives(const LoadTable *p, Size lanes, const T *x, T *dx)
 {
-    Size before = 2 * p->n_U + p->n_constants;
+    Size before = load_ahead(p);
     const T *on_a = x + p->n_numbers, *on_b = on_a + p->n_operations;
-    memset(dx + 2 * p->n_U * lanes, 0, (size_t)(p->n_constants * lanes) * sizeof(T));
+    memset(dx + (before - p->n_constants) * lanes, 0,
+           (size_t)(p->n_constants * lanes) * sizeof(T));
     for (Size k = 0; k < p->n_operations; k++) {
         const T *da = dx + p->a[k] * lanes, *db = dx + p->b[k] * lanes;
         T *__restrict dy = dx + (before + k) * lanes, by_a = on_a[k], by_b = on_b[k];
@@ -95,38 +102,41 @@ template <class T> void load_derivatives(const LoadTable *p, Size lanes, const T
     }
 }
 
-/* Q += s L^T F. */
-template <class T>
-void load_force(const LoadTable *p, const LoadNumbers<T> *of, T s, const T *q, const T *v, T *work,
-                T *Q)
+/* Q += s L^T F, with s the first of the factors and the signals behind it. */
+template <class T, class S>
+void load_force(const LoadTable *p, const LoadNumbers<T> *of, const S *factors, const T *q,
+                const T *v, T *work, T *Q)
 {
-    load_numbers_at<T>(p, of, q, v, work);
-    load_lifted<T>(p, of->l, s, work, 1, Q);
+    load_numbers_at<T>(p, of, factors + 1, q, v, work);
+    load_lifted<T>(p, of->l, factors[0], work, 1, Q);
 }
 
-/* Q += s L^T times the derivative of F along dq and dv. */
+/* Q += s L^T times the derivative of F along dq, dv and, behind the first of `rates`, signals. */
 template <class T>
-void load_force_along(const LoadTable *p, const LoadNumbers<T> *of, T s, const T *q, const T *v,
-                      const T *dq, const T *dv, T *work, T *Q)
+void load_force_along(const LoadTable *p, const LoadNumbers<T> *of, const T *factors,
+                      const T *rates, const T *q, const T *v, const T *dq, const T *dv, T *work,
+                      T *Q)
 {
     T *dx = work + load_work<T>(p, 0);
-    load_numbers_at<T>(p, of, q, v, work);
+    load_numbers_at<T>(p, of, factors + 1, q, v, work);
     load_vectors<T>(p, of->l, dq, 1, dx);
     load_vectors<T>(p, of->l, dv, 1, dx + p->n_U);
+    memcpy(dx + 2 * p->n_U, rates + 1, (size_t)p->n_signals * sizeof(T));
     load_derivatives<T>(p, 1, work, dx);
-    load_lifted<T>(p, of->l, s, dx, 1, Q);
+    load_lifted<T>(p, of->l, factors[0], dx, 1, Q);
 }
 
-/* values += s L^T F_U L, or with `velocity` s L^T F_V L. */
-template <class T>
-void load_tangent(const LoadTable *p, const LoadNumbers<T> *of, T s, const T *q, const T *v,
-                  int velocity, T *work, T *values)
+/* values += sign s L^T F_U L, or with `velocity` sign s L^T F_V L. */
+template <class T, class S>
+void load_tangent(const LoadTable *p, const LoadNumbers<T> *of, double sign, const S *factors,
+                  const T *q, const T *v, int velocity, T *work, T *values)
 {
+    T s = sign * factors[0];
     Size lanes = p->n_U;
     const int32_t *place = p->places;
     T *dx = work + load_work<T>(p, 0);
-    load_numbers_at<T>(p, of, q, v, work);
-    memset(dx, 0, (size_t)(2 * lanes * lanes) * sizeof(T));
+    load_numbers_at<T>(p, of, factors + 1, q, v, work);
+    memset(dx, 0, (size_t)((2 * lanes + p->n_signals) * lanes) * sizeof(T));
     for (Size i = 0; i < lanes; i++)
         dx[(i + (velocity ? lanes : 0)) * lanes + i] = 1;
     load_derivatives<T>(p, lanes, work, dx);

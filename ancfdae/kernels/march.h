@@ -65,11 +65,12 @@ enum {
  * round-off. */
 template <class T> constexpr int LAG = std::is_same<T, double>::value ? 0 : 2;
 
-/* A load that moves, and whether it uses velocities. */
+/* A load that moves, whether it uses velocities, and its first factor in a row. */
 template <class T> struct MovingLoad {
     const LoadTable *plan;
     LoadNumbers<T> numbers;
     int velocity;
+    Size factor;
 };
 
 /* Matrices that are factorised outside of the core. */
@@ -219,8 +220,8 @@ void force_at(const Plan<T> *p, Room<T> *r, const T *factors, const T *q, const 
         for (Size i = 0; i < p->n_q; i++)
             r->Q[i] += factors[k] * p->loads[k * p->n_q + i];
     for (Size k = 0; k < p->n_moving; k++)
-        load_force<T>(p->moving[k].plan, &p->moving[k].numbers, factors[p->n_loads + k], q, v,
-                      r->of_load, r->Q);
+        load_force<T>(p->moving[k].plan, &p->moving[k].numbers, factors + p->moving[k].factor, q,
+                      v, r->of_load, r->Q);
 }
 
 /* Phi = defect + its integral over a small step along dq. */
@@ -399,9 +400,9 @@ void load_tangents(const Plan<double> *p, Room<double> *r, const double *factors
 {
     for (Size k = 0; k < p->n_moving; k++)
         if (!velocity || p->moving[k].velocity)
-            load_tangent<double>(p->moving[k].plan, &p->moving[k].numbers,
-                                 -factors[p->n_loads + k], r->q, r->v, velocity, r->of_load,
-                                 values);
+            load_tangent<double>(p->moving[k].plan, &p->moving[k].numbers, -1,
+                            factors + p->moving[k].factor, r->q, r->v, velocity, r->of_load,
+                            values);
 }
 
 /* Values of f_q and f_v at the state as it stands, from a row of factors of loads. */

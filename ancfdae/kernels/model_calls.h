@@ -213,15 +213,17 @@ template <class T> struct Planned {
         must(p->B.first[p->n_lam] == c.n_values,
              "there must be a value for each entry of the constraint Jacobian");
         p->velocity = p->damped;
+        p->n_factors = p->n_loads;
         for (auto &[load, velocity] : moves) {
             must((in_complex || !load->complex_) && load->plan.n_q == p->n_q &&
                      load->plan.n_values == p->nnz,
                  "loads must be real, and those of the coordinates");
-            moving.push_back({&load->plan, *load->template in<T>(), velocity});
+            moving.push_back(
+                {&load->plan, *load->template in<T>(), velocity, p->n_factors});
+            p->n_factors += 1 + load->plan.n_signals;
             p->velocity |= velocity;
         }
         p->moving = moving.data(), p->n_moving = (Size)moving.size();
-        p->n_factors = p->n_loads + p->n_moving;
     }
 
     void take_jacobian(const CsrArguments<double> &B, Size rows)

@@ -286,7 +286,7 @@ struct LoadPlan {
     using Indices = Array<int32_t, 1>;
     using Arguments =
         std::tuple<std::tuple<Indices, Indices, Indices, Indices, Indices, Indices, Indices>,
-                   std::tuple<Numbers, Numbers>, Size, Size>;
+                   std::tuple<Numbers, Numbers>, Size, Size, Size>;
     Arguments of;
     LoadTable plan;
     LoadNumbers<double> in_real;
@@ -295,17 +295,17 @@ struct LoadPlan {
 
     explicit LoadPlan(Arguments arguments) : of(std::move(arguments))
     {
-        auto &[indices, numbers, n_q, n_values] = of;
+        auto &[indices, numbers, n_q, n_values, n_signals] = of;
         auto &[first, columns, op, a, b, output, places] = indices;
         auto &[l, constants] = numbers;
         Size n_l = l.in_complex.size, n_U = first.size - 1, n_c = constants.in_complex.size;
-        Size ahead = 2 * n_U + n_c;
+        Size ahead = 2 * n_U + n_signals + n_c;
         complex_ = !l.in_real || !constants.in_real;
         in_real = {data_of(l.in_real), data_of(constants.in_real)};
         in_complex = {l.in_complex.data, constants.in_complex.data};
-        plan = {n_q,          n_U,     n_c,    op.size, ahead + op.size, n_values,   first.data,
-                columns.data, op.data, a.data, b.data,  output.data,     places.data};
-        must(ascending(first.data, first.size, 1, n_l) && columns.size == n_l &&
+        plan = {n_q,        n_U,          n_signals, n_c,    op.size, ahead + op.size, n_values,
+                first.data, columns.data, op.data,   a.data, b.data,  output.data,     places.data};
+        must(n_signals >= 0 && ascending(first.data, first.size, 1, n_l) && columns.size == n_l &&
                  within(columns, 0, n_q - 1) && in_order(ahead, op, a, b) && output.size == n_U &&
                  within(output, 0, plan.n_numbers - 1) && places.size == n_l * n_l &&
                  within(places, 0, n_values - 1),
@@ -321,51 +321,54 @@ struct LoadPlan {
     }
 };
 
-/* Run f(factor, offset of q and v, work, row of out) at each instant; `lanes` as in `load_work`. */
+/* Run f(factors, offset of q and v, work, row of out) at each time; `lanes` as in `load_work`. */
 template <class T, class F>
-Array<T> loaded(const LoadPlan &plan, const Array<T, 1> &factors,
+Array<T> loaded(const LoadPlan &plan, std::initializer_list<const Array<T, 2> *> factors,
                 std::initializer_list<const Array<T, 2> *> states, Size lanes, Size size, F f)
 {
     const Array<T, 2> &q = **states.begin();
-    Size k = q.rows(1), n_q = plan.plan.n_q;
+    Size k = q.rows(1), n_q = plan.plan.n_q, n = 1 + plan.plan.n_signals;
     for (const Array<T, 2> *x : states)
         must(x->ends({n_q}) && x->alike(q), "states must have n_q numbers, and one shape");
-    must(factors.size == k, "there must be a factor for each instant");
+    for (const Array<T, 2> *x : factors)
+        must(x->ends({n}) && x->rows(1) == k, "there must be factors for each instant");
     auto work = room_for<T>(load_work<T>(&plan.plan, lanes));
     auto out = zeros_like<T>(q, 1, {size});
     for (Size i = 0; i < k; i++)
-        f(factors.data[i], i * n_q, work.get(), out.data + i * size);
+        f(i * n, i * n_q, work.get(), out.data + i * size);
     return out;
 }
 
 template <class T>
-Array<T> py_load_forces(Kept<LoadPlan> of, Array<T, 1> factors, Array<T, 2> q, Array<T, 2> v)
+Array<T> py_load_forces(Kept<LoadPlan> of, Array<T, 2> factors, Array<T, 2> q, Array<T, 2> v)
 {
     const LoadTable *p = &of->plan;
-    return loaded<T>(*of, factors, {&q, &v}, 0, p->n_q, [&](T s, Size at, T *work, T *to) {
-        load_force<T>(p, of->in<T>(), s, q.data + at, v.data + at, work, to);
+    return loaded<T>(*of, {&factors}, {&q, &v}, 0, p->n_q, [&](Size i, Size at, T *work, T *to) {
+        load_force<T>(p, of->in<T>(), factors.data + i, q.data + at, v.data + at, work, to);
     });
 }
 
 template <class T>
-Array<T> py_load_forces_along(Kept<LoadPlan> of, Array<T, 1> factors, Array<T, 2> q, Array<T, 2> v,
-                              Array<T, 2> dq, Array<T, 2> dv)
+Array<T> py_load_forces_along(Kept<LoadPlan> of, Array<T, 2> factors, Array<T, 2> rates,
+                              Array<T, 2> q, Array<T, 2> v, Array<T, 2> dq, Array<T, 2> dv)
 {
     const LoadTable *p = &of->plan;
-    return loaded<T>(*of, factors, {&q, &v, &dq, &dv}, 1, p->n_q,
-                     [&](T s, Size at, T *work, T *to) {
-                         load_force_along<T>(p, of->in<T>(), s, q.data + at, v.data + at,
-                                             dq.data + at, dv.data + at, work, to);
+    return loaded<T>(*of, {&factors, &rates}, {&q, &v, &dq, &dv}, 1, p->n_q,
+                     [&](Size i, Size at, T *work, T *to) {
+                         load_force_along<T>(p, of->in<T>(), factors.data + i, rates.data + i,
+                                             q.data + at, v.data + at, dq.data + at, dv.data + at,
+                                             work, to);
                      });
 }
 
 template <class T>
-Array<T> py_load_tangents(Kept<LoadPlan> of, Array<T, 1> factors, Array<T, 2> q, Array<T, 2> v,
+Array<T> py_load_tangents(Kept<LoadPlan> of, Array<T, 2> factors, Array<T, 2> q, Array<T, 2> v,
                           bool velocity)
 {
     const LoadTable *p = &of->plan;
-    return loaded<T>(
-        *of, factors, {&q, &v}, p->n_U, p->n_values, [&](T s, Size at, T *work, T *to) {
-            load_tangent<T>(p, of->in<T>(), s, q.data + at, v.data + at, velocity, work, to);
-        });
+    return loaded<T>(*of, {&factors}, {&q, &v}, p->n_U, p->n_values,
+                     [&](Size i, Size at, T *work, T *to) {
+                         load_tangent<T>(p, of->in<T>(), 1, factors.data + i, q.data + at,
+                                         v.data + at, velocity, work, to);
+                     });
 }

@@ -182,8 +182,8 @@ int rest_path(const Plan<T> *p, Room<T> *r, const RestProblem<T> *x, const StepC
     memcpy(r->R, x->r_0, (size_t)p->n_q * sizeof(T));
     rest_turned<T>(p, r, x->of_loads, x->of_turning, 1, r->R, nullptr);
     for (Size k = 0; k < p->n_moving; k++)
-        load_force<T>(p->moving[k].plan, &p->moving[k].numbers, x->of_turning[p->n_loads + k],
-                      r->q, r->v, r->of_load, r->R);
+        load_force<T>(p->moving[k].plan, &p->moving[k].numbers,
+                           x->of_turning + p->moving[k].factor, r->q, r->v, r->of_load, r->R);
     for (Size i = 0; i < p->n_lam; i++)
         r->R[p->n_q + i] = -x->rules.closing * x->Phi_0[i];
     int failed = rest_solved<T>(p, r, c);

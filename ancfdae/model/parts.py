@@ -64,9 +64,21 @@ class FrameDirection:
     number: int
 
 
+@final
+@dataclass(frozen=True)
+class StateVector:
+    """A state of a controller, for the controller itself: component 0 of a vector of its own.
+
+    The rate of the vector is the state, the vector itself its integral over time; counted from 0.
+    """
+
+    controller: str
+    number: int
+
+
 #: Vectors of material points (which point, and position or which slope), or of whole beams.
 Vectors: TypeAlias = tuple[
-    tuple[MaterialPoint, Quantity] | Normal | CentreLine | FrameDirection, ...
+    tuple[MaterialPoint, Quantity] | Normal | CentreLine | FrameDirection | StateVector, ...
 ]
 
 
@@ -222,7 +234,7 @@ class Part(Designable, abc.ABC):
         vectors: Any = self.vectors(elements)
         of_point = MaterialPoint, Quantity
         if not (isinstance(vectors, tuple) and vectors) or not all(
-            isinstance(x, Normal | CentreLine | FrameDirection)
+            isinstance(x, Normal | CentreLine | FrameDirection | StateVector)
             or (isinstance(x, tuple) and len(x) == 2 and all(map(isinstance, x, of_point)))
             for x in vectors
         ):

@@ -107,6 +107,7 @@ class Scene(SceneDesign):
         if self.frame is not None:
             require_frame("Scene.frame", self.frame)
             self.frame.check(self.dimension, self.gravity)
+            self._check_states("Scene.frame", self.loads, "Declare the scene in a frame at rest.")
         object.__setattr__(self, "start", tuple(map(self._checked_start, self.start)))
         self._check_rest()
 
@@ -214,6 +215,9 @@ class Scene(SceneDesign):
         rests = [start for start in self.start if isinstance(start, EquilibriumStart)]
         if not rests:
             return
+        its = self.loads if rests[0].loads is None else rests[0].loads
+        repair = "Write EquilibriumStart(loads=[...]) with loads that hold the mechanism at rest."
+        self._check_states("EquilibriumStart.loads", its, repair)
         if rests[0].gravity is not None:
             require_vector("EquilibriumStart.gravity", rests[0].gravity, (self.dimension,))
         starts = self.body_starts
@@ -225,6 +229,13 @@ class Scene(SceneDesign):
                 listed(type(start).__name__ for start in self.start),
                 "Leave out what moves; a NodalState tells where the search starts.",
             )
+
+    @staticmethod
+    def _check_states(where: str, loads: Sequence[Load], repair: str) -> None:
+        """Raise InvalidInputError if a load has states."""
+        names = [load.name for load in loads if load.states]
+        if names:
+            raise InvalidInputError(where, "must have no load with states", listed(names), repair)
 
     def _check_assembly(self) -> None:
         """Refuse names that are no bodies, and beams that start at one another in a circle."""

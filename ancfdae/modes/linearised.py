@@ -18,7 +18,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations import MechanicalSystem, reaction, require_no_controllers
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
 from ancfdae.kernels import norm
@@ -65,6 +65,8 @@ class Linearised:
 
         InvalidInputError if the configuration does not fit the system or a matrix is not finite.
         """
+        repair = "Leave them out for the modes of the mechanism."
+        require_no_controllers("modes and suggest_step", system, repair)
         at.check(system)
         _refuse_motion(system, at)
         rest = np.zeros((1, system.n_q))

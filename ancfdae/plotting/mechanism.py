@@ -144,7 +144,9 @@ def _span(limits: Sequence[float] | None, field: Field | None) -> tuple[float, f
 def _naming(scene: Scene) -> SceneNaming:
     """Return where bodies stand in the coordinates; assembling the scene would cost far more."""
     numbering, masses = number(scene), tuple(mass.name for mass in scene.point_masses)
-    layout = Layout(scene.dimension, numbering.bodies, numbering.beams, masses, ())
+    layout = Layout(
+        scene.dimension, numbering.bodies, numbering.beams, masses, (), numbering.controllers
+    )
     lengths = scene.element_parameters()[:, ElementParameter.LENGTH]
     return SceneNaming(layout, lengths, np.zeros((len(lengths), 0)))
 

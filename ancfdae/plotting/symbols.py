@@ -135,7 +135,8 @@ class Symbols:
         vectors = self._vectors(load.vectors(self._scene.elements))
         p = np.array(list(load.parameters().values()), dtype=float)
         U, V = vectors.of(motion.q), vectors.of(motion.v)
-        F = np.asarray(load.force(U, V, p, vectors.of(self._q_o[None])[0]))
+        signals, reference = load.signals(p, motion.t, 0), vectors.of(self._q_o[None])[0]
+        F = np.asarray(load.force_at(U, V, signals, p, reference))
         return F * load.factor(p, motion.t, 0)[:, None, None]
 
     def _vectors(self, names: Names) -> Vectors:

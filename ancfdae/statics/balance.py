@@ -16,7 +16,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem
+from ancfdae.equations import MechanicalSystem, require_no_controllers
 from ancfdae.equations.held import velocity_side
 from ancfdae.equations.saddle_points import saddle_point, solve
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
@@ -102,9 +102,11 @@ class Balance:
     ) -> Balance:
         """Check the start and return the equations.
 
-        InvalidInputError if start or forces are not finite; `RedundantConstraintsError` if
-        constraints depend on each other.
+        InvalidInputError if start or forces are not finite, or controllers have states;
+        `RedundantConstraintsError` if constraints depend on each other.
         """
+        repair = "Leave them out, and hold the mechanism by a spring or a load in their place."
+        require_no_controllers("equilibrium", system, repair)
         balance = Balance(system, t, q_0, lam_0, follows=follows)
         with np.errstate(all="ignore"):
             good = all(finite(x) for x in (q_0, balance.r_0, balance.Phi_0))

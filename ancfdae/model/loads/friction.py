@@ -11,10 +11,9 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.design import design_numbers
 from ancfdae.model.loads.load import LAW_FIELD, Load, SectionLoad
-from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of, turn, unit_axes
+from ancfdae.model.loads.sections import rate_of, section_of, travel, turn, unit_axes
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import concatenate, direction, dot
 
 #: Design fields of the levels, in the order that `friction` takes them, and those that damp.
 LEVELS = (
@@ -148,11 +147,5 @@ class TranslationalFriction(Load):
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """-R(x') x_U with x = a . (r - r_other)."""
         along, *levels, _ = self.split(p)
-        rows, carrier = along[None], CarriedAxes(U[..., 2:, :], U_o[2:])
-        size, a = direction(carrier.of(rows))
-        gradient = a + 0.0 * U[..., :1, :]
-        if self.other is not None:
-            e = U[..., :1, :] - U[..., 1:2, :]
-            on_line = carrier.pull_back(rows, (e - dot(e, a) * a) / size)
-            gradient = concatenate([gradient, -gradient, on_line])
+        gradient = travel(U, U_o, along, self.other is not None)[1]
         return -friction(rate_of(gradient, V), tuple(levels)) * gradient

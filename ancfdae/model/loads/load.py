@@ -8,7 +8,7 @@ design derivatives.
 """
 
 import abc
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, final
 
@@ -50,6 +50,9 @@ class Load(Part):
     damping_fields: ClassVar[tuple[str, ...]] = ()
     #: Whether the force depends on the reference configuration.
     refers: ClassVar[bool] = False
+    #: Names of states that are integrated with the mechanism (`Controller`); their vectors come
+    #: last.
+    states: ClassVar[tuple[str, ...]] = ()
 
     law: Law | None = field(default=None, kw_only=True)
 
@@ -76,6 +79,24 @@ class Load(Part):
         has the values of `parameters`, as `split` takes them, and U_o, (n_vectors, d), the vectors
         in the reference configuration.
         """
+
+    def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
+        """Return `force` where laws of time other than `law` have the values `signals`, (..., n).
+
+        By default it reads no laws.
+        """
+        return self.force(U, V, p, U_o)
+
+    def signals(self, p: Array, t: Array, order: int) -> Array | None:
+        """Return the laws that `force_at` reads, or their time derivative, at times t, (k, n).
+
+        None without such laws.
+        """
+        return None
+
+    def initial_states(self, p: Array) -> Sequence[Any]:
+        """Return the `states` at t = 0."""
+        return ()
 
     @final
     def factor(self, p: Array, t: Array, order: int) -> Array:

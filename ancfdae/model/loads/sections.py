@@ -121,6 +121,23 @@ def rate_of(x_U: Any, V: Any) -> Any:
     return dot(x_U, V).sum(axis=-2, keepdims=True)
 
 
+def travel(U: Any, U_o: Array, along: Array, other: bool) -> tuple[Any, Any]:
+    """Return the displacement of a point along a line since the reference, and its gradient in U.
+
+    Shapes (..., 1, 1) and (..., n_vectors, d). U has the position of the point and, where the line
+    goes through another point, the position and section of that, which carries the line.
+    """
+    rows, carrier = along[None], CarriedAxes(U[..., 2:, :], U_o[2:])
+    size, a = direction(carrier.of(rows))
+    gradient = a + 0.0 * U[..., :1, :]
+    if not other:
+        return dot(U[..., :1, :] - U_o[:1], a), gradient
+    e, e_o = U[..., :1, :] - U[..., 1:2, :], U_o[:1] - U_o[1:2]
+    on_line = carrier.pull_back(rows, (e - dot(e, a) * a) / size)
+    x = dot(e, a) - dot(e_o, direction(rows)[1])
+    return x, concatenate([gradient, -gradient, on_line])
+
+
 def unit_axes(axis: Array | None) -> Array:
     """Return the one axis of a joint as a unit vector, (1, 3); z where it is not given."""
     if axis is None:
