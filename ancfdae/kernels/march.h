@@ -612,7 +612,7 @@ int iterated(const Plan<T> *p, Room<T> *r, const StepCoefficients *c, const Befo
             ending->motion = now;
             if (settled > lag)
                 return 0;
-            fresh = settled == 1; /* The matrix of the solution serves the imaginary part. */
+            fresh = 0; /* The imaginary part has shrunk as the real one, an iteration later. */
         } else if (last < INFINITY)
             fresh = rate > rules->slow ||
                     (size < rules->near && size * (rate * rate * rate) > tolerance);

@@ -287,32 +287,14 @@ template <class T> struct Planned {
         Size n_q = p->n_q, n_lam = p->n_lam, n = n_q + n_lam, of_load = 0;
         for (auto &load : moving)
             of_load = std::max(of_load, load_work<T>(load.plan, load.plan->n_U));
-        return {{&r->q_p, n_q},
-                {&r->dq_p, n_q},
-                {&r->v_p, n_q},
-                {&r->q, n_q},
-                {&r->v, n_q},
-                {&r->A, n_q},
-                {&r->a, n_q},
-                {&r->lam, n_lam},
-                {&r->U, 2 * c->most},
-                {&r->B, c->n_values},
-                {&r->Q, n_q},
-                {&r->inner, n_q},
-                {&r->reaction, n_q},
-                {&r->ahead, n_q},
-                {&r->start, n_q},
-                {&r->Phi, n_lam},
-                {&r->rate, n_lam},
-                {&r->defect, n_lam},
-                {&r->R, n},
-                {&r->x, n},
-                {&r->force, n_q},
-                {&r->at_end, c->n_c},
-                {&r->within, 2 * c->n_c},
-                {&r->mass, p->own ? p->nnz : 0},
-                {&r->turned, p->own ? p->nnz : 0},
-                {&listed.numbers, lists ? listed.room() : 0},
+        return {
+                {&r->q_p, n_q}, {&r->dq_p, n_q}, {&r->v_p, n_q}, {&r->q, n_q}, {&r->v, n_q},
+                {&r->A, n_q}, {&r->a, n_q}, {&r->lam, n_lam}, {&r->U, 2 * c->most},
+                {&r->B, c->n_values}, {&r->Q, n_q}, {&r->inner, n_q}, {&r->reaction, n_q},
+                {&r->ahead, n_q}, {&r->start, n_q}, {&r->Phi, n_lam}, {&r->rate, n_lam},
+                {&r->defect, n_lam}, {&r->R, n}, {&r->x, n}, {&r->force, n_q},
+                {&r->at_end, c->n_c}, {&r->within, 2 * c->n_c}, {&r->mass, p->own ? p->nnz : 0},
+                {&r->turned, p->own ? p->nnz : 0}, {&listed.numbers, lists ? listed.room() : 0},
                 {&r->of_load, of_load}};
     }
 
@@ -408,19 +390,13 @@ struct Model : Planned<double> {
             std::max({p->first ? (Size)p->first[n] : 0, p->flat ? n * (3 * p->half + 1) : 0,
                       f ? (Size)f->factor_at[f->count] : 0});
         auto all = rooms();
-        all.insert(all.end(), {{&r->f_q, p->nnz},
-                               {&r->f_v, p->velocity ? p->nnz : 0},
-                               {&r->sum, p->flat ? p->nnz : 0},
-                               {&r->matrix, matrix},
-                               {&r->work, 12 * n + 4 * most},
-                               {&r->in_fronts.a, lower},
-                               {&r->in_fronts.perturbed, lower},
-                               {&r->in_fronts.scale, f ? n : 0},
-                               {&r->in_fronts.room, 5 * most},
-                               {&r->in_fronts.stack, f ? f->stack : 0},
-                               {&r->least, n},
-                               {&r->time_factors, p->n_factors},
-                               {&r->columns, 4 * n}});
+        all.insert(all.end(), {
+                {&r->f_q, p->nnz}, {&r->f_v, p->velocity ? p->nnz : 0},
+                {&r->sum, p->flat ? p->nnz : 0}, {&r->matrix, matrix},
+                {&r->work, 12 * n + 4 * most}, {&r->in_fronts.a, lower},
+                {&r->in_fronts.perturbed, lower}, {&r->in_fronts.scale, f ? n : 0},
+                {&r->in_fronts.room, 5 * most}, {&r->in_fronts.stack, f ? f->stack : 0},
+                {&r->least, n}, {&r->time_factors, p->n_factors}, {&r->columns, 4 * n}});
         double *left = give_room(all, n + (f ? n : 0));
         r->pivots = (int *)left;
         r->in_fronts.at = (int32_t *)(left + n);
