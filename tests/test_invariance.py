@@ -35,6 +35,7 @@ from ancfdae import (
     Scene,
     Spherical,
     SpringDamper,
+    Weld,
     assemble,
     campbell,
     critical_load,
@@ -51,6 +52,7 @@ from ancfdae import (
 from ancfdae.observables import kinetic_energy, strain_energy
 from ancfdae.sections import Rectangle
 
+pytestmark = pytest.mark.rounding
 FAR = 1e3
 EPS = np.finfo(float).eps
 
@@ -318,8 +320,66 @@ def buckling(name, x):
     return np.append(found.value, found.gradient * sizes) / x.unit(*FORCE)
 
 
+def frame(x):
+    """A frame of two bars under a load on its corner, which sways."""
+    post = x.rod("rod", (0, 0), (0, 1), 4, 1e9, (0.02, 0.05))
+    beam = x.rod("beam", (0, 1), (1, 1), 4, 1e9, (0.02, 0.05))
+    joints = [Pin(post.at_start), Weld(post.at_end, beam.at_start), Pin(beam.at_end)]
+    return Scene([post, beam], joints, loads=[push(post)]), (0.2, -1.0)
+
+
+def truss(x):
+    """Two shallow bars, which snap through."""
+    left = x.rod("rod", (-1, 0), (0, 0.05), 3, 1e9, (0.04, 0.04))
+    right = x.rod("right", (0, 0.05), (1, 0), 3, 1e9, (0.04, 0.04))
+    joints = [Pin(left.at_start), Pin(left.at_end, right.at_start), Pin(right.at_end)]
+    return Scene([left, right], joints, loads=[push(left)]), (0.0, -1.0)
+
+
+def post(x):
+    """A column of beams, in the plane."""
+    rod = x.rod("rod", (0, 0), (1, 0), 4, 1e9, (0.03, 0.04))
+    return Scene([rod], [Clamp(rod.at_start)], loads=[push(rod)]), (-1.0, 0.0)
+
+
+def spatial_post(x):
+    """A column of beams, in space."""
+    rod = x.rod("rod", (0, 0, 0), (1, 0, 0), 4, 1e9, (0.03, 0.04))
+    return Scene([rod], [Clamp(rod.at_start)], loads=[push(rod)]), (-1.0, 0.0, 0.0)
+
+
+def push(rod):
+    return PointForce(rod.at_end, (0.0,) * rod.dimension, name="push")
+
+
+LOADED = {make.__name__: make for make in (frame, truss, post, spatial_post)}
+
+
+def critical(name, x):
+    """Return a critical load and its derivatives in a modulus and a height of elastic frames."""
+    scene, direction = LOADED[name](x)
+    force = zip("xyz"[: len(direction)], x.along(*direction), strict=True)
+    load = DesignVariable("P", {f"push.force_{a}": w for a, w in force if w})
+    design = ["rod.youngs_modulus", "rod.height"]
+    found = critical_load(scene, load, 1e6 * x.unit(*FORCE), design=design)
+    return np.append(found.value, found.gradient * assemble(scene, design).b) / x.unit(*FORCE)
+
+
+def to_a_tolerance(name, x):
+    scene, design = scene_at(name, x), design_of(name)
+    found = gradient(scene, energies(x), END * x.time, design=design, tolerance=1e-3)
+    return scaled(found, scene, design, x.unit(*ENERGY) * x.time)
+
+
+def shaft(x):
+    rod = x.rod("rod", (0, 0, 0), (1, 0, 0), 4, 1e9, (0.03, 0.03))
+    frame = RotatingFrame(0.0, x.along(1, 0, 0), x.at(0, 0, 0))
+    return Scene([rod], [Clamp(rod.at_start)], frame=frame)
+
+
 def diagram(name, x):
-    found = campbell(scene_at(name, x), np.array([0.0, 1.0, 2.0]) / x.time, 4)
+    scene = shaft(x) if name == "shaft" else scene_at(name, x)
+    found = campbell(scene, np.array([0.0, 1.0, 2.0]) / x.time, 4)
     return np.sort(found.frequencies * x.time, axis=1).ravel()
 
 
@@ -371,7 +431,10 @@ CALLS = {
     "step": (step, (*HELD, "double_pendulum")),
     "mass": (masses, SCENES),
     "critical load": (buckling, ("column",)),
-    "Campbell": (diagram, ("rotor",)),
+    "critical loads of beams": (critical, LOADED),
+    # The steps of DOP853 that the column takes turn round-off of places into 3e-7.
+    "to a tolerance": (to_a_tolerance, tuple(x for x in MOVING if x != "column")),
+    "Campbell": (diagram, ("rotor", "shaft")),
     "error bars": (bars, ("cantilever", "sprung", "spatial_rope")),
     "error from one run": (bar_of_one_run, ("cantilever", "sprung", "spatial_rope")),
 }

@@ -185,6 +185,29 @@ def test_negative_directions_are_counted_where_constraints_depend_on_each_other(
     assert negative_directions(matrix) == negative
 
 
+@pytest.mark.parametrize("negative", [0, 1, 3])
+@pytest.mark.parametrize("apart", [1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("seed", range(4))
+def test_constraints_that_nearly_depend_on_each_other_count_no_motion(seed, apart, negative):
+    """Two rows hold two coordinates, at an angle: the other coordinates are free.
+
+    The sign of the pivot of the second multiplier is round-off, which had counted -1 motions.
+    """
+    n, rng = 12, np.random.default_rng(seed)
+    of_K = SparsityPattern.full((n, n))
+    of_B = SparsityPattern((2, n), [0, 0, 1, 1], [0, 1, 0, 1])
+    K, V = rng.uniform(0.1, 1.0, n), np.linalg.qr(rng.standard_normal((n - 2, n - 2)))[0]
+    K[2 : 2 + negative] *= -1
+    whole = np.diag(K)
+    whole[2:, 2:] = V.T @ whole[2:, 2:] @ V
+    B = np.array([0.6, 0.8, 0.6 - 0.8 * apart, 0.8 + 0.6 * apart])
+    matrix = SaddlePoint(of_K, of_B, np.ones(n), B).constrained
+    matrix = matrix.scaled(whole[of_K.rows, of_K.columns], B, np.ones(n))
+    counts = {matrix.below(sigma) for sigma in 1e-14 * 16.0 ** np.arange(9)}
+    assert counts <= {None, negative}
+    assert negative_directions(matrix) == negative
+
+
 @pytest.mark.parametrize("o", [0.0, 1000.0])
 @pytest.mark.parametrize("beyond", [1e-7, 1e-9, 1e-11, -1e-11, -1e-9])
 def test_a_link_just_above_its_critical_load_is_unstable(beyond, o):

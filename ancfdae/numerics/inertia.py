@@ -137,7 +137,8 @@ class ConstrainedMatrix:
     def below(self, sigma: float) -> int | None:
         """Return how many eigenvalues of the symmetric part of K are less than -sigma.
 
-        None where round-off could move one by more than sigma/2.
+        None where round-off could move one by more than sigma/2, or decides the sign of the pivot
+        of a multiplier, as where constraints nearly depend on each other.
         """
         # The analysis of fronts costs more than a factorisation in a band.
         if self.pattern.wide and self._none_below(sigma):
@@ -151,7 +152,10 @@ class ConstrainedMatrix:
         reach = np.bincount(column, U.data**2 / np.abs(pivots)[U.indices])
         if not _EPS * np.max(reach) <= 0.5 * sigma:
             return None
-        return int(np.sum(pivots < 0)) - self.pattern.B.shape[0]
+        m = lu.perm_c[self.pattern.place[self.pattern.K.shape[0] :]]
+        if not np.all(_ROUNDINGS * _EPS * reach[m] <= np.abs(pivots[m])):
+            return None
+        return int(np.sum(pivots < 0)) - len(m)
 
     def _none_below(self, sigma: float) -> bool:
         """Whether L D L^T by fronts proves that no eigenvalue is less than -sigma.
