@@ -92,6 +92,12 @@ class SparsityPattern:
         rest[reached] = False
         return rest[n:source], rest[:n]
 
+    @cached_property
+    def used(self) -> tuple[Array, Array]:
+        """Columns that hold entries, and the place of each entry's column among them, (nnz,)."""
+        columns, places = np.unique(self.columns, return_inverse=True)
+        return columns, places
+
     @property
     def places(self) -> tuple[Array, Array]:
         """Start of each row in the value vector, (n_rows + 1,), and column indices, (nnz,)."""
