@@ -25,8 +25,8 @@ class SparsityPattern:
     made when first asked for: a scene of 10,000 elements has four million entries.
 
     `beside` are constraint patterns that this one was factorised with, each with the places of all
-    entries in a band, and `checked` are the saddle-point matrices whose constraints were found to
-    be independent last, with the numbers that say so; copies are made without.
+    entries in a band. `checked` are the saddle-point matrices whose constraints were last found to
+    be independent, with the numbers that say so. Copies are made without either.
     """
 
     beside: tuple[tuple[SparsityPattern, Any], ...] = ()
