@@ -21,7 +21,7 @@ def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> 
     """Check the constraints and return the system's saddle-point matrices.
 
     They are checked and scaled at q, by default the start; RedundantConstraintsError if dependent.
-    At another design with the same weights and Phi_q they are those of the design before.
+    A design with the same weights and Phi_q as the design before takes over its matrices.
     """
     values = system.constraint_q(t, system.start()[0] if q is None else q)
     numbers = system.constraint_pattern, system.traits.symmetric, system.weights, values

@@ -27,6 +27,7 @@ from typing import TypeAlias, final
 
 import numpy as np
 import scipy
+from scipy.linalg.lapack import dgebal, dgeqrf, dorgqr, dtrtrs
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import velocity_side
@@ -72,12 +73,13 @@ class Form:
         self.system, pattern = system, system.constraint_pattern
         self.taken = np.ones(system.n_lam, dtype=bool) if taken is None else taken
         self._entries = np.flatnonzero(self.taken[pattern.rows])
-        self.used, self.columns = np.unique(pattern.columns[self._entries], return_inverse=True)
+        if taken is None:
+            self.used, self.columns = pattern.used
+        else:
+            self.used, self.columns = np.unique(pattern.columns[self._entries], return_inverse=True)
         self.rows = (np.cumsum(self.taken) - 1)[pattern.rows[self._entries]]
-        self.shape, self.root = (
-            (np.sum(self.taken), len(self.used)),
-            np.sqrt(system.weights[self.used]),
-        )
+        self.shape = int(np.sum(self.taken)), len(self.used)
+        self.root = np.sqrt(system.weights[self.used])
         scaled = values[self._entries] / self.root[self.columns]
         squares = np.bincount(self.rows, scaled * scaled, minlength=self.shape[0])
         self.lengths = np.sqrt(np.where(squares > 0, squares, 1.0))
@@ -129,11 +131,11 @@ class Place:
         n_lam, n_used = self._form.shape
         X = self._form.matrices(changes).reshape(-1, n_used) @ self._P
         X = X.reshape(-1, n_lam, n_lam)
-        sizes = np.asarray(np.linalg.norm(X.reshape(-1, n_lam**2), axis=1))
+        sizes = np.sqrt((X * X).sum(axis=(1, 2)))
         if not np.any(sizes > CHANGED):
             return sizes
         if self._balance is None and np.all(np.isfinite(X[-1])):
-            scale = scipy.linalg.lapack.dgebal(X[-1], scale=1)[3]
+            scale = dgebal(X[-1], scale=1)[3]
             self._balance = (scale[None] / scale[:, None]) ** 2
         if self._balance is not None:
             sizes = np.sqrt(np.einsum("kij->k", X * X * self._balance))
@@ -141,8 +143,10 @@ class Place:
         together = max(1, _NUMBERS // n_lam**2)
         for first in range(0, len(large), together):
             rows = large[first : first + together]
-            power = np.linalg.matrix_power(X[rows] / sizes[rows, None, None], 8)
-            sizes[rows] *= np.linalg.norm(power, axis=(1, 2)) ** 0.125
+            power = X[rows] / sizes[rows, None, None]
+            for _ in range(3):
+                power = power @ power
+            sizes[rows] *= (power * power).sum(axis=(1, 2)) ** 0.0625
             if np.any(sizes[rows] > CHANGED):  # Rows after the first that is far do not matter.
                 break
         return sizes
@@ -164,11 +168,15 @@ class Place:
 
     def _pseudo_inverse(self) -> Array | None:
         """Return P, None where Phi_q has not full rank."""
-        Q, R = np.linalg.qr(self._form.matrices(self._values[None])[0].T)
-        pivots = np.abs(np.diag(R))
-        if len(pivots) < self._form.shape[0] or not np.min(pivots) > _SINGULAR * np.max(pivots):
+        n_lam, n_used = self._form.shape
+        if n_used < n_lam:
             return None
-        return np.asarray(np.linalg.solve(R, Q.T).T)
+        # B^T = Q R, and P^T = R^-1 Q^T.
+        QR, tau, _, _ = dgeqrf(self._form.matrices(self._values[None])[0].T)
+        pivots = np.abs(QR.diagonal())
+        if not pivots.min() > _SINGULAR * pivots.max():
+            return None
+        return np.asarray(dtrtrs(QR[:n_lam], dorgqr(QR, tau)[0].T)[0].T)
 
     def _factorised(self) -> scipy.sparse.linalg.SuperLU | None:
         """Return the factors of [I B^T; B 0], sparse; None if it is singular."""

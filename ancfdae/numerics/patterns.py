@@ -25,8 +25,8 @@ class SparsityPattern:
     made when first asked for: a scene of 10,000 elements has four million entries.
 
     `beside` are constraint patterns that this one was factorised with, each with the places of all
-    entries in a band, and `checked` are the saddle-point matrices whose constraints were found to
-    be independent last, with the numbers that say so; copies are made without.
+    entries in a band. `checked` are the saddle-point matrices whose constraints were last found to
+    be independent, with the numbers that say so. Copies are made without either.
     """
 
     beside: tuple[tuple[SparsityPattern, Any], ...] = ()
@@ -91,6 +91,12 @@ class SparsityPattern:
         rest = np.ones(source + 1, dtype=bool)
         rest[reached] = False
         return rest[n:source], rest[:n]
+
+    @cached_property
+    def used(self) -> tuple[Array, Array]:
+        """Columns that hold entries, and the place of each entry's column among them, (nnz,)."""
+        columns, places = np.unique(self.columns, return_inverse=True)
+        return columns, places
 
     @property
     def places(self) -> tuple[Array, Array]:
