@@ -1,6 +1,7 @@
 """What a run of HHT-I3 tells about its own errors."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from ancfdae.observables import custom
 from ancfdae.results import ErrorEstimates
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import pendulum
+from validation.tolerance.generator import case
 
 from mechanisms import CartesianPendulum
 
@@ -79,6 +81,29 @@ def test_a_run_that_is_far_off_says_so():
     away = np.linalg.norm(coarse.q[-1] - fine.q[-1]) / np.linalg.norm(fine.q[-1])
     assert away > 0.05
     assert coarse.estimated_errors.motion > away / 5
+
+
+def test_a_run_says_where_errors_grow_that_its_estimates_leave_out():
+    """Ends of a spring nearly meet: errors of positions become errors of velocities.
+
+    The error grows from then on, while what is added up does not.
+    """
+    linkage = case("kinked", 6)
+    run = simulate(linkage.system, linkage.t_end, HHT(rtol=1e-3))
+    exact = simulate(linkage.system, linkage.t_end, DOP853(1e-9))
+    root, same = np.sqrt(linkage.system.weights), run.at(exact.t[1:-1])
+    off = rms((same.q - exact.q[1:-1]) * root) / rms(exact.q[:1] * root)[0]
+    (said,) = re.findall(r"steps fell to 1/\d+ at t = ([\d.]+):", repr(run))
+    before = off[same.t < float(said)].max()
+    assert off.max() > 3 * before
+    assert off.max() > 2 * run.estimated_errors.motion
+    # Nothing of it where steps are given, where a run is sampled, and in a smooth one.
+    for other in (
+        simulate(linkage.system, linkage.t_end, HHT(linkage.t_end / 200)),
+        run.at([0.0, 0.1, 0.1001, 0.3]),
+        simulate(CartesianPendulum(), 2.0, HHT(rtol=1e-3)),
+    ):
+        assert "steps fell" not in repr(other)
 
 
 def test_a_variable_without_influence_has_no_error():

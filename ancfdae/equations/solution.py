@@ -32,6 +32,9 @@ from ancfdae.errors.text import listed, page
 from ancfdae.numerics.arrays import STEP, Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
 
+# Controlled steps over the longest before, below which something sharp is met.
+_SHARP = 1 / 30
+
 
 @final
 @dataclass(frozen=True)
@@ -56,7 +59,8 @@ class Solution:
         3 for Radau, which adds the stages of its steps, 8 for Gauss-Lobatto instants
         (`ancfdae.numerics.time_grid`).
     estimated_errors : ErrorEstimates or None
-        Of HHT only; the others keep their tolerances to themselves.
+        Of HHT only; the others keep their tolerances to themselves. The text of a solution says
+        where controlled steps fell to a thirtieth, behind which errors may grow beyond these.
     control : tuple of float
         State of the step control at the last instant, with which ``simulate(..., after=solution)``
         goes on; empty where the steps were known beforehand.
@@ -308,8 +312,23 @@ class Solution:
         sizes = f"{self.q.shape[1]} coordinates, {self.lam.shape[1]} multipliers"
         lines = [f"Solution: {span}, {sizes}", str(self.outcome)]
         lines += [] if sensitivities is None else [f"derivatives in {listed(sensitivities.names)}"]
-        lines += [] if errors is None else [repr(errors)]
+        lines += [] if errors is None else [f"{errors!r}{self._doubt}"]
         return "\n".join(lines)
+
+    @property
+    def _doubt(self) -> str:
+        """What estimated errors leave out: growth behind a place at which controlled steps fell."""
+        h = np.diff(self.t)[:-1]
+        if not self.control or not h.size:
+            return ""
+        fall = h / np.maximum.accumulate(h)
+        k = int(np.argmin(fall))
+        if fall[k] > _SHARP:
+            return ""
+        return (
+            f" (steps fell to 1/{1 / fall[k]:.0f} at t = {self.t[k]:.3g}: errors that grow behind "
+            "a kink or a pulse are not part of these; see error_bars)"
+        )
 
     def _repr_html_(self) -> str:
         """Return the size of the run as notebooks show it, and how it ended."""
