@@ -31,6 +31,7 @@ from ancfdae import (
     Material,
     Pin,
     PointMass,
+    PointOnLine,
     PrescribedSteps,
     Prismatic,
     Radau,
@@ -404,6 +405,32 @@ def states_of(scene, t_end, method):
     return assemble(scene), states_of(simulate(scene, t_end, method))
 
 
+def test_bodies_follow_their_joints_beside_states():
+    # A slider-crank, whose bodies are moved onto their joints where the crank has another length.
+    parts = Rectangle(0.03, 0.03), Material(2700, 7e10, 0.3)
+    crank = Beam("crank", (0, 0), (0.2, 0.2), 1, *parts, rigid=True)
+    rod = Beam("rod", (0.2, 0.2), (0.8, 0.0), 1, *parts, rigid=True)
+    joints = [
+        Pin(crank.at_start),
+        Pin(crank.at_end, rod.at_start),
+        PointOnLine(rod.at_end, direction=(1, 0)),
+    ]
+    motor = DCMotor(crank.at_start, Constant(U), R, L, 5 * K, 0.5, name="motor")
+    scene = Scene([crank, rod], joints, loads=[motor], assemble=True)
+    objective, design = Terminal(state("motor", "current")), ["crank.length", "motor.inductance"]
+    method = HHT(2.0**-9)
+    found = compared(scene, objective, 0.125, method, design, 1e-9)
+
+    def end(x):
+        moved = scene.with_values({"crank.length": x})
+        return values(objective.observable, simulate(moved, 0.125, method), assemble(moved))[-1]
+
+    length = 0.2 * 2**0.5
+    a, b, c, e = (end(length * (1 + m * 1e-3)) for m in (2, 1, -1, -2))
+    slope = (8 * (b - c) - (a - e)) / (12e-3 * length)
+    assert found[0] == pytest.approx(slope, rel=1e-7)
+
+
 # ---------------------------------------------------------------- other parts and axes
 
 
@@ -517,6 +544,52 @@ def test_a_motion_starts_from_an_equilibrium_of_other_loads():
         return values(ENDS[0], simulate(moved, TIME, HHT(2.0**-7)), assemble(moved))[-1]
 
     assert found[0] == pytest.approx((end(30.003) - end(29.997)) / 0.006, rel=1e-5)
+
+
+def test_initial_states_follow_the_design_beside_an_equilibrium():
+    disc = RigidBody("disc", (0.3, 0.2), mass=1.0, inertia=J)
+    motor = DCMotor(disc.origin, Constant(U), R, L, K, 0.5, name="motor")
+    held = TorsionalSpringDamper(disc.origin, 1.0, free_angle=0.1)
+    start = [EquilibriumStart(loads=[held])]
+    scene = Scene(bodies=[disc], joints=[Pin(disc.origin)], loads=[motor], start=start)
+    objective, design = Terminal(state("motor", "current")), ["motor.initial_current"]
+    call, short = (scene, objective, 0.02), {"design": design}
+    # The circuit is linear: the derivative is that of its closed form.
+    expected = motor_by_hand(0.02, i=1.5)[0] - motor_by_hand(0.02, i=0.5)[0]
+    found = gradient(*call, DOP853(1e-11), **short).gradient[0]
+    assert found == pytest.approx(expected, rel=1e-8)
+    method = Radau(2.0**-11)
+    for way in (DirectDifferentiation(), Adjoint(), ComplexStep()):
+        found = gradient(*call, method, method=way, **short).gradient[0]
+        assert found == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_displacement_counts_from_the_reference_on_a_line_that_turns(d):
+    rng, e = np.random.default_rng(4), np.array([0.3, -0.8, 0.4])[:d]
+    points = MaterialPoint("slider"), MaterialPoint("rail")
+    axis = TranslationAxis(points[0], e, points[1])
+    # Position of the slider, position and section of the rail.
+    U_o = np.concatenate([rng.uniform(-1, 1, (2, d)), np.eye(d)[1:]])
+    assert len(U_o) == axis.count(d)
+    assert axis.coordinate(U_o, U_o)[0] == pytest.approx(0.0, abs=1e-15)
+    spin = rng.uniform(-1, 1, (d, d))
+    turned = expm(spin - spin.T)
+    moved = U_o @ turned.T
+    moved[:2] += rng.uniform(-1, 1, d)
+    shift = moved.copy()
+    unit = e / np.linalg.norm(e)
+    shift[0] += 0.7 * turned @ unit
+    assert axis.coordinate(moved, U_o)[0] == pytest.approx(0.0, abs=1e-14)
+    assert axis.coordinate(shift, U_o)[0] == pytest.approx(0.7, rel=1e-14)
+    # The gradient is that of the value, also where the section of the rail is no longer square.
+    U = shift + 0.1 * rng.uniform(-1, 1, shift.shape)
+    gradient_ = axis.coordinate(U, U_o)[1]
+    for k in np.ndindex(U.shape):
+        step = np.zeros(U.shape, complex)
+        step[k] = 1e-30j
+        slope = np.imag(axis.coordinate(U + step, U_o)[0]).item() / 1e-30
+        assert gradient_[k] == pytest.approx(slope, abs=1e-14)
 
 
 def test_a_saved_run_knows_its_states(tmp_path):

@@ -4,7 +4,10 @@ import abc
 from dataclasses import dataclass
 from typing import Any, final
 
-from ancfdae.model.bodies import MaterialPoint, Quantity
+import numpy as np
+
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.model.loads.sections import section_of, travel, turn, unit_axes
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
@@ -33,6 +36,21 @@ class ControlAxis(abc.ABC):
         """
 
 
+def _require_points(where: str, point: object, other: object) -> None:
+    """Raise InvalidInputError unless both are points; `other` may be None."""
+    require_point(f"{where}, point", point)
+    if other is not None:
+        require_point(f"{where}, other", other)
+
+
+def _require_components(where: str, value: object, sizes: tuple[int, ...]) -> None:
+    """Raise InvalidInputError unless a vector is an array with a number of components."""
+    given = np.asarray(value)
+    if given.dtype.kind not in "iufc" or given.ndim != 1 or len(given) not in sizes:
+        rule = f"must be an array of {' or '.join(map(str, sizes))} numbers"
+        raise InvalidInputError(where, rule, repr(value), "For example np.array([1.0, 0.0, 0.0]).")
+
+
 @final
 @dataclass(frozen=True)
 class RotationAxis(ControlAxis):
@@ -52,6 +70,11 @@ class RotationAxis(ControlAxis):
     point: MaterialPoint
     axis: Array | None = None
     other: MaterialPoint | None = None
+
+    def __post_init__(self) -> None:
+        _require_points("RotationAxis", self.point, self.other)
+        if self.axis is not None:
+            _require_components("RotationAxis, axis", self.axis, (3,))
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the slopes that span the sections."""
@@ -86,6 +109,10 @@ class TranslationAxis(ControlAxis):
     point: MaterialPoint
     direction: Array
     other: MaterialPoint | None = None
+
+    def __post_init__(self) -> None:
+        _require_points("TranslationAxis", self.point, self.other)
+        _require_components("TranslationAxis, direction", self.direction, (2, 3))
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the positions of the points, and the slopes of the section with the direction."""
