@@ -458,8 +458,19 @@ class ListedSystem(MechanicalSystem):
         """The lists that a kernel integrates; None where b is complex."""
 
 
+class LaterSystem(MechanicalSystem):
+    """A system from a later time on, which a kernel marches by the plan of the system itself."""
+
+    @property
+    @abc.abstractmethod
+    def later_plan(self) -> Plan | ListPlan | None:
+        """The plan with its time shifted; None where the system has none, or b is complex."""
+
+
 def planned(system: MechanicalSystem) -> Plan | ListPlan | None:
     """Return the system as what a kernel marches; None for one that it cannot."""
+    if isinstance(system, LaterSystem):
+        return system.later_plan
     if isinstance(system, ListedSystem):
         return system.list_plan
     return system.plan if isinstance(system, PlannedSystem) else None

@@ -27,7 +27,7 @@ from ancfdae.events.impact import Directions
 from ancfdae.events.objectives import PhasePartials
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
 from ancfdae.events.run import Jump, Phase, PhasedRun
-from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
+from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.method import UnfinishedRunError, finished
@@ -210,7 +210,7 @@ def _pulled_back(
 ) -> Array:
     """Return the derivatives of a number in b, D, t_0, q_0 and v_0 from partials in the states."""
     base, run, D, integrator = phase.mode.system, phase.run, phase.duration, phase.integrator
-    assert isinstance(integrator, AdjointIntegrator)
+    assert isinstance(integrator, SteppedIntegrator)
     start = PhaseStart.held(*phase.state, base.n_b).free(base.n_b)
     # A free start does not keep to constraints: what it misses is projected.
     system = PhaseSystem(base, start, D, first=False)

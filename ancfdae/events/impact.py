@@ -30,6 +30,10 @@ from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import States
 
+# Inverse masses below this part of the largest possible one are round-off: of a gap that joints
+# hold, and of a gap whose rate follows from the rates of other gaps.
+_FIXED, _DEPENDENT = 1e-12, 1e-10
+
 
 class Directions(NamedTuple):
     """k directions in which a state moves: t (k,), q and v (n_q, k), and the design (n_b, k)."""
@@ -145,7 +149,7 @@ def struck(
     factors = matrices.factor(system.mass(q), system.constraint_q(time, q))
     moved, multiplier = solve(factors, np.zeros_like(v), system.constraint(time, q, v))
     before = _Velocity(v - moved, -multiplier, np.zeros(0))
-    active = tuple(impacts)
+    active = _independent(system, factors, impacts, t, q)
     while True:
         G, g_t = _rows(system, active, t, q)
         X, Y = solve(factors, G.T, np.zeros((system.n_lam, len(active)), dtype=G.dtype))
@@ -158,6 +162,35 @@ def struck(
         active = active[:weakest] + active[weakest + 1 :]
     after = _Velocity(before.value + X @ P, before.multiplier + Y @ P, P)
     return Struck(system, active, plastic, state, before, after, e, (G, g_t), X, factors)
+
+
+def _independent(
+    system: MechanicalSystem,
+    factors: Factorization,
+    impacts: Sequence[Impact],
+    t: complex,
+    q: Array,
+) -> tuple[Impact, ...]:
+    """Return the impacts, in their order, without gaps whose rates follow from those before.
+
+    Two gaps of one pair of points close together, and one impulse opens both. InvalidInputError if
+    no motion that the joints allow changes a gap.
+    """
+    chosen: list[Impact] = []
+    for impact in impacts:
+        G, _ = _rows(system, [*chosen, impact], t, q)
+        X, _ = solve(factors, G.T, np.zeros((system.n_lam, len(G)), dtype=G.dtype))
+        inverse_mass = (G @ X).real
+        own = inverse_mass[-1, -1]
+        if not own > _FIXED * np.sum(G[-1].real ** 2 / system.weights):
+            where = f"Impact.gap of {impact.name!r} at t = {np.real(t):.6g}"
+            rule = "must depend on coordinates that joints leave free"
+            raise InvalidInputError(where, rule, "a gap that no impulse changes")
+        rest = inverse_mass[-1, :-1]
+        left = own - rest @ np.linalg.solve(inverse_mass[:-1, :-1], rest) if chosen else own
+        if left > _DEPENDENT * own:
+            chosen.append(impact)
+    return tuple(chosen)
 
 
 def _rows(

@@ -30,13 +30,14 @@ import numpy as np
 
 from ancfdae.equations import (
     DesignPartials,
+    LaterSystem,
     Linearisation,
     MechanicalSystem,
-    PlannedSystem,
     StateDirection,
+    planned,
 )
 from ancfdae.equations.system import constraint_q_along, residual_along
-from ancfdae.kernels import Plan
+from ancfdae.kernels import ListPlan, Plan
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.extrapolation import scaled_derivative
 
@@ -77,7 +78,7 @@ class PhaseStart(NamedTuple):
 
 
 @final
-class PhaseSystem(PlannedSystem):
+class PhaseSystem(LaterSystem):
     """A system from the start of a phase on; see the module description.
 
     Its design variables are those of the system, then D, then further numbers of the start. `first`
@@ -175,12 +176,14 @@ class PhaseSystem(PlannedSystem):
     # -- values ------------------------------------------------------------------------------------
 
     @property
-    def plan(self) -> Plan | None:
-        """Arrays of the system, whose factors of time begin at t_0; None at a complex design."""
-        own = self.base.plan if isinstance(self.base, PlannedSystem) else None
+    def later_plan(self) -> Plan | ListPlan | None:
+        """The plan of the system, whose time begins at t_0; None at a complex design."""
+        own, t_0 = planned(self.base), float(np.real(self._start.t))
         if own is None or np.iscomplexobj(self.b):
             return None
-        t_0, joints, loads = float(np.real(self._start.t)), own.joint_factors, own.load_factors
+        if isinstance(own, ListPlan):
+            return own._replace(start=t_0)
+        joints, loads = own.joint_factors, own.load_factors
         shifted = joints and (lambda t, orders: joints(t_0 + t, orders))
         return own._replace(joint_factors=shifted, load_factors=lambda t: loads(t_0 + t))
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, cast, final
+from typing import Any, NamedTuple, cast, final
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from ancfdae.integrators.step_control import FixedSteps, PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.sensitivity.observables.states import States
 
 #: Impacts that follow each other within this part of the run are rest.
@@ -155,8 +156,12 @@ class PhaseMarch:
         self._modes, self._t_end, self._integrator = modes, t_end, integrator
         self._window, self._size = t_end * _FIRST, 0.0
 
-    def run(self, mode: ModeSystem) -> PhasedRun:
+    def run(self, mode: ModeSystem, progress: bool) -> PhasedRun:
         """Run from the start of a mode to the end; a failure keeps the phases before."""
+        with progress_bar(progress, total=self._t_end, unit="s") as bar:
+            return self._through(mode, bar)
+
+    def _through(self, mode: ModeSystem, bar: Any) -> PhasedRun:
         q, v = mode.system.start()
         before = self._at_start(mode, q, v)
         state, happened, first = (0.0, q, v), _impacts(before), before is None
@@ -185,6 +190,7 @@ class PhaseMarch:
             jump = self._jump(phase, event, rests)
             phase = replace(phase, jump=jump)
             phases.append(phase)
+            bar.update(phase.duration)
             left = self._t_end - phase.t_end
             if jump.ends or left <= _ROUND_OFF * self._t_end:
                 return self._ended(before, phases, None)

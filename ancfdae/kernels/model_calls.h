@@ -20,9 +20,10 @@ using SceneArguments =
     std::tuple<BlockArguments<double>, Indices, CsrArguments, CsrArguments, Array<double>,
                Array<double, 2>, Array<double>, Array<double>, Kept<ConstraintPlan>, CsrArguments,
                Ignored, Ignored, std::vector<std::tuple<Kept<LoadPlan>, bool>>, Ignored>;
-/* A system of lists: (lists, b, weights, inverse, B, K, whether forces use velocities). */
+/* A system of lists: (lists, b, weights, inverse, B, K, whether forces use velocities), and a time
+ * that has been added to all that come. */
 using ListArguments = std::tuple<std::vector<Kept<OperationList>>, Array<double, 1>, Array<double>,
-                                 Array<double>, CsrArguments, CsrArguments, bool>;
+                                 Array<double>, CsrArguments, CsrArguments, bool, Ignored>;
 /* (order, scale, envelope, band, fronts): an envelope is (first, chosen, places, signs), a band
  * (half, flat, factors), and fronts (chosen, places, arrays). */
 using LayoutArguments =
@@ -105,7 +106,7 @@ struct Model {
     void take_lists(ListArguments &x)
     {
         Plan<double> *p = &plan;
-        auto &[own, b, weights, inverse, B, K, velocity] = x;
+        auto &[own, b, weights, inverse, B, K, velocity, start] = x;
         Size n = p->n_q = weights.size;
         must(inverse.size == n, "weights and their inverses must have one size");
         p->weights = weights.data, p->inverse = inverse.data, p->velocity = velocity;

@@ -12,7 +12,7 @@ from typing import TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import ListedSystem, MechanicalSystem, planned
+from ancfdae.equations import MechanicalSystem, planned
 from ancfdae.integrators.hht.equations import Node
 from ancfdae.integrators.hht.small_steps import PLACES
 from ancfdae.integrators.recorder import SolutionRecorder, StateRows
@@ -75,7 +75,7 @@ class CompiledPasses:
         """Return the passes of a system; None if it has no plan for the kernel."""
         rules = np.zeros(RULES)
         rules[0] = alpha
-        if isinstance(system, ListedSystem):
+        if isinstance(planned(system), ListPlan):
             return None  # Its passes take matrices of many steps together.
         prepared = Prepared.of(system, matrices, rules)
         return prepared and cls(prepared)
