@@ -682,7 +682,7 @@ def test_moving_round_wall_with_a_restitution_that_depends_on_speed():
 
 
 def test_driven_scene_whose_forces_depend_on_time_passes_an_event():
-    """Starts and durations of phases move laws of time; all of them count."""
+    """Laws of time count through the starts and durations of phases."""
     scene = planar_machine()
     solution = simulate(scene, 0.05, HHT(step=1e-3))
     middle = position(scene.beams[1].at(0.5), 1)

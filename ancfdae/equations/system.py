@@ -464,7 +464,7 @@ class LaterSystem(MechanicalSystem):
     @property
     @abc.abstractmethod
     def later_plan(self) -> Plan | ListPlan | None:
-        """The plan with its time shifted; None where the system has none, or b is complex."""
+        """The plan with its time shifted; None for a system without a plan or at a complex b."""
 
 
 def planned(system: MechanicalSystem) -> Plan | ListPlan | None:

@@ -75,8 +75,8 @@ class EventRun:
         known = {_OWN: ModeSystem(_OWN, system, require_events(events))}
         require_kind("modes", modes or {}, (Mapping,), 'For example {"closed": Mode(scene)}.')
         if _OWN in (modes or {}):
-            rule, repair = "is the model of the call itself", "Take another name."
-            raise InvalidInputError("modes", f"{_OWN!r} {rule}", repr(_OWN), repair)
+            rule = f"must not name a mode {_OWN!r}, the model that the run begins with"
+            raise InvalidInputError("modes", rule, repr(_OWN), "Give that mode another name.")
         for name, mode in (modes or {}).items():
             require_kind(f"modes[{name!r}]", mode, (Mode,), "For example Mode(scene, events).")
             known[name] = ModeSystem(name, _assembled(mode.model, design), tuple(mode.events))
@@ -154,7 +154,8 @@ class EventRun:
         self, run: PhasedRun, objectives: Sequence[Objective], method: Perturbation
     ) -> list[tuple[float, Array]]:
         if isinstance(method, ComplexStep) and self.integrator.real_only:
-            rule, repair = "needs an integrator that computes in complex numbers", "Use HHT."
+            rule = "needs an integrator that computes in complex numbers"
+            repair = "Use HHT or Radau, or FiniteDifference()."
             raise InvalidInputError("ComplexStep", rule, repr(self.integrator), repair)
         base = self._values(objectives, states_of(run))
         slopes, b = np.zeros((len(objectives), self.system.n_b)), self.system.b
@@ -208,7 +209,7 @@ def solution(run: PhasedRun, derivatives: Sequence[PhaseDerivatives] = ()) -> Ev
 def _records(
     jump: Jump, time: float, time_b: Array | None, impulses_b: Array | None
 ) -> list[EventRecord]:
-    """Return the records of all events of one instant."""
+    """Return the records of all events that happen at one time."""
     pushing = () if jump.struck is None else jump.struck.impacts
     records = []
     for event in jump.events:
@@ -223,7 +224,7 @@ def _records(
 
 
 def _total(p: PhasePartials, x: PhaseDerivatives) -> Array:
-    """Return what a phase adds to the gradient of an objective, from its partials there."""
+    """Return the share of a phase in the gradient of an objective, shape (n_b,)."""
     total = p.b + p.start * x.start_b + p.duration * x.duration_b
     for rows, x_b in ((p.q, x.states.q_b), (p.v, x.states.v_b), (p.lam, x.states.lam_b)):
         if rows is not None:

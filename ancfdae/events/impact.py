@@ -1,11 +1,13 @@
-"""Newton's impact of one or several gaps at one instant, and its derivatives.
+"""Newton's impact of one or several gaps at one time, and its derivatives.
 
-With the gaps' gradients G = g_q, their rates u = G v + g_t and the restitutions e, a diagonal
-matrix, velocities v before the impact are first moved onto the constraints, then struck:
+G = g_q are the gradients of the gaps, u = G v + g_t their rates, and e is the diagonal matrix of
+the restitutions. The velocity v before the impact is first moved onto the constraints, to v_p:
 
-    M (v_p - v) + Phi_q^T sigma = 0,             Phi_q v_p = nu,
-    M (v+ - v) + Phi_q^T mu - G^T P = 0,         Phi_q v+ = nu,
-    G v+ + g_t + e (G v_p + g_t) = 0.
+    M (v_p - v) + Phi_q^T sigma = 0,   Phi_q v_p = nu.
+
+Then it is struck:
+
+    M (v+ - v) + Phi_q^T mu - G^T P = 0,   Phi_q v+ = nu,   G v+ + g_t + e (G v_p + g_t) = 0.
 
 With M X + Phi_q^T Y = G^T and Phi_q X = 0 the gaps see the inverse mass G X. The impulses follow
 from G X P = -(1 + e) u, and v+ = v_p + X P. Gaps whose impulse would pull are left out.
@@ -65,7 +67,7 @@ class _Velocity(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Struck:
-    """Impacts at one instant, solved: velocities moved onto the constraints, and after the impact.
+    """Impacts at one time, solved: velocities moved onto the constraints, and after the impact.
 
     `impulses` are P of `impacts`, those that push, with the restitutions e; X as above.
     """
@@ -111,7 +113,7 @@ class Struck:
         return held_b + self.X @ P_b, P_b
 
     def _held(self, w: _Velocity, moved: Directions, extra: Array | float) -> Array:
-        """Return the derivative of a velocity with its impulses held; `extra` is (G^T P)_b."""
+        """Return derivatives of a velocity, (n_q, k), impulses held; `extra` is (G^T P)_b."""
         system, (t, q, v) = self.system, self.state
         time, change = float(np.real(t)), w.value - v
         at = np.array([time]), q[None], None, change[None], w.multiplier[None]

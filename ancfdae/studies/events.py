@@ -23,7 +23,7 @@ def simulated(run: EventRun) -> EventSolution:
 def differentiated(run: EventRun, method: object) -> EventSolution:
     """Return the motion with its events, and the design derivatives of both if it reached the end.
 
-    They are those of `DirectDifferentiation`.
+    The method is `DirectDifferentiation`.
     """
     if not isinstance(method, DirectDifferentiation):
         rule = "must be DirectDifferentiation() in a run with events"
