@@ -12,6 +12,7 @@ from ancfdae import (
     AtTimes,
     Beam,
     ComplexStep,
+    ContinuousAdjoint,
     DirectDifferentiation,
     EndEvent,
     FiniteDifference,
@@ -22,6 +23,7 @@ from ancfdae import (
     Pin,
     PointMass,
     PointOnLine,
+    PrescribedSteps,
     Radau,
     Scene,
     SmoothMaximum,
@@ -34,6 +36,7 @@ from ancfdae import (
     gradients,
     simulate,
 )
+from ancfdae.errors import InvalidInputError, UnknownNameError
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
 from ancfdae.extend import FormulaSystem
 from ancfdae.observables import (
@@ -679,7 +682,7 @@ def test_moving_round_wall_with_a_restitution_that_depends_on_speed():
 
 
 def test_driven_scene_whose_forces_depend_on_time_passes_an_event():
-    """Starts and durations of phases move laws of time; all of them count."""
+    """Laws of time count through the starts and durations of phases."""
     scene = planar_machine()
     solution = simulate(scene, 0.05, HHT(step=1e-3))
     middle = position(scene.beams[1].at(0.5), 1)
@@ -702,3 +705,51 @@ def test_driven_scene_whose_forces_depend_on_time_passes_an_event():
     for other in (adjoint, stepped):
         np.testing.assert_allclose(other.gradient, direct.gradient, rtol=1e-9)
     np.testing.assert_allclose(differences.gradient, direct.gradient, rtol=1e-4)
+
+
+def test_gaps_that_say_the_same_are_one_impact():
+    twice = Impact(2 * HEIGHT, RESTITUTION, "twice")
+    for method in EXACT:
+        found = gradient(
+            Ball(), Terminal(HEIGHT), 3.2, HHT(step=0.1), method=method, events=[BOUNCE, twice]
+        )
+        np.testing.assert_allclose(found.gradient, slopes_by_hand(3.2, Ball().b), atol=1e-10)
+    clock = Impact(custom(lambda t, q, v, lam, b: 1.0 - t, "clock"), 0.5)
+    with pytest.raises(InvalidInputError, match="joints leave free"):
+        simulate(Ball(), 3.2, HHT(step=0.1), events=[clock])
+
+
+def test_bad_events_are_refused_in_words():
+    ball, step = Ball(), HHT(step=0.1)
+    with pytest.raises(InvalidInputError, match="must be finite along the run"):
+        simulate(ball, 3.0, step, events=[EndEvent(1.0 + np.sqrt(HEIGHT - 2.0))])
+    with pytest.raises(InvalidInputError, match="must not be negative"):
+        simulate(ball, 3.0, step, events=[Impact(HEIGHT - 6.0)])
+    with pytest.raises(InvalidInputError, match="function of positions"):
+        simulate(ball, 3.0, step, events=[Impact(custom(speeding, "speeding"))])
+    with pytest.raises(InvalidInputError, match="different names"):
+        simulate(ball, 3.0, step, events=[BOUNCE, BOUNCE])
+    with pytest.raises(InvalidInputError, match="must not be negative"):
+        Impact(HEIGHT, -0.1)
+    with pytest.raises(UnknownNameError, match="mode"):
+        simulate(ball, 3.0, step, events=[Switch(HEIGHT, "nowhere")])
+    modes, locked = {"other": Mode(TwoBalls())}, {"locked": Mode(LockedPendulum())}
+    with pytest.raises(InvalidInputError, match="coordinates and the design"):
+        simulate(ball, 3.0, step, events=[Switch(HEIGHT, "other")], modes=modes)
+    early = Switch(LOCK.function - 0.3, "locked")
+    with pytest.raises(InvalidInputError, match="joints must be closed"):
+        simulate(DoublePendulum(spin=5.0), 1.0, HHT(step=0.01), events=[early], modes=locked)
+    with pytest.raises(InvalidInputError, match="choose steps itself"):
+        simulate(ball, 3.0, HHT(PrescribedSteps((0.0, 3.0))), events=[BOUNCE])
+    with pytest.raises(InvalidInputError, match="without `after`"):
+        simulate(ball, 3.0, step, events=[BOUNCE], after=simulate(ball, 1.0, step))
+    with pytest.raises(InvalidInputError, match="complex numbers"):
+        gradient(ball, Terminal(HEIGHT), 3.0, DOP853(), method=ComplexStep(), events=[BOUNCE])
+    with pytest.raises(InvalidInputError, match="HHT or Radau"):
+        gradient(ball, Terminal(HEIGHT), 3.0, DOP853(), method=Adjoint(), events=[BOUNCE])
+    with pytest.raises(InvalidInputError, match="differentiates runs with events"):
+        gradient(ball, Terminal(HEIGHT), 3.0, step, method=ContinuousAdjoint(), events=[BOUNCE])
+
+
+def speeding(t, q, v, lam, b):
+    return 3.0 + v[:, 0]

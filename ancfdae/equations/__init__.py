@@ -12,6 +12,7 @@ from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import ErrorEstimates, Sensitivities, Statistics
 from ancfdae.equations.system import (
     DesignPartials,
+    LaterSystem,
     Linearisation,
     ListedSystem,
     MechanicalSystem,

@@ -30,10 +30,11 @@ class EventRecord:
     mode : str
         Name of the mode that followed; ``"start"`` is the model that the run began with.
     impulse : float or None
-        Impulse P of an impact: of the force on the gap, so N s for a gap in m. None of other
-        events, and of a gap that the other impacts of the same instant opened.
+        Impulse P of an impact, in N s for a gap in m. None for other
+        events, and of a gap that another impact at the same time opened.
     time_b, impulse_b : array, shape (n_b,), or None
-        Their design derivatives, where the run was differentiated.
+        Their design derivatives, where the run was differentiated; s or N s per unit of the
+        variable.
     """
 
     name: str
@@ -52,9 +53,9 @@ class EventSolution:
     Attributes
     ----------
     phases : tuple of Solution
-        The motion between events. The last instant of a phase and the first one of the next are the
-        same time, before and after the event. Design derivatives are those at a time that does not
-        move with the design; of a and lam to the order of differences between instants.
+        The motion between events. The last time point of a phase and the first one of the next are
+        the same time, before and after the event. Design derivatives are taken at a time that does
+        not move with the design; a_b and lam_b have the error of differences in time.
     events : tuple of EventRecord
         What happened, in the order of time.
     outcome : RunOutcome
@@ -119,7 +120,7 @@ class EventSolution:
 def at_held_times(run: Solution, times: Array, states: Sensitivities, t_b: Array) -> Solution:
     """Return the run of a phase at its times in the whole run, with derivatives at held times.
 
-    `states` are derivatives at the instants of the phase, which move with the design by t_b.
+    `states` are derivatives at the time points of the phase, which move with the design by t_b.
     """
 
     def rate(x: Array) -> Array:

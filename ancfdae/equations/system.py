@@ -469,8 +469,19 @@ def require_no_controllers(where: str, system: MechanicalSystem, repair: str) ->
         raise InvalidInputError(where, rule, listed(map(repr, system.controllers)), repair)
 
 
+class LaterSystem(MechanicalSystem):
+    """A system from a later time on, which a kernel marches by the plan of the system itself."""
+
+    @property
+    @abc.abstractmethod
+    def later_plan(self) -> Plan | ListPlan | CalledPlan:
+        """The plan with its time shifted; its own functions where there is no other plan."""
+
+
 def planned(system: MechanicalSystem) -> Plan | ListPlan | CalledPlan:
     """Return the system as kernels take it: arrays, lists of operations, or functions to call."""
+    if isinstance(system, LaterSystem):
+        return system.later_plan
     if isinstance(system, ListedSystem):
         return system.list_plan
     plan = system.plan if isinstance(system, PlannedSystem) else None

@@ -12,7 +12,7 @@ from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.complex_steps import at_values
 from ancfdae.equations.event_solution import EventRecord, EventSolution, at_held_times
-from ancfdae.errors.checks import require_kind, require_positive
+from ancfdae.errors.checks import require_flag, require_kind, require_positive
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.events.derivatives import PhaseDerivatives, differentiated, pulled_back
 from ancfdae.events.kinds import Impact, Mode, require_events
@@ -25,7 +25,7 @@ from ancfdae.events.objectives import (
 )
 from ancfdae.events.perturbed import at_complex
 from ancfdae.events.run import Jump, ModeSystem, PhasedRun, PhaseMarch
-from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
+from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.step_control import PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.model.design import DesignVariable
@@ -50,6 +50,7 @@ class EventRun:
     modes: Mapping[str, ModeSystem]
     t_end: float
     integrator: Integrator
+    progress: bool = False
 
     @staticmethod
     def of(
@@ -59,9 +60,11 @@ class EventRun:
         events: object,
         modes: Mapping[str, Mode] | None,
         design: Sequence[str | DesignVariable] | None,
+        progress: bool,
     ) -> EventRun:
-        """Check and assemble what a call was given."""
+        """Check and assemble the arguments of a call."""
         require_positive("t_end", t_end)
+        require_flag("progress", progress)
         require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
         assert isinstance(integrator, Integrator)
         if isinstance(integrator, SteppedIntegrator) and isinstance(
@@ -72,14 +75,14 @@ class EventRun:
         known = {_OWN: ModeSystem(_OWN, system, require_events(events))}
         require_kind("modes", modes or {}, (Mapping,), 'For example {"closed": Mode(scene)}.')
         if _OWN in (modes or {}):
-            rule, repair = "is the model of the call itself", "Take another name."
-            raise InvalidInputError("modes", f"{_OWN!r} {rule}", repr(_OWN), repair)
+            rule = f"must not name a mode {_OWN!r}, the model that the run begins with"
+            raise InvalidInputError("modes", rule, repr(_OWN), "Give that mode another name.")
         for name, mode in (modes or {}).items():
             require_kind(f"modes[{name!r}]", mode, (Mode,), "For example Mode(scene, events).")
             known[name] = ModeSystem(name, _assembled(mode.model, design), tuple(mode.events))
         for name, each in known.items():
             _require_mode(name, each, system, known)
-        return EventRun(known, float(t_end), integrator)
+        return EventRun(known, float(t_end), integrator, progress)
 
     @property
     def system(self) -> MechanicalSystem:
@@ -89,7 +92,8 @@ class EventRun:
     @in_one_thread
     def phased(self) -> PhasedRun:
         """Integrate all phases."""
-        return PhaseMarch(self.modes, self.t_end, self.integrator).run(self.modes[_OWN])
+        march = PhaseMarch(self.modes, self.t_end, self.integrator)
+        return march.run(self.modes[_OWN], self.progress)
 
     def at(self, b: Array) -> EventRun:
         """Return the same run at other design values."""
@@ -97,7 +101,7 @@ class EventRun:
             name: mode._replace(system=at_values(mode.system, b))
             for name, mode in self.modes.items()
         }
-        return replace(self, modes=moved)
+        return replace(self, modes=moved, progress=False)
 
     @in_one_thread
     def differentiated(self, run: PhasedRun) -> EventSolution:
@@ -136,8 +140,9 @@ class EventRun:
     def _adjoint(
         self, run: PhasedRun, objectives: Sequence[Objective]
     ) -> list[tuple[float, Array]]:
-        if not isinstance(self.integrator, AdjointIntegrator):
-            rule, repair = "needs an integrator with an adjoint", "Use HHT or Radau."
+        if not isinstance(self.integrator, SteppedIntegrator):
+            rule = "needs HHT or Radau in a run with events"
+            repair = "Take one of them, or DirectDifferentiation()."
             raise InvalidInputError("Adjoint", rule, repr(self.integrator), repair)
         results = []
         for objective in objectives:
@@ -149,7 +154,8 @@ class EventRun:
         self, run: PhasedRun, objectives: Sequence[Objective], method: Perturbation
     ) -> list[tuple[float, Array]]:
         if isinstance(method, ComplexStep) and self.integrator.real_only:
-            rule, repair = "needs an integrator that computes in complex numbers", "Use HHT."
+            rule = "needs an integrator that computes in complex numbers"
+            repair = "Use HHT or Radau, or FiniteDifference()."
             raise InvalidInputError("ComplexStep", rule, repr(self.integrator), repair)
         base = self._values(objectives, states_of(run))
         slopes, b = np.zeros((len(objectives), self.system.n_b)), self.system.b
@@ -203,7 +209,7 @@ def solution(run: PhasedRun, derivatives: Sequence[PhaseDerivatives] = ()) -> Ev
 def _records(
     jump: Jump, time: float, time_b: Array | None, impulses_b: Array | None
 ) -> list[EventRecord]:
-    """Return the records of all events of one instant."""
+    """Return the records of all events that happen at one time."""
     pushing = () if jump.struck is None else jump.struck.impacts
     records = []
     for event in jump.events:
@@ -218,7 +224,7 @@ def _records(
 
 
 def _total(p: PhasePartials, x: PhaseDerivatives) -> Array:
-    """Return what a phase adds to the gradient of an objective, from its partials there."""
+    """Return the share of a phase in the gradient of an objective, shape (n_b,)."""
     total = p.b + p.start * x.start_b + p.duration * x.duration_b
     for rows, x_b in ((p.q, x.states.q_b), (p.v, x.states.v_b), (p.lam, x.states.lam_b)):
         if rows is not None:

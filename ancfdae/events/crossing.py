@@ -1,4 +1,4 @@
-"""The first zero of a function between the instants of a run, from its values and rates.
+"""The first zero of a function between the time points of a run, from its values and rates.
 
 Within a step the function is the cubic through values and rates at both ends. A step in which the
 function changes its sign has a zero; so has one whose cubic reaches beyond zero and returns, which
@@ -21,8 +21,8 @@ def first_crossing(
     """Return the first time at which g crosses zero in a direction; None if it does not.
 
     `side` is the sign that g has just after the start where an event has just happened there: its
-    value is then round-off. Zero in the first instant is no crossing otherwise: g is then on the
-    side to which it moves.
+    value is then round-off. A zero at the first time point is no crossing otherwise: g is then
+    on the side to which it moves.
     """
     if side is None and _rests(g, rate):
         rate = np.append(0.0, rate[1:])
@@ -40,13 +40,13 @@ def first_crossing(
 
 
 def _rests(g: Array, rate: Array) -> bool:
-    """Whether value and rate in the first instant are round-off of zero."""
+    """Whether value and rate at the first time point are round-off of zero."""
     pairs = ((x[0], np.max(np.abs(x))) for x in (g, rate))
     return all(abs(x) <= _ROUND_OFF * largest for x, largest in pairs)
 
 
 def _sides(g: Array, rate: Array, side: float | None) -> Array:
-    """Return the sign of g at every instant; where it is zero, the side to which it moves."""
+    """Return the signs of g at the time points, (k,); of a zero the side to which it moves."""
     sides, moves = np.sign(g), np.sign(rate)
     if side is not None:
         sides[0] = side

@@ -5,9 +5,9 @@ variable (`phase_system`), the end of a phase whose event has the function g fol
 
     g_x x_D + g_t = 0 in D:   D_b = -(g_x x_b + g_t t_0,b + g_b) / (g_x x_D + g_t),
 
-x_b with the instants at fixed shares of the phase, and of a phase that ends at a given time from
-D_b = -t_0,b. Then x_b + x_D D_b are the derivatives of all its states, t_0,b + D_b is that of t_e,
-and the jump is differentiated (`impact`). Backward, covectors pass the transposed jump, the
+where x_b holds D. A phase that ends at a given time has D_b = -t_0,b. Then x_b + x_D D_b are the
+derivatives of all states of the phase, t_0,b + D_b is the derivative of t_e, and the jump is
+differentiated (`impact`). Backward, covectors pass the transposed jump, the
 transposed phase, whose start is free there, and D.
 """
 
@@ -27,7 +27,7 @@ from ancfdae.events.impact import Directions
 from ancfdae.events.objectives import PhasePartials
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
 from ancfdae.events.run import Jump, Phase, PhasedRun
-from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
+from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.method import UnfinishedRunError, finished
@@ -41,8 +41,8 @@ _GRAZES = 1e-7
 class PhaseDerivatives:
     """A phase with the design derivatives of its start, its duration and all its states.
 
-    The states are those at the instants, which move with the design: t_b has the shape (k, n_b).
-    `impulses_b` are those of the impacts at its end, (m, n_b).
+    The time points move with the design, by t_b of shape (k, n_b). `impulses_b`, (m, n_b), belong
+    to the impacts at the end of the phase.
     """
 
     phase: Phase
@@ -78,14 +78,14 @@ def differentiated(run: PhasedRun) -> tuple[PhasedRun, list[PhaseDerivatives]]:
 
 
 def _through(phase: Phase, start: _Start) -> tuple[PhaseDerivatives, _Start]:
-    """Differentiate a phase; return its derivatives, and those of its end."""
+    """Differentiate a phase; return its derivatives, and the derivatives at its end."""
     base, (t, q, v), D = phase.mode.system, phase.state, phase.duration
     system = PhaseSystem(base, PhaseStart(t, q, v, *start), D, phase.first)
     run = _differentiated(phase, system)
     phase, n, s = replace(phase, run=replace(run, sensitivities=None)), base.n_b, run.sensitivities
     assert s is not None
     states = [s.q_b, s.v_b.copy(), s.a_b.copy(), s.lam_b]
-    # From derivatives of dq/dtau and d^2q/dtau^2, tau the time of the phase, to those of v and a.
+    # Derivatives of dq/dtau and d^2q/dtau^2, tau the time of the phase, become v_b and a_b.
     states[1][..., n] -= run.v / D
     states[2][..., n] -= 2 * run.a / D
     D_b = -start.t_b
@@ -124,7 +124,7 @@ def require_crossing(phase: Phase, rate: float) -> None:
 
 
 def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
-    """Return the run of a phase with derivatives; UnfinishedRunError if it has none to the end."""
+    """Return the run of a phase with derivatives; UnfinishedRunError if their pass breaks off."""
     integrator = phase.integrator
     if isinstance(integrator, SteppedIntegrator):
         run = integrator.differentiate(system, phase.run)
@@ -136,7 +136,7 @@ def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
 
 
 def _after(system: MechanicalSystem, jump: Jump, end: _Start) -> tuple[_Start, Array]:
-    """Return the derivatives after a jump, and those of its impulses."""
+    """Return the derivatives after a jump, and the derivatives of its impulses, (m, n_b)."""
     if jump.struck is None:
         return end, np.zeros((0, system.n_b))
     along = Directions(end.t_b, end.q_b, end.v_b, np.eye(system.n_b))
@@ -148,7 +148,7 @@ def _after(system: MechanicalSystem, jump: Jump, end: _Start) -> tuple[_Start, A
 
 
 class _Covectors(NamedTuple):
-    """Derivatives of a number in time, q and v at one instant."""
+    """Derivatives of a number in time, q and v at one time point."""
 
     t: float
     q: Array
@@ -208,9 +208,9 @@ def _back_through(phase: Phase, p: PhasePartials, on: _Covectors) -> tuple[_Cove
 def _pulled_back(
     phase: Phase, q: Array | None, v: Array | None, lam: Array | None, end: _Covectors
 ) -> Array:
-    """Return the derivatives of a number in b, D, t_0, q_0 and v_0 from partials in the states."""
+    """Return derivatives in b, D, t_0, q_0 and v_0, shape (n_b + 2 + 2 n_q,), from partials."""
     base, run, D, integrator = phase.mode.system, phase.run, phase.duration, phase.integrator
-    assert isinstance(integrator, AdjointIntegrator)
+    assert isinstance(integrator, SteppedIntegrator)
     start = PhaseStart.held(*phase.state, base.n_b).free(base.n_b)
     # A free start does not keep to constraints: what it misses is projected.
     system = PhaseSystem(base, start, D, first=False)

@@ -19,8 +19,8 @@ from ancfdae.sensitivity.observables.expression import leaf_weights
 from ancfdae.sensitivity.observables.observable import Leaf, Observable
 from ancfdae.sensitivity.observables.states import States
 
-# Gradients that differ by less than this, relative to the largest entry, are those of a gap that is
-# linear in the coordinates.
+# A gap whose gradients differ by less than this, relative to the largest entry, is linear in the
+# coordinates.
 _SAME = 1e-14
 
 

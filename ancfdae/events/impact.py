@@ -1,11 +1,13 @@
-"""Newton's impact of one or several gaps at one instant, and its derivatives.
+"""Newton's impact of one or several gaps at one time, and its derivatives.
 
-With the gaps' gradients G = g_q, their rates u = G v + g_t and the restitutions e, a diagonal
-matrix, velocities v before the impact are first moved onto the constraints, then struck:
+G = g_q are the gradients of the gaps, u = G v + g_t their rates, and e is the diagonal matrix of
+the restitutions. The velocity v before the impact is first moved onto the constraints, to v_p:
 
-    M (v_p - v) + Phi_q^T sigma = 0,             Phi_q v_p = nu,
-    M (v+ - v) + Phi_q^T mu - G^T P = 0,         Phi_q v+ = nu,
-    G v+ + g_t + e (G v_p + g_t) = 0.
+    M (v_p - v) + Phi_q^T sigma = 0,   Phi_q v_p = nu.
+
+Then it is struck:
+
+    M (v+ - v) + Phi_q^T mu - G^T P = 0,   Phi_q v+ = nu,   G v+ + g_t + e (G v_p + g_t) = 0.
 
 With M X + Phi_q^T Y = G^T and Phi_q X = 0 the gaps see the inverse mass G X. The impulses follow
 from G X P = -(1 + e) u, and v+ = v_p + X P. Gaps whose impulse would pull are left out.
@@ -29,6 +31,10 @@ from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import States
+
+# Inverse masses below this part of the largest possible one are round-off: of a gap that joints
+# hold, and of a gap whose rate follows from the rates of other gaps.
+_FIXED, _DEPENDENT = 1e-12, 1e-10
 
 
 class Directions(NamedTuple):
@@ -61,7 +67,7 @@ class _Velocity(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Struck:
-    """Impacts at one instant, solved: velocities moved onto the constraints, and after the impact.
+    """Impacts at one time, solved: velocities moved onto the constraints, and after the impact.
 
     `impulses` are P of `impacts`, those that push, with the restitutions e; X as above.
     """
@@ -107,7 +113,7 @@ class Struck:
         return held_b + self.X @ P_b, P_b
 
     def _held(self, w: _Velocity, moved: Directions, extra: Array | float) -> Array:
-        """Return the derivative of a velocity with its impulses held; `extra` is (G^T P)_b."""
+        """Return derivatives of a velocity, (n_q, k), impulses held; `extra` is (G^T P)_b."""
         system, (t, q, v) = self.system, self.state
         time, change = float(np.real(t)), w.value - v
         at = np.array([time]), q[None], None, change[None], w.multiplier[None]
@@ -145,7 +151,7 @@ def struck(
     factors = matrices.factor(system.mass(q), system.constraint_q(time, q))
     moved, multiplier = solve(factors, np.zeros_like(v), system.constraint(time, q, v))
     before = _Velocity(v - moved, -multiplier, np.zeros(0))
-    active = tuple(impacts)
+    active = _independent(system, factors, impacts, t, q)
     while True:
         G, g_t = _rows(system, active, t, q)
         X, Y = solve(factors, G.T, np.zeros((system.n_lam, len(active)), dtype=G.dtype))
@@ -158,6 +164,35 @@ def struck(
         active = active[:weakest] + active[weakest + 1 :]
     after = _Velocity(before.value + X @ P, before.multiplier + Y @ P, P)
     return Struck(system, active, plastic, state, before, after, e, (G, g_t), X, factors)
+
+
+def _independent(
+    system: MechanicalSystem,
+    factors: Factorization,
+    impacts: Sequence[Impact],
+    t: complex,
+    q: Array,
+) -> tuple[Impact, ...]:
+    """Return the impacts, in their order, without gaps whose rates follow from those before.
+
+    Two gaps of one pair of points close together, and one impulse opens both. InvalidInputError if
+    no motion that the joints allow changes a gap.
+    """
+    chosen: list[Impact] = []
+    for impact in impacts:
+        G, _ = _rows(system, [*chosen, impact], t, q)
+        X, _ = solve(factors, G.T, np.zeros((system.n_lam, len(G)), dtype=G.dtype))
+        inverse_mass = (G @ X).real
+        own = inverse_mass[-1, -1]
+        if not own > _FIXED * np.sum(G[-1].real ** 2 / system.weights):
+            where = f"Impact.gap of {impact.name!r} at t = {np.real(t):.6g}"
+            rule = "must depend on coordinates that joints leave free"
+            raise InvalidInputError(where, rule, "a gap that no impulse changes")
+        rest = inverse_mass[-1, :-1]
+        left = own - rest @ np.linalg.solve(inverse_mass[:-1, :-1], rest) if chosen else own
+        if left > _DEPENDENT * own:
+            chosen.append(impact)
+    return tuple(chosen)
 
 
 def _rows(

@@ -130,7 +130,7 @@ class Impact(Event):
 
         M (v+ - v-) + Phi_q^T mu = g_q^T P,   Phi_q v+ = nu,   u+ = -e u-,
 
-    where P is the impulse. Gaps that close at the same instant share one system of equations.
+    where P is the impulse. Gaps that close at the same time share one system of equations.
 
     Parameters
     ----------

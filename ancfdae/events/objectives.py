@@ -3,9 +3,9 @@
 An integral is the sum of those over the phases. A value at a given time T is interpolated in the
 phase in which T lies, at the end of a phase in the one that ends there: before the event. The
 derivative with respect to the time counts there, for a phase moves with the design: steps are
-interpolated by a cubic through four instants. Times of
-instants depend on the design through the starts and durations of phases, and with them the weights
-of quadrature and interpolation, and observables that name time.
+interpolated by a cubic through four time points. Time points depend on the design through the
+starts and durations of phases. So do the weights of quadrature and interpolation, and observables
+that name time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from ancfdae.sensitivity.observables.states import States
 
 # A time within this part of the run after the end of a phase lies at that end.
 _SAME = 1e-12
-# Steps are interpolated through this number of instants.
+# Steps are interpolated through this number of time points.
 _NEAR = 4
 
 
@@ -45,7 +45,7 @@ class PhaseStates:
 
     @property
     def grid(self) -> TimeGrid:
-        """The instants of the phase, in its own time."""
+        """The time points of the phase, counted from its start."""
         return TimeGrid(self.states.t - np.real(self.start), self.states.degree)
 
     def late(self) -> Array:
@@ -142,7 +142,7 @@ class _Reduced:
         return complex(self._objective.reduce(x_all[used], w_all[used]))
 
     def _values(self, k: int) -> Array:
-        """Return the observable at the instants of a phase, with what late instants change."""
+        """Return the observable along a phase, shape (k,), with the change by imaginary times."""
         phase, x = self._phases[k], list(self._nodes[k].values())[-1]
         late = phase.late()
         if not np.any(late):
@@ -153,7 +153,7 @@ class _Reduced:
         return x + 1j * late * in_time(system, self._objective.observable, real)
 
     def _weights(self, spans: Sequence[tuple[complex, complex]]) -> list[Array]:
-        """Return the weights of all instants of each phase from its start and its duration."""
+        """Return the weights of all time points of each phase from its start and its duration."""
         objective, grids = self._objective, [phase.grid for phase in self._phases]
         if isinstance(objective, AtInstants):
             return self._shares(objective, spans)
@@ -169,7 +169,7 @@ class _Reduced:
     def _shares(
         self, objective: AtInstants, spans: Sequence[tuple[complex, complex]]
     ) -> list[Array]:
-        """Return the shares of instants in values at given times."""
+        """Return the shares of time points in values at given times."""
         weights = [np.zeros(len(phase.states.t), dtype=complex) for phase in self._phases]
         if isinstance(objective, Terminal):
             # The end of the run, which an event may move.
@@ -224,7 +224,7 @@ class _Reduced:
 
 
 def _around(grid: TimeGrid, time: float) -> slice:
-    """Return the instants through whose values a polynomial interpolates at a time.
+    """Return the time points through whose values a polynomial interpolates at a time.
 
     Those of the panel; of steps, whose straight lines would leave derivatives with respect to the
     time to first order, four around it.
@@ -239,7 +239,7 @@ def _around(grid: TimeGrid, time: float) -> slice:
 
 
 def _lagrange(nodes: Array, time: float) -> tuple[Array, Array]:
-    """Return values and slopes of the Lagrange polynomials of instants at one time."""
+    """Return values and slopes of the Lagrange polynomials of some nodes at one time, (k,) each."""
     values, slopes = np.zeros((2, len(nodes)))
     for i, own in enumerate(nodes):
         others = np.delete(nodes, i)

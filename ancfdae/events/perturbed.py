@@ -1,8 +1,8 @@
 """A run with events at a complex design: the phases of a real run with imaginary parts.
 
-The complex step differentiates whole runs, events included: a phase at the imaginary step in the
-design ends off its event by Im g, and a phase of a real system whose duration has an imaginary step
-has the rate of g in D. Nothing here uses a derivative of the motion with respect to the design.
+The complex step differentiates whole runs, events included. A phase at the imaginary step in the
+design misses its event by Im g. A phase of the real system whose duration has an imaginary step
+gives the rate of g in D. No derivative of the motion with respect to the design is used here.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ with sigma = D / D_0:
     t = t_0 + sigma tau,   q(tau),   w = dq/dtau = sigma v,   alpha = sigma^2 a,
     M alpha / sigma^2 + Phi_q^T lam = Q(t, q, w / sigma),   Phi(t, q) = 0.
 
-sigma = 1, so states, forces and matrices are those of the system itself, which integrators and
-kernels take as they are. What changes is the derivative in D: instants keep their share of the
-phase, so D stretches all steps, and of f = M a + Phi_q^T lam - Q
+sigma = 1, so states, forces and matrices equal the ones of the system itself, and integrators and
+kernels need no change. Only derivatives in D are new: D stretches all steps by one factor, and
+f = M a + Phi_q^T lam - Q has
 
     f_D = ((Phi_q^T lam - Q)_t tau + Q_v v - 2 M a) / D,   Phi_D = Phi_t tau / D,
     w_D = v / D + v_D.
@@ -30,19 +30,20 @@ import numpy as np
 
 from ancfdae.equations import (
     DesignPartials,
+    LaterSystem,
     Linearisation,
     MechanicalSystem,
-    PlannedSystem,
     StateDirection,
+    planned,
 )
-from ancfdae.equations.system import constraint_q_along, residual_along
-from ancfdae.kernels import Plan
+from ancfdae.equations.system import called_plan, constraint_q_along, residual_along
+from ancfdae.kernels import CalledPlan, ListPlan, Plan
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.extrapolation import scaled_derivative
 
-# Times beside an instant, in parts of the phase, at which a value that changes with time differs.
+# Distances in time, in parts of the phase, after which a value that changes with time differs.
 _BESIDE = (1e-3, -1e-2, 0.1)
-#: Name of the design variable D that a phase adds to those of its system.
+#: Name of the design variable D that a phase adds to the variables of its system.
 DURATION = "duration of the phase"
 
 
@@ -77,12 +78,12 @@ class PhaseStart(NamedTuple):
 
 
 @final
-class PhaseSystem(PlannedSystem):
+class PhaseSystem(LaterSystem):
     """A system from the start of a phase on; see the module description.
 
-    Its design variables are those of the system, then D, then further numbers of the start. `first`
-    says that the start is that of the system itself, which is projected only where that allows it;
-    at all others the consistent start follows the jump there.
+    Its design variables are the variables of the system, then D, then further numbers of the start.
+    `first` is True for the phase that begins with the start of the system. This start is projected
+    only where the system allows it; all later starts are.
     """
 
     def __init__(
@@ -134,7 +135,7 @@ class PhaseSystem(PlannedSystem):
         return {}
 
     def _total(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
-        """Differentiate; further numbers of the start count where states depend on them only."""
+        """Differentiate, shape (m, n_b); numbers of the start act through the states only."""
         n = self._ahead
         moved = np.zeros(self.n_b, dtype=bool)
         moved[: n + 1] = True
@@ -163,7 +164,7 @@ class PhaseSystem(PlannedSystem):
         return t.real, t.imag
 
     def _times(self, tau: Array) -> Array:
-        """Return times of the system."""
+        """Return times of the system, shape (k,)."""
         return np.real(self._start.t + self._scale * tau)
 
     @cached_property
@@ -175,25 +176,27 @@ class PhaseSystem(PlannedSystem):
     # -- values ------------------------------------------------------------------------------------
 
     @property
-    def plan(self) -> Plan | None:
-        """Arrays of the system, whose factors of time begin at t_0; None at a complex design."""
-        own = self.base.plan if isinstance(self.base, PlannedSystem) else None
-        if own is None or np.iscomplexobj(self.b):
-            return None
-        t_0, joints, loads = float(np.real(self._start.t)), own.joint_factors, own.load_factors
+    def later_plan(self) -> Plan | ListPlan | CalledPlan:
+        """The plan of the system, whose time begins at t_0; functions at a complex design."""
+        own, t_0 = planned(self.base), float(np.real(self._start.t))
+        if isinstance(own, CalledPlan) or np.iscomplexobj(self.b):
+            return called_plan(self)
+        if isinstance(own, ListPlan):
+            return own._replace(start=t_0)
+        joints, loads = own.joint_factors, own.load_factors
         shifted = joints and (lambda t, orders: joints(t_0 + t, orders))
         return own._replace(joint_factors=shifted, load_factors=lambda t: loads(t_0 + t))
 
     def mass(self, q: Array) -> Array:
-        """Return the values of M / sigma^2."""
+        """Return the values of M / sigma^2 on the pattern, shape (nnz,)."""
         return self._slowed(self.base.mass(q))
 
     def mass_along(self, q: Array, dq: Array) -> Array:
-        """Differentiate M / sigma^2 along dq."""
+        """Differentiate M / sigma^2 along dq, shape (nnz,)."""
         return self._slowed(self.base.mass_along(q, dq))
 
     def mass_times(self, q: Array, x: Array) -> Array:
-        """Return M x / sigma^2 for a vector or for columns."""
+        """Return M x / sigma^2 for a vector, (n_q,), or for columns, (n_q, k)."""
         return self._slowed(self.base.mass_times(q, x))
 
     def _slowed(self, M: Array) -> Array:
@@ -220,19 +223,19 @@ class PhaseSystem(PlannedSystem):
         return self._over_time(t, lambda s: self.base.force_along(s, q, v, along))
 
     def constraint(self, t: float, *motion: Array) -> Array:
-        """Return Phi or its derivative of order n in tau, sigma^n times that in time."""
+        """Return Phi or its derivative of order n in tau, sigma^n d^n Phi/dt^n, shape (n_lam,)."""
         q, rates = motion[0], self._rates(*motion[1:])
         value = self._over_time(t, lambda s: self.base.constraint(s, q, *rates))
         return value if self._scale == 1 else self._scale ** len(rates) * value
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
-        """Return the values of Phi_q or of its derivative in tau."""
+        """Return the values of Phi_q or of its derivative in tau, shape (nnz,)."""
         q, rates = motion[0], self._rates(*motion[1:])
         value = self._over_time(t, lambda s: self.base.constraint_q(s, q, *rates))
         return value if self._scale == 1 else self._scale ** len(rates) * value
 
     def _over_time(self, tau: float, value: Callable[[float], Array]) -> Array:
-        """Return a value at a time whose imaginary part is a first-order change.
+        """Return a value, in its shape, at a time whose imaginary part is a first-order change.
 
         Laws of time need not accept complex numbers, and know three derivatives only.
         """
@@ -252,7 +255,7 @@ class PhaseSystem(PlannedSystem):
         return self.base.linearise(self._times(t), q, v, a, lam)
 
     def constraints_q(self, t: Array, q: Array) -> Array:
-        """Return the values of Phi_q at k instants, shape (k, nnz)."""
+        """Return the values of Phi_q at k time points, shape (k, nnz)."""
         return self.base.constraints_q(self._times(t), q)
 
     # -- derivatives with respect to the design ----------------------------------------------------
@@ -260,7 +263,7 @@ class PhaseSystem(PlannedSystem):
     def design_partials(
         self, t: Array, q: Array, v: Array | None, a: Array, lam: Array
     ) -> DesignPartials:
-        """Return the partials of f and Phi at k instants; without v those of M a + Phi_q^T lam."""
+        """Return the partials of f and Phi at k time points; if v is None without the force Q."""
         n, time = self._ahead, self._times(t)
         own = self.base.design_partials(time, q, v, a, lam)
         f_t, f_scale, Phi_t = self._partials_in_time(time, q, v, a, lam)
@@ -275,7 +278,7 @@ class PhaseSystem(PlannedSystem):
     def _partials_in_time(
         self, time: Array, q: Array, v: Array | None, a: Array, lam: Array
     ) -> tuple[Array, Array, Array]:
-        """Return f_t, f_sigma at a held time, and Phi_t at k instants, rows."""
+        """Return f_t, f_sigma at a held time, and Phi_t at k time points, rows."""
         base, still = self.base, np.zeros_like(q[0])
         f_t, f_scale, Phi_t = np.zeros_like(a), np.zeros_like(a), np.zeros_like(lam)
         for k, s in enumerate(time.tolist()):
@@ -298,7 +301,7 @@ class PhaseSystem(PlannedSystem):
         states: tuple[Array, Array | None, Array, Array],
         covectors: tuple[Array, Array],
     ) -> Array:
-        """Return the sum over k instants of f_b^T mu + Phi_b^T zeta, shape (n_b,)."""
+        """Return the sum over k time points of f_b^T mu + Phi_b^T zeta, shape (n_b,)."""
         n, time, (mu, zeta) = self._ahead, self._times(t), covectors
         f_t, f_scale, Phi_t = self._partials_in_time(time, *states)
         on_time = np.sum(f_t * mu, axis=1) + np.sum(Phi_t * zeta, axis=1)
@@ -342,7 +345,7 @@ class PhaseSystem(PlannedSystem):
         return self.base.over_time(self._times(t))
 
     def centred(self, q: Array) -> Array:
-        """Return coordinates that do not change if the system stands elsewhere."""
+        """Return coordinates, (n_q,), that do not change if the system stands elsewhere."""
         return self.base.centred(q)
 
     def folded(self, q: Array) -> str:
@@ -358,7 +361,7 @@ class PhaseSystem(PlannedSystem):
         return self.base.strained(q)
 
     def stress_force(self, q: Array) -> Array:
-        """Return the part of Q at rest that vanishes where bodies are free of stress."""
+        """Return the part of Q at rest, (n_q,), that vanishes where bodies are free of stress."""
         return self.base.stress_force(q)
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
@@ -366,7 +369,7 @@ class PhaseSystem(PlannedSystem):
         return self.base.following_load(self._time(t)[0], q)
 
     def off_root(self, t: Array, q: Array) -> tuple[int, str] | None:
-        """Return the first instant at which a constraint holds at a wrong root."""
+        """Return the first state, of k, in which a constraint holds at a wrong root."""
         return self.base.off_root(self._times(t), q)
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
@@ -374,7 +377,7 @@ class PhaseSystem(PlannedSystem):
         return self.base.mirrored(q)
 
     def turn_rate(self, t: Array) -> Array:
-        """Return the largest rate at which constraints prescribe an angle."""
+        """Return the largest rate at which constraints prescribe an angle, (k,); rad/s."""
         return self.base.turn_rate(self._times(t))
 
 

@@ -1,8 +1,8 @@
 """Runs with events: one phase after the other, each of which ends exactly where an event happens.
 
 A phase is integrated over a window of time until a function of an event crosses zero in it. Then
-its duration D is found by Newton's method on the function at the end of runs of length D, to
-round-off: all steps of the phase are stretched by the same factor, so that none of them is short,
+its duration D is found to round-off, by Newton's method on the function at the end of runs of
+length D. In these all steps of the phase are stretched by the same factor, so that no step is short
 and the integrator keeps its order.
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, cast, final
+from typing import Any, NamedTuple, cast, final
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from ancfdae.integrators.step_control import FixedSteps, PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.sensitivity.observables.states import States
 
 #: Impacts that follow each other within this part of the run are rest.
@@ -66,7 +67,7 @@ class ModeSystem(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Jump:
-    """What happens between two phases: impacts, and the mode that follows; `ends` the run."""
+    """The events between two phases: impacts, and the mode that follows; `ends` the run."""
 
     events: tuple[Event, ...]
     struck: Struck | None
@@ -74,7 +75,7 @@ class Jump:
     ends: bool = False
 
     def velocities(self, v: Array) -> Array:
-        """Return the velocities after the jump."""
+        """Return the velocities after the jump, shape (n_q,)."""
         return v if self.struck is None else self.struck.after.value
 
 
@@ -119,7 +120,7 @@ class Phase:
 
     @property
     def times(self) -> Array:
-        """Times of the instants; of a phase that was finished the last one is its end."""
+        """Times from the start of the run on, (k,); of a finished phase the last one is its end."""
         t = self.t_0 + self.run.t
         return np.append(t[:-1], self.t_end) if self.run.outcome.success else t
 
@@ -155,8 +156,12 @@ class PhaseMarch:
         self._modes, self._t_end, self._integrator = modes, t_end, integrator
         self._window, self._size = t_end * _FIRST, 0.0
 
-    def run(self, mode: ModeSystem) -> PhasedRun:
+    def run(self, mode: ModeSystem, progress: bool) -> PhasedRun:
         """Run from the start of a mode to the end; a failure keeps the phases before."""
+        with progress_bar(progress, total=self._t_end, unit="s") as bar:
+            return self._through(mode, bar)
+
+    def _through(self, mode: ModeSystem, bar: Any) -> PhasedRun:
         q, v = mode.system.start()
         before = self._at_start(mode, q, v)
         state, happened, first = (0.0, q, v), _impacts(before), before is None
@@ -185,6 +190,7 @@ class PhaseMarch:
             jump = self._jump(phase, event, rests)
             phase = replace(phase, jump=jump)
             phases.append(phase)
+            bar.update(phase.duration)
             left = self._t_end - phase.t_end
             if jump.ends or left <= _ROUND_OFF * self._t_end:
                 return self._ended(before, phases, None)
@@ -272,7 +278,7 @@ class PhaseMarch:
         return Jump(tuple(closing), struck(mode.system, closing, False, (0.0, q, v)), mode)
 
     def _closing(self, mode: ModeSystem, t: float, q: Array, v: Array) -> list[Impact]:
-        """Return the impacts whose gaps are closed at an instant and have a negative rate."""
+        """Return the impacts whose gaps are closed at a time and have a negative rate."""
         closing, system = [], mode.system
         at = States(np.array([t]), q[None], v[None], np.zeros((1, system.n_lam)))
         for event in mode.events:
@@ -288,7 +294,7 @@ class PhaseMarch:
         return closing
 
     def _jump(self, phase: Phase, event: Event, rests: bool) -> Jump:
-        """Return what happens at the end of a phase by an event and those that happen with it."""
+        """Return the jump at the end of a phase, by an event and all others of the same time."""
         mode, (t, q, v) = phase.mode, phase.last
         events = [event, *(x for x in self._with_it(phase) if x is not event)]
         impacts = [x for x in events if isinstance(x, Impact)]
@@ -402,7 +408,7 @@ def _ended_at(phase: Phase, steps: _StretchedSteps, D: float) -> Phase:
             break
         g, rate = (float(x[-1]) for x in _function(phase, event))
         if last < math.inf and before[1] != D and g != before[0]:
-            # The change of whole runs: the rate is that of the motion in one run.
+            # The change from run to run; the rate before belongs to the motion in one run.
             rate = (g - before[0]) / (D - before[1])
         change = -g / rate if rate else 0.0
         stuck = abs(change) >= 0.5 * last and abs(change) <= _ACCEPTED * D

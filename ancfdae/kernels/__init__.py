@@ -207,7 +207,7 @@ class ListPlan(NamedTuple):
 
     Lists take t, q, v, A, lam and b, and return Phi_q, Phi, dPhi/dt, Q, M, and f_q with f_v behind
     it if forces use velocities. Values of matrices stand on the patterns B of Phi_q and K of all
-    others.
+    others. t is the time of a run plus `start`.
     """
 
     lists: tuple[OperationList, ...]
@@ -217,14 +217,15 @@ class ListPlan(NamedTuple):
     B: Csr
     K: Csr
     velocity: bool
+    start: float = 0.0
 
     def joint_factors(self, t: Array, orders: int) -> Array:
         """Return the instants in place of factors, (orders, k, 1)."""
-        return np.stack([t[:, None]] * orders)
+        return np.stack([self.start + t[:, None]] * orders)
 
     def load_factors(self, t: Array) -> Array:
         """Return the instants, (k, 1)."""
-        return t[:, None]
+        return self.start + t[:, None]
 
 
 @final

@@ -21,11 +21,12 @@ using SceneArguments =
     std::tuple<BlockArguments<T>, Indices, CsrArguments<T>, CsrArguments<T>, Array<T>, Array<T, 2>,
                Array<double>, Array<double>, Kept<ConstraintPlan>, CsrArguments<double>, Ignored,
                Ignored, std::vector<std::tuple<Kept<LoadPlan>, bool>>, Ignored>;
-/* A system of lists: (lists, b, weights, inverse, B, K, whether forces use velocities). */
+/* A system of lists: (lists, b, weights, inverse, B, K, whether forces use velocities), and a time
+ * that has been added to all that come. */
 template <class T>
 using ListArguments =
     std::tuple<std::vector<Kept<OperationList>>, Array<T, 1>, Array<double>, Array<double>,
-               CsrArguments<double>, CsrArguments<double>, bool>;
+               CsrArguments<double>, CsrArguments<double>, bool, Ignored>;
 /* The same of functions of Python: (functions, weights, inverse, B, K, velocities). */
 using CalledArguments = std::tuple<std::vector<Ref>, Array<double>, Array<double>,
                                    CsrArguments<double>, CsrArguments<double>, bool>;
@@ -250,7 +251,7 @@ template <class T> struct Planned {
 
     void take_lists(ListArguments<T> &x)
     {
-        auto &[own, b, weights, inverse, B, K, velocity] = x;
+        auto &[own, b, weights, inverse, B, K, velocity, start] = x;
         take_sizes(weights, inverse, B, K, velocity);
         Size n = plan.n_q, nnz = plan.nnz, n_lam = plan.n_lam;
         Size outputs[] = {sizes.n_values, n_lam, n_lam, n, nnz, (velocity ? 2 : 1) * nnz};

@@ -59,6 +59,7 @@ def simulate(
     *,
     events: Sequence[Event],
     modes: Mapping[str, Mode] | None = None,
+    progress: bool = False,
 ) -> EventSolution: ...
 
 
@@ -131,7 +132,12 @@ def simulate(
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import simulated
 
-        return simulated(EventRun.of(system, t_end, integrator, events or (), modes, None))
+        run_with_events = EventRun.of(
+            system, t_end, integrator, events or (), modes, None, progress
+        )
+        phased = simulated(run_with_events)
+        warn_of_strains("simulate", system, phased.q)
+        return phased
     if tolerance is not None:
         _require_alone("tolerance", integrator=integrator, after=after, keep=keep)
         from ancfdae.studies.tolerance.observables import observed_within
@@ -223,6 +229,7 @@ def differentiate(
     method: Method | None = None,
     events: Sequence[Event],
     modes: Mapping[str, Mode] | None = None,
+    progress: bool = False,
 ) -> EventSolution: ...
 
 
@@ -265,7 +272,7 @@ def differentiate(
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import differentiated
 
-        made = EventRun.of(system, t_end, integrator, events or (), modes, design)
+        made = EventRun.of(system, t_end, integrator, events or (), modes, design, progress)
         return differentiated(made, method)
     run = Run(system, t_end, integrator, progress, after)
     return with_remedies(model, run, uninterrupted(method.differentiate(run)))
@@ -351,7 +358,7 @@ def gradients(
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import gradients as gradients_with_events
 
-        made = EventRun.of(system, t_end, integrator, events or (), modes, design)
+        made = EventRun.of(system, t_end, integrator, events or (), modes, design, progress)
         return gradients_with_events(made, objectives, method)
     if tolerance is not None:
         _require_alone("tolerance", integrator=integrator, memory=memory, after=after)

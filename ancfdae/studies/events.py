@@ -9,7 +9,7 @@ from ancfdae.equations.event_solution import EventSolution
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.events.calls import EventRun, solution
-from ancfdae.integrators.integrator import AdjointIntegrator
+from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.sensitivity.method import Gradient, GradientMethod, UnfinishedRunError
 from ancfdae.sensitivity.objectives import Objective
@@ -23,7 +23,7 @@ def simulated(run: EventRun) -> EventSolution:
 def differentiated(run: EventRun, method: object) -> EventSolution:
     """Return the motion with its events, and the design derivatives of both if it reached the end.
 
-    They are those of `DirectDifferentiation`.
+    The method is `DirectDifferentiation`.
     """
     if not isinstance(method, DirectDifferentiation):
         rule = "must be DirectDifferentiation() in a run with events"
@@ -42,7 +42,7 @@ def gradients(
     if method is None:
         # The adjoint takes two passes over each phase for every objective.
         few = run.system.n_b <= 4 * len(objectives)
-        adjoint = isinstance(run.integrator, AdjointIntegrator) and not few
+        adjoint = isinstance(run.integrator, SteppedIntegrator) and not few
         method = Adjoint() if adjoint else DirectDifferentiation()
     phased = run.phased()
     found = uninterrupted(solution(phased))
