@@ -138,7 +138,7 @@ def test_an_interrupt_among_small_steps_keeps_the_derivatives_before(monkeypatch
 
 
 def test_defects_of_small_steps_have_the_weights_of_other_steps(monkeypatch):
-    # In exact arithmetic the equations of a small step are those of any other; here Phi/h^2 has a
+    # In exact arithmetic a small step has the same equations as any other; here Phi/h^2 has a
     # round-off of 1e-16 m / (2e-5 s)^2 = 3e-7 m/s^2 beside 10 m/s^2, a hundredth of which is left
     # of sums over 50 steps.
     system, steps = CartesianPendulum(-1.0, 2.0), HHT(2e-5)
