@@ -12,6 +12,7 @@ import pytest
 import scipy
 
 from ancfdae import Beam, Clamp, Material, Pin, Revolute, Scene, Spherical, Weld, modes
+from ancfdae.modes import precise
 from ancfdae.modes.precise import NoModes
 from ancfdae.sections import Rectangle
 
@@ -160,3 +161,12 @@ def test_weight_that_is_held_turns_chains_in_space_whatever_the_steel_is(seed):
     hard = modes(spatial_chain(seed, 9.81), 3).exponents ** 2
     soft = modes(spatial_chain(seed, 9.81, softer=10.0), 3).exponents ** 2
     np.testing.assert_allclose(hard, soft, rtol=2e-2, atol=1e-8)
+
+
+@pytest.mark.parametrize("count", [3, 10])
+def test_vectors_beside_the_modes_asked_for_end_the_sweeps_soon(count, monkeypatch):
+    """Three sweeps; without the vectors beside them modes took 17 of the same chain."""
+    sweeps, ritz = [], precise._ritz
+    monkeypatch.setattr(precise, "_ritz", lambda *each: sweeps.append(1) or ritz(*each))
+    assert len(modes(spatial_chain(19), count).exponents) >= count
+    assert len(sweeps) <= 5
