@@ -24,6 +24,7 @@ from ancfdae import (
     Material,
     Pin,
     PointForce,
+    PointMass,
     PointOnLine,
     Revolute,
     RigidBody,
@@ -159,6 +160,21 @@ def test_a_run_at_other_values_is_that_of_the_scene_at_these_values():
         gradient(x, end, 0.125, method, method=DirectDifferentiation()) for x in (moved, other)
     )
     assert np.array_equal(ours.gradient, theirs.gradient)
+
+
+def test_a_mass_that_comes_to_another_element_and_back():
+    rod = Beam("rod", (0, 0), (1.2, 0), 2, Rectangle(0.01, 0.01), STEEL)
+    scene = Scene([rod], [Pin(rod.at_start)], bodies=[PointMass(rod.at(0.3), 0.5, name="bob")])
+    system = assemble(scene, ["bob.point_fraction", "bob.mass"])
+    for fraction in (0.4, 0.7, 0.6, 0.2):
+        system = system.with_values(np.array([fraction, 0.5]))
+        require_equal(system)
+        # A turn about the pin, in closed form: the rod, its sections, and the bob at its place.
+        turn = np.zeros((system.n_q // 2, 2))
+        turn[::3, 1], turn[1::3, 1], turn[2::3, 0] = (0.0, 0.6, 1.2), 1.0, -1.0
+        inertia_of_rod = STEEL.density * 1.2 * (1e-4 * 1.2**2 / 3 + 1e-8 / 12)
+        found = turn.ravel() @ system.mass_times(turn.ravel(), turn.ravel())
+        assert found == pytest.approx(inertia_of_rod + 0.5 * (1.2 * fraction) ** 2, rel=1e-12)
 
 
 @dataclass(frozen=True)

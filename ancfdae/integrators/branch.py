@@ -27,7 +27,6 @@ from typing import TypeAlias, final
 
 import numpy as np
 import scipy
-from scipy.linalg.lapack import dgebal, dgeqrf, dorgqr, dtrtrs
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import velocity_side
@@ -135,7 +134,7 @@ class Place:
         if not np.any(sizes > CHANGED):
             return sizes
         if self._balance is None and np.all(np.isfinite(X[-1])):
-            scale = dgebal(X[-1], scale=1)[3]
+            scale = scipy.linalg.lapack.dgebal(X[-1], scale=1)[3]
             self._balance = (scale[None] / scale[:, None]) ** 2
         if self._balance is not None:
             sizes = np.sqrt(np.einsum("kij->k", X * X * self._balance))
@@ -172,11 +171,12 @@ class Place:
         if n_used < n_lam:
             return None
         # B^T = Q R, and P^T = R^-1 Q^T.
-        QR, tau, _, _ = dgeqrf(self._form.matrices(self._values[None])[0].T)
+        lapack = scipy.linalg.lapack
+        QR, tau, _, _ = lapack.dgeqrf(self._form.matrices(self._values[None])[0].T)
         pivots = np.abs(QR.diagonal())
         if not pivots.min() > _SINGULAR * pivots.max():
             return None
-        return np.asarray(dtrtrs(QR[:n_lam], dorgqr(QR, tau)[0].T)[0].T)
+        return np.asarray(lapack.dtrtrs(QR[:n_lam], lapack.dorgqr(QR, tau)[0].T)[0].T)
 
     def _factorised(self) -> scipy.sparse.linalg.SuperLU | None:
         """Return the factors of [I B^T; B 0], sparse; None if it is singular."""
