@@ -143,7 +143,7 @@ class HHTRuns(FixedStepRuns):
         """
         if len(self.samples) < 3 or self._whole > _LITTLE * self._tolerance:
             return False
-        return _estimated_order(*self.samples[-2:]) >= 0
+        return _estimated_order(self.samples[-2], self.samples[-1]) >= 0
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
         """Judge a vector; its order is believed where it is seen and no wave can be a part of it.
