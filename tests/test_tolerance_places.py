@@ -292,3 +292,19 @@ def test_formulas_that_take_anything_for_a_time_do_not_hide_it(by):
     )
     expected = np.sin(run.y[0])
     assert np.linalg.norm(found.values[:, 0] - expected) < 2e-4 * np.linalg.norm(expected)
+
+
+def test_a_path_goes_through_the_values_and_slopes_of_its_times():
+    """A cubic is determined by both at its ends; its rate is the derivative of its values."""
+    rng = np.random.default_rng(3)
+    t = np.cumsum(rng.uniform(0.5, 1.5, 5))
+    path = places._Path(t, rng.normal(size=(5, 4)), rng.normal(size=(5, 4)), (1, 1))
+    n, columns = np.arange(4), [2, 0]
+    for end in (0, 1):
+        here = n, np.full(4, float(end)), columns
+        np.testing.assert_allclose(path.at(*here), path.Y[end : end + 4, columns].T, rtol=1e-13)
+        rates = path.slopes[end : end + 4, columns].T
+        np.testing.assert_allclose(path.rates(*here), rates, rtol=1e-12)
+    moved = path.at(n, np.full(4, 0.3 + 1e-6)) - path.at(n, np.full(4, 0.3 - 1e-6))
+    rates = moved / (2e-6 * np.diff(t))
+    np.testing.assert_allclose(path.rates(n, np.full(4, 0.3)), rates, rtol=1e-7, atol=1e-9)

@@ -87,11 +87,11 @@ def test_errors_that_fall_are_hoped_to_go_on_falling(before, after, order):
     ("whole", "wave", "bar"), [(0.02, 0.0, 0.3), (0.1, 0.0, 0.2), (0.1, 0.3, 3.9)]
 )
 def test_extrapolation_is_believed_where_waves_change_nothing(whole, wave, bar):
-    """Runs 1 + 1/N^2: the first term is left of none that is extrapolated.
+    """Runs 1 + 1/N^2: extrapolation leaves nothing of the first term.
 
-    Where waves may change a tenth of the tolerance differences must be those of the order: a wave
-    in the last run that is 0.3 of its error, 0.4 of what extrapolating changes, is not one of them.
-    The bar is three times the error of the last run then, and it holds.
+    Where waves may change a tenth of the tolerance, it is believed only if the differences are in
+    the ratio of the order. The last run of the third case lacks 0.9 of its error by a wave: the bar
+    is then three times the error that the difference makes, 1.3.
     """
     runs, error = seer(), 1 / 400**2
     counts = (100, 200, 400)
@@ -119,7 +119,7 @@ def test_estimated_errors_that_grow_with_finer_steps_are_waves_that_were_not_the
 
 
 def test_polynomials_of_observables_are_as_smooth_as_the_motion():
-    """Their second derivatives are bounded by those of the motion; others are looked at."""
+    """Second derivatives of x**n are at most n**2 times as large as the motion's, n <= 4."""
     scene, a = sliding(spring)
     x, v = position(a.at(0), 0), velocity(a.at(0), 0)
     system = assemble(scene, ["s.stiffness"])

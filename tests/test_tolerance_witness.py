@@ -376,11 +376,11 @@ def test_explicit_knows_states_more_closely_than_transitions_are_wide():
     sequence = DOP853Runs(seer, 4, wanted)
     loose = sequence.setting.rtol
     seer.transitions = Transition(10_000, 1e-3)
-    assert loose == pytest.approx(1e-3)
+    assert loose == pytest.approx(1e-2)
     assert sequence.setting.rtol == pytest.approx(1e-4)
     # Values need no derivative: error control alone decides.
     of_values = wanted._replace(partials=None)
-    assert DOP853Runs(seer, 4, of_values).setting.rtol == pytest.approx(1e-3)
+    assert DOP853Runs(seer, 4, of_values).setting.rtol == pytest.approx(1e-2)
 
 
 @pytest.mark.parametrize(("coulomb", "smooth_speed"), [(3.0, 1e-3), (0.3, 1e-5)])
@@ -510,7 +510,9 @@ def test_kinds_of_runs_that_contradict_each_other_are_not_believed():
 # or whose bars did not hold.
 # In "ringing" 9 physical and numerical damping of an unresolved wave are equal by chance; waves of
 # "slider" 3 and 8 and "damped rod" 1004 fade, and were followed to the end, or out of reach; the
-# spring of "pulse" 8 turns over when its ends meet, where forces jump.
+# spring of "pulse" 8 turns over when its ends meet, where forces jump. In "springs" 7001 the phase
+# of a wave is off by 1.5 and 0.4 rad in two runs that are near each other; in "stiff rod" 5003
+# finer runs find waves that coarser ones do not have.
 @pytest.mark.parametrize(
     ("family", "seed", "tolerance"),
     [
@@ -524,6 +526,8 @@ def test_kinds_of_runs_that_contradict_each_other_are_not_believed():
         ("ringing", 9, 1e-2),
         ("slider", 3, 1e-2),
         ("slider", 8, 1e-3),
+        ("springs", 7001, 1e-2),
+        ("stiff rod", 5003, 1e-3),
     ],
 )
 def test_no_random_scene_errs_without_a_word(family, seed, tolerance):

@@ -317,7 +317,7 @@ class Solution:
 
     @property
     def _doubt(self) -> str:
-        """What estimated errors leave out: growth behind a place at which controlled steps fell."""
+        """A remark on errors that grow behind a place at which controlled steps fell."""
         h = np.diff(self.t)[:-1]
         if not self.control or not h.size:
             return ""

@@ -24,7 +24,6 @@ quadrature is added; from its value on every second instant it is I - Q_h = -(Q_
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias, final
@@ -49,7 +48,7 @@ from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.states import states_of
 from ancfdae.studies.calls import as_system, differentiable, gradient, require_objectives
 from ancfdae.studies.meshes import with_mesh
-from ancfdae.studies.tolerance.bars import RESOLVED_ORDER, unresolved
+from ancfdae.studies.tolerance.bars import ORDERLESS, RESOLVED_ORDER, unresolved
 
 _GRANTED, _SEEN = 3.0, 1.25
 _LOWEST, _ORDER = 0.5, 2.0
@@ -243,8 +242,7 @@ def _resolved(coarse: Gradient, fine: Gradient) -> bool | None:
         return None
     # A variable without influence has the error nan, which passes; an infinite one does not.
     return not any(
-        y > x / 2.0**RESOLVED_ORDER or math.inf in (x, y)
-        for x, y in zip(before, after, strict=True)
+        x > ORDERLESS or y > x / 2.0**RESOLVED_ORDER for x, y in zip(before, after, strict=True)
     )
 
 

@@ -47,6 +47,9 @@ _NEIGHBOURS = 16
 #: bars held. It is 1.996 to 2.03 where steps resolve all waves, 1.9 at most where bars failed
 #: (docs/reports/error-bars).
 RESOLVED_ORDER = 1.95
+#: Estimated errors of derivatives above this have no order: the phase of a wave is off by as much,
+#: in rad, and differences of runs are small by chance.
+ORDERLESS = 0.5
 
 
 class Estimate(NamedTuple):

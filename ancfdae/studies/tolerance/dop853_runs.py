@@ -19,9 +19,9 @@ from ancfdae.studies.tolerance.spectrum import pace
 
 # The first tolerance of DOP853 over the one asked for; what the next is tighter by, at least and
 # at most.
-_FIRST, _TIGHTER, _TIGHTEST = 1.0, 10.0, 1e3
+_FIRST, _TIGHTER, _TIGHTEST = 0.1, 10.0, 1e3
 # The loosest and the tightest that it takes.
-_LOOSEST, _LEAST_RTOL = 1e-3, 3e-14
+_LOOSEST, _LEAST_RTOL = 1e-2, 3e-14
 # Paths whose sharp places are stops, and how often these are doubled.
 _PATHS, _FINER_STOPS = 3, 3
 # Least distance of two stops, over the length of a run.

@@ -1,4 +1,4 @@
-"""Runs of HHT-I3, which tell whether steps resolve the waves and what these may change."""
+"""Runs of HHT-I3: whether their steps resolve the waves, and what unresolved waves may change."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from ancfdae.integrators.hht.small_steps import small_from
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tolerance.bars import (
+    ORDERLESS,
     RESOLVED_ORDER,
     Estimate,
     closely,
@@ -30,8 +31,8 @@ from ancfdae.studies.tolerance.waves import Missed, Wave, followed, missed, unre
 # Order at which the estimated errors of derivatives fall where steps resolve their waves: from two
 # runs, and, lower, from the second and third of three.
 _NEARLY = 1.9
-# Estimated errors above this have no order: the run is another motion.
-_SENSE = 1.0
+# Estimated errors above this are of another motion than any other run's.
+_MOTION = 1.0
 # Numerical damping of HHT-I3.
 _ALPHA = -0.05
 # Angle of the fastest motion in a run above which equations are stiff.
@@ -117,7 +118,7 @@ class HHTRuns(FixedStepRuns):
         """Return whether estimated errors fall faster than runs of one motion allow."""
         if not (self.samples and sample.vectors):
             return False
-        return _estimated_order(self.samples[-1], sample) > self.order + _FASTER
+        return _estimated_order(self.samples[-1], sample, _MOTION) > self.order + _FASTER
 
     @property
     def least(self) -> int:
@@ -142,7 +143,7 @@ class HHTRuns(FixedStepRuns):
         """
         if len(self.samples) < 3 or self._whole > _LITTLE * self._tolerance:
             return False
-        return _estimated_order(*self.samples[-2:]) >= 0
+        return _estimated_order(self.samples[-2], self.samples[-1]) >= 0
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
         """Judge a vector; its order is believed where it is seen and no wave can be a part of it.
@@ -336,10 +337,13 @@ def _resolve(samples: Sequence[Sample]) -> bool:
     return max(orders, default=0.0) >= RESOLVED_ORDER or max(orders[1:], default=0.0) >= _NEARLY
 
 
-def _estimated_order(coarse: Sample, fine: Sample) -> float:
-    """Return the order at which estimated errors fall from a run to a finer one."""
+def _estimated_order(coarse: Sample, fine: Sample, most: float = ORDERLESS) -> float:
+    """Return the order at which estimated errors fall from a run to a finer one.
+
+    Zero where the coarse run estimates more than `most`, or one of them nothing.
+    """
     before, after = _largest(coarse.estimated), _largest(fine.estimated)
-    if not (0 < after < math.inf and 0 < before <= _SENSE):
+    if not (0 < after < math.inf and 0 < before <= most):
         return 0.0
     return math.log(before / after) / math.log(fine.steps / coarse.steps)
 

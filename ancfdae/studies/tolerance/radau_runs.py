@@ -1,4 +1,4 @@
-"""Runs of Radau IIA, believed where those of HHT-I3 see that waves are resolved, or fade."""
+"""Runs of Radau IIA, believed where HHT-I3 sees that steps resolve the waves, or waves fade."""
 
 from __future__ import annotations
 

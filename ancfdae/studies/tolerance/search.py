@@ -108,8 +108,8 @@ def search(
 ) -> Found:
     """Search what is wanted; warn where it is out of reach.
 
-    `intervals` are those of `DOP853`, None without its runs; `level` is the stack level of the
-    warning, as in `warnings.warn`.
+    `DOP853` reports its first run on this number of intervals, and takes no part if that is None.
+    `level` is the stack level of the warning, as in `warnings.warn`.
     """
     seer = HHTRuns(wanted)
     others: list[Runs] = [RadauRuns(seer, wanted)]
