@@ -52,7 +52,7 @@ _TOGETHER = 8
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DOP853(HighOrder):
     """Explicit integration of order 8 with error control; for soft scenes.
 

@@ -51,6 +51,10 @@ class Load(Part):
     #: Whether the force depends on the reference configuration.
     refers: ClassVar[bool] = False
 
+    #: Whether the force may change more suddenly with positions or velocities than they change: a
+    #: run within a tolerance then looks for such places along its path.
+    sharp: ClassVar[bool] = True
+
     law: Law | None = field(default=None, kw_only=True)
 
     def _check_declared(self) -> None:
