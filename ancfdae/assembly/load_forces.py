@@ -84,6 +84,10 @@ class LoadForces:
         """Return plans of the moving loads for the kernels, and whether they use velocities."""
         return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
 
+    def sharp(self) -> list[LoadInput]:
+        """Return the loads that may change more suddenly than the motion does."""
+        return [load.item for load in self._moving if load.item.load.sharp]
+
     def timed(self) -> tuple[Array, Array]:
         """Return the sum of constant loads, (n_q,), and what laws multiply, (n_loads, n_q)."""
         rows = [row for _, row in self._timed]

@@ -68,17 +68,26 @@ class LoadInput:
         InvalidInputError for a force that is made of other functions than jets have, or that is no
         force on each of its vectors.
         """
-        shape, size, vectors = self.reference.shape, self.reference.size, self.vectors
+        size, vectors = self.reference.size, self.vectors
         n_signals = self.factors(np.zeros(1), 0).shape[1] - 1
         operations = Operations(2 * size + n_signals)
-        U, V = (Listed(operations, x) for x in np.arange(2 * size).reshape(2, *shape))
-        F = self.force(U, V, Listed(operations, 2 * size + np.arange(n_signals)))
-        results = self._on_vectors(F, U)
-        constants, *lists = operations.arrays(results.ravel())
+        constants, *lists = operations.arrays(self.listed(operations, n_signals).ravel())
         arrays = vectors.first, vectors.column, *lists, pattern.index(*self.couplings)
         indices = tuple(np.asarray(x, np.int32) for x in arrays)
         numbers = vectors.value, constants
         return LoadPlan(indices, numbers, vectors.n_q, pattern.size, n_signals)
+
+    def listed(self, operations: Operations, n_signals: int) -> Array:
+        """Write the force down; return the numbers of its entries, in the shape of the vectors.
+
+        The first inputs of the operations are the vectors U, their time derivatives V and the
+        signals.
+        """
+        size = self.reference.size
+        both = np.arange(2 * size).reshape(2, *self.reference.shape)
+        U, V = (Listed(operations, x) for x in both)
+        signals = Listed(operations, 2 * size + np.arange(n_signals))
+        return self._on_vectors(self.force(U, V, signals), U)
 
     def _on_vectors(self, F: object, U: Listed) -> Array:
         """Return the numbers of the forces F, in the shape of the reference vectors.
@@ -96,8 +105,11 @@ class LoadInput:
             raise
         except (TypeError, ValueError) as error:
             where, rule = f"force of load {self.load.name!r}", f"must have the shape {shape} here"
-            repair = "Return an array of the shape of U, made by functions of NumPy."
-            raise InvalidInputError(where, rule, repr(F), repair) from error
+            repair = (
+                "Return an array of the shape of U, made by functions of NumPy. Of forces f and g, "
+                "(..., d), on two vectors it is np.stack([f, g], axis=-2), not np.array([f, g])."
+            )
+            raise InvalidInputError(where, rule, _described(F), repair) from error
 
     @property
     def active(self) -> list[int]:
@@ -111,3 +123,12 @@ class LoadInput:
         if i in self.reference_b:
             reference = reference + 1j * STEP * self.reference_b[i]
         return replace(self, vectors=self.vectors.moved(i), p=p, reference=reference)
+
+
+def _described(force: Any) -> str:
+    """Say what a force is, with the kind of its entries instead of symbols."""
+    if isinstance(force, Listed):
+        return f"shape {force.shape}"
+    if isinstance(force, list | tuple | np.ndarray):
+        return f"a {type(force).__name__} of {len(force)} entries that are arrays of symbols"
+    return repr(force)

@@ -12,6 +12,7 @@ import numpy as np
 from ancfdae.assembly.beam_sections import BeamSections
 from ancfdae.assembly.energies import Energies
 from ancfdae.assembly.folds import Folds, first_mirrored
+from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbers import Numbers
 from ancfdae.assembly.parameters import parameter_map
@@ -162,6 +163,10 @@ class AncfSystem(PlannedSystem):
         values = ((part, self._mapping.numbers(part.name, self.b)[0]) for part in parts)
         rows = [row for part, p in values for row in part.over_time(p.real, t, unmarked)]
         return np.stack(rows, axis=1) if rows else np.zeros((len(t), 0))
+
+    def sharp_loads(self) -> list[LoadInput]:
+        """Return the loads of a user's own, which may change suddenly with positions."""
+        return self._loads.sharp()
 
     @property
     def plan(self) -> Plan | None:

@@ -50,7 +50,7 @@ _VERDICTS = {
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DOP853(HighOrder):
     """Explicit integration of order 8 with error control; for soft scenes.
 

@@ -8,7 +8,7 @@ accurate than what a solver carries along. Integrals follow the steps, not the i
 import abc
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import ClassVar, Self, final
 
 import numpy as np
@@ -35,6 +35,8 @@ from ancfdae.numerics.time_grid import TimeGrid, next_end
 _MANY = 100_000
 # Intervals of a run where none are asked for, and of one of which the end alone is read.
 INTERVALS, _FEW = 64, 4
+# Stops that are printed one by one.
+_SHOWN = 6
 # Each interval has eight instants more.
 _MOST_INTERVALS = 10**8
 
@@ -140,6 +142,18 @@ class HighOrder(QuadratureIntegrator):
     intervals: int | None = None
     max_steps: int = 1_000_000
     stops: tuple[float, ...] = field(default=(), kw_only=True)
+
+    @final
+    def __repr__(self) -> str:
+        """Name the integrator and its settings; of many stops the first, the last and the count."""
+        settings = [
+            f"{x.name}={getattr(self, x.name)!r}" for x in fields(self) if x.name != "stops"
+        ]
+        shown = repr(self.stops)
+        if len(self.stops) > _SHOWN:
+            first, *_, last = self.stops
+            shown = f"<{len(self.stops)} from {first:.6g} to {last:.6g}>"
+        return f"{type(self).__name__}({', '.join([*settings, f'stops={shown}'])})"
 
     @final
     def require_settings(self, least_rtol: float) -> None:

@@ -27,6 +27,7 @@ from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.circles import coefficient
 from ancfdae.numerics.complex_step import FAILURES
 from ancfdae.numerics.extrapolation import scaled_derivative
+from ancfdae.numerics.jets import Carried
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
 
 
@@ -71,6 +72,13 @@ class ExternalFunction:
 
     def __call__(self, *x: Any) -> Any:
         """Return the value at numbers or symbols; of arrays, entry by entry."""
+        if any(isinstance(y, Carried) for y in x):
+            raise InvalidInputError(
+                f"ExternalFunction({_name(self.function)})",
+                "must be called in a formula of a FormulaSystem or an observable",
+                "a formula of a load, a joint or a law",
+                "Write it out with functions of NumPy there.",
+            )
         arrays = np.broadcast_arrays(*(np.asarray(y) for y in x))
         rows = np.stack(arrays, axis=-1).reshape(-1, len(x))
         called = self._called.setdefault(len(x), Called(_Rows(self, len(x)), self.size or 1, self))

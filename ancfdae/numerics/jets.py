@@ -57,9 +57,49 @@ class Carried(NDArrayOperatorsMixin, abc.ABC):
     def angle(self, x: Any) -> Any:
         """Return the angle of (x, self)."""
 
+    @property
     @abc.abstractmethod
-    def joined(self, parts: Sequence[Any]) -> Any:
-        """Return parts of this kind, this one among them, as one list of vectors."""
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the array that it stands for."""
+
+    @abc.abstractmethod
+    def sum(self, axis: int, keepdims: bool = False) -> Any:
+        """Return the sum over an axis."""
+
+    @abc.abstractmethod
+    def joined(self, parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Any:
+        """Return what a function of NumPy makes of a sequence of arrays, at least one of this kind.
+
+        The function places entries and does not calculate with them, as np.stack does.
+        """
+
+    def __array_function__(
+        self, function: Any, types: Any, args: tuple[Any, ...], named: dict[str, Any]
+    ) -> Any:
+        """Apply a function of NumPy on whole arrays; InvalidInputError for all but a few.
+
+        Others would take it for an array of one entry, and calculate entry by entry.
+        """
+        if function in _JOINS:
+            return self.joined(args[0], lambda x: np.asarray(function(x, *args[1:], **named)))
+        if function is np.shape:
+            return self.shape
+        if function is np.zeros_like:
+            return np.zeros(self.shape)
+        along = named.get("axis") is not None and named.keys() <= {"axis", "keepdims"}
+        if function is np.sum and len(args) == 1 and along:
+            return self.sum(**named)
+        raise InvalidInputError(
+            f"numpy.{function.__name__}",
+            "must be a function that formulas of vectors know",
+            "one that they do not",
+            "Write it with arithmetic, elementary functions, np.sum over an axis, np.stack and "
+            "np.concatenate, or with dot and cross of ancfdae.extend: the length of e is "
+            "np.sqrt(dot(e, e)).",
+        )
+
+
+_JOINS = (np.concatenate, np.stack, np.vstack, np.hstack)
 
 
 def without_derivatives(ufunc: np.ufunc) -> InvalidInputError:
@@ -67,9 +107,10 @@ def without_derivatives(ufunc: np.ufunc) -> InvalidInputError:
     known = ", ".join(f.__name__ for f in DERIVATIVES)
     return InvalidInputError(
         f"numpy.{ufunc.__name__}",
-        "must have derivatives in time",
+        "must have derivatives where a law, a force or a joint is made of it",
         "a function that has none here",
-        f"Use arithmetic and {known} of NumPy; laws in pieces are joined by Transition.",
+        f"Use arithmetic and {known} of NumPy, for the size of x np.sqrt(x**2 + e**2) with a small "
+        "e; laws in pieces are joined by Transition.",
     )
 
 
@@ -105,10 +146,18 @@ class Jet(Carried):
         rate = (low_x * Jet(*y_1) - low_y * Jet(*x_1)) / (low_x * low_x + low_y * low_y)
         return Jet(angle(y_0, x_0), *rate.derivatives)
 
-    def joined(self, parts: Sequence[Any]) -> Jet:
-        """Return jets as one list of vectors."""
-        entries = zip(*(part.derivatives for part in parts), strict=True)
-        return Jet(*(np.concatenate(x, axis=-2) for x in entries))
+    def joined(self, parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Jet:
+        """Return jets whose derivatives are joined one by one."""
+        rows = [
+            x.derivatives if isinstance(x, Jet) else self._entries(np.asarray(x)) for x in parts
+        ]
+        shapes = [np.shape(row[0]) for row in rows]
+        return Jet(
+            *(
+                join([np.broadcast_to(x, shape) for x, shape in zip(each, shapes, strict=True)])
+                for each in zip(*rows, strict=True)
+            )
+        )
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Jet:
         """Apply a function of NumPy.
@@ -126,6 +175,8 @@ class Jet(Carried):
             return _product(np.multiply, x, np.reciprocal(y) if isinstance(y, Jet) else 1.0 / y)
         if plain and ufunc is np.power:
             return self._power(*inputs)
+        if plain and ufunc is np.arctan2 and all(isinstance(x, Jet) for x in inputs):
+            return inputs[0].angle(inputs[1])
         if plain and ufunc in DERIVATIVES:
             x = inputs[0].derivatives[0]
             y, order = ufunc(x), len(self.derivatives) - 1
@@ -204,9 +255,8 @@ def angle(y: Any, x: Any) -> Any:
 
 
 def concatenate(parts: Sequence[Any]) -> Any:
-    """Return one list of vectors out of several; all are arrays or none is."""
-    first = parts[0]
-    return first.joined(parts) if isinstance(first, Carried) else np.concatenate(parts, axis=-2)
+    """Return one list of vectors out of several, (..., n_1 + n_2 + ..., d)."""
+    return np.concatenate(parts, axis=-2)
 
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]

@@ -309,9 +309,9 @@ class Listed(Carried):
         """Return the angle of (x, self)."""
         return self._apply(ANGLE, self, x)
 
-    def joined(self, parts: Sequence[Any]) -> Listed:
-        """Return lists as one list of vectors."""
-        return Listed(self._operations, np.concatenate([self.numbers(x) for x in parts], axis=-2))
+    def joined(self, parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Listed:
+        """Return an array whose entries are those of others."""
+        return Listed(self._operations, join([self.numbers(x) for x in parts]))
 
     def numbers(self, x: Any) -> Array:
         """Return the numbers of an array, whose entries are constants unless it is of this kind."""
@@ -334,6 +334,8 @@ class Listed(Carried):
             return self
         if plain and ufunc is np.power and isinstance(inputs[1], Listed):
             return np.exp(inputs[1] * self._apply(np.log, inputs[0]))
+        if plain and ufunc is np.arctan2:
+            return self._apply(ANGLE, *inputs)
         if plain and ufunc in _CODES:
             return self._apply(ufunc, *inputs)
         raise without_derivatives(ufunc)

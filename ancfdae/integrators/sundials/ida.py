@@ -83,7 +83,7 @@ _ITERATIONS = 6
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class IDA(SundialsIntegrator):
     """Variable-order BDF of SUNDIALS with error control.
 

@@ -27,7 +27,7 @@ from ancfdae.numerics.arrays import Array
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class IDAS(SundialsIntegrator, AdjointIntegrator):
     """Variable-order BDF of SUNDIALS with its own sensitivity analysis.
 

@@ -305,7 +305,7 @@ class IndexReduction(Enum):
         return StabilisedIndex2(system, scales)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SundialsIntegrator(HighOrder):
     """An integrator of SUNDIALS for equations of reduced index."""
 

@@ -49,7 +49,14 @@ class RightAngle:
 @final
 @dataclass(frozen=True)
 class JointEquations:
-    """Coefficients of a joint's equations, or one of their time derivatives."""
+    """Coefficients of a joint's equations, or one of their time derivatives.
+
+    Equation r is sum_i linear[r, i] . U_i + sum_ij bilinear[r, i, j] U_i . U_j / 2 = offset[r] in
+    the vectors U of the joint, shape (n_vectors, d): `linear` has the shape
+    (n_rows, n_vectors, d), `bilinear` (n_rows, n_vectors, n_vectors) and is symmetric in i and j,
+    `offset` (n_rows,). `shapes` may name what the last rows hold, where that is the shape of a
+    section only.
+    """
 
     linear: Array  # (n_rows, n_vectors, d)
     bilinear: Array  # (n_rows, n_vectors, n_vectors): symmetric in the vectors

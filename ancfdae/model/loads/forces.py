@@ -81,6 +81,7 @@ class FollowerForce(Load):
     point: MaterialPoint
     force_components: Sequence[float]
 
+    sharp = False
     kind = "follower"
     design_fields = (("force_components", require_vector), LAW_FIELD)
 

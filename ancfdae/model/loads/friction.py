@@ -82,6 +82,7 @@ class RotationalFriction(SectionLoad):
     axis: Sequence[float] | None = None
     other: MaterialPoint | None = None
 
+    sharp = False
     kind = "friction"
     elastic = True
     design_fields = (*LEVELS, ("axis", require_direction), LAW_FIELD)
@@ -129,6 +130,7 @@ class TranslationalFriction(Load):
     stribeck_speed: float | None = None
     other: MaterialPoint | None = None
 
+    sharp = False
     kind = "slide-friction"
     elastic = True
     design_fields = (("direction", require_direction), *LEVELS, LAW_FIELD)

@@ -54,6 +54,10 @@ class Load(Part):
     #: last.
     states: ClassVar[tuple[str, ...]] = ()
 
+    #: Whether the force may change more suddenly with positions or velocities than they change: a
+    #: run within a tolerance then looks for such places along its path.
+    sharp: ClassVar[bool] = True
+
     law: Law | None = field(default=None, kw_only=True)
 
     def _check_declared(self) -> None:

@@ -51,6 +51,7 @@ class SpringDamper(Load):
     other: MaterialPoint | None = None
     ground: Sequence[float] | None = None
 
+    sharp = False
     kind = "spring"
     stroke = Stroke.SPRING
     elastic = True
@@ -111,6 +112,7 @@ class Bushing(Load):
     turn_damping: float | Sequence[float] | None = None
     other: MaterialPoint | None = None
 
+    sharp = False
     kind = "bushing"
     elastic = True
     design_fields = (

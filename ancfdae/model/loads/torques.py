@@ -40,6 +40,7 @@ class Moment(SectionLoad):
     moment: float | Sequence[float]
     follower: bool = False
 
+    sharp = False
     kind = "moment"
     design_fields = (("moment", require_axial), LAW_FIELD)
 
@@ -86,6 +87,7 @@ class MotorTorque(SectionLoad):
     axis: Sequence[float] | None = None
     other: MaterialPoint | None = None
 
+    sharp = False
     kind = "torque"
     design_fields = (*design_numbers("torque"), ("axis", require_direction), LAW_FIELD)
     refers = True
@@ -126,6 +128,7 @@ class TorsionalSpringDamper(SectionLoad):
     axis: Sequence[float] | None = None
     other: MaterialPoint | None = None
 
+    sharp = False
     kind = "torsion-spring"
     elastic = True
     design_fields = (

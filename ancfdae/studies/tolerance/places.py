@@ -24,6 +24,8 @@ from typing import Any, Final, NamedTuple, TypeAlias, final
 
 import numpy as np
 
+from ancfdae.assembly.load_input import LoadInput
+from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem, PlannedSystem, Solution
 from ancfdae.equations.formula_system import FormulaSystem
 from ancfdae.numerics.arrays import Array
@@ -166,7 +168,10 @@ class Witness:
     @property
     def looks(self) -> bool:
         """Whether there is anything that may have places."""
-        own = not isinstance(self.system, PlannedSystem)
+        system = self.system
+        own = not isinstance(system, PlannedSystem)
+        if isinstance(system, AncfSystem):
+            own = bool(system.sharp_loads())
         return own or any(_sharp(x) for x in self.seen)
 
     def of(self, run: Solution, steps: int) -> Places:
@@ -537,7 +542,9 @@ def _with_rates(
 
 
 def _forces(system: MechanicalSystem, path: _Path) -> list[_Group]:
-    """Return forces, masses and constraints of a system of one's own along a path."""
+    """Return forces, masses and constraints of a user's own along a path."""
+    if isinstance(system, AncfSystem):
+        return [group for item in system.sharp_loads() for group in _loaded(item, path)]
     if isinstance(system, PlannedSystem):
         return []
     root, groups = 1 / np.sqrt(system.weights), list[_Group]()
@@ -554,6 +561,24 @@ def _forces(system: MechanicalSystem, path: _Path) -> list[_Group]:
         if group is not None:
             groups.append(group._replace(factors=root) if name == "Q" else group)
     return groups
+
+
+def _loaded(item: LoadInput, path: _Path) -> list[_Group]:
+    """Return the forces of a load along the path of its vectors, without its law of time."""
+    n_q, size, count = path.sizes[0], item.reference.size, len(path.t)
+    rows = path.Y[:, 1 : 1 + n_q], path.Y[:, 1 + n_q : 1 + 2 * n_q], path.slopes[:, 1 + n_q :]
+    U, V, A = (item.vectors.of(x[:, :n_q]).reshape(count, size) for x in rows)
+    signals, rates = (item.factors(path.t, order)[:, 1:] for order in (0, 1))
+    Y = np.concatenate([path.Y[:, :1], U, V, signals], axis=1)
+    slopes = np.concatenate([path.slopes[:, :1], V, A, rates], axis=1)
+    n_signals = signals.shape[1]
+    moving, n = _Path(path.t, Y, slopes, (size, n_signals)), 2 * size + n_signals
+    # U, V and signals come first, then their rates, the time and its rate.
+    operations, at = Operations(2 * n + 2), np.arange(n)
+    outputs = item.listed(operations, n_signals)
+    columns = np.append(2 * n, at), np.append(2 * n + 1, n + at)
+    group = _with_rates(operations, outputs, columns, {}, moving)
+    return [] if group is None else [group]
 
 
 def _called(system: MechanicalSystem, path: _Path) -> Callable[[Array, Array], Array]:
