@@ -256,7 +256,7 @@ def test_motion_reactions_and_states_are_of_second_order_under_a_moving_referenc
     # The reference moves from the start, so that its rates enter the start of the recurrence.
     scene, t_end, errors = arm_scene(), 0.5, []
     scene = replace(scene, joints=[Pin(scene.bodies[0].origin, name="pin")])
-    system, exact = assemble(scene), simulate(scene, t_end, DOP853(1e-12))
+    system, exact = assemble(scene), simulate(scene, t_end, DOP853(1e-12, 512))
     observables = [*ENDS, reaction("pin", 1), effort("pid")]
     for n in (7, 8, 9):
         run = simulate(scene, t_end, HHT(2.0**-n))

@@ -23,7 +23,8 @@ from ancfdae.numerics.arrays import STEP, Array
 def state_masses(item: LoadInput, weights: Array) -> Array:
     """Return the masses of the vectors of the states of a load, shape (n_states,).
 
-    One where extreme numbers overflow. `weights` belong to the coordinates of the mechanism, (n_q,).
+    One where extreme numbers overflow. `weights` belong to the coordinates of the mechanism,
+    (n_q,).
     """
     n = len(item.masses)
     Q_x, f_q, f_v, f_x = _partials(item)
