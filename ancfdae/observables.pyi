@@ -1,5 +1,6 @@
 """Observables: quantities of a motion at every instant, with exact partial derivatives."""
 
+from ancfdae.sensitivity.observables.accelerations import acceleration
 from ancfdae.sensitivity.observables.controllers import effort, state
 from ancfdae.sensitivity.observables.drives import (
     driver_force,
@@ -24,6 +25,7 @@ from ancfdae.sensitivity.observables.quantities import (
     reaction,
     strain_energy,
 )
+from ancfdae.sensitivity.observables.rotation import angular_velocity
 from ancfdae.sensitivity.observables.section_forces import (
     axial_force,
     bending_moment,
@@ -42,7 +44,9 @@ from ancfdae.sensitivity.observables.vectors import (
 )
 
 __all__ = [
+    "acceleration",
     "angular_momentum",
+    "angular_velocity",
     "apply",
     "axial_force",
     "axial_strain",

@@ -19,7 +19,7 @@ from ancfdae import RigidBody, Scene, assemble
 from ancfdae.errors import InvalidInputError
 from ancfdae.extend import Law, MaterialPoint
 from ancfdae.facade import public_names
-from ancfdae.laws import Harmonic, RunUp
+from ancfdae.laws import BSpline, Harmonic, RunUp
 from ancfdae.model import laws
 from ancfdae.model.joints.joint import DrivenJoint, JointEquations
 
@@ -151,6 +151,8 @@ def law_examples():
     for kind in public_classes(laws, Law).values():
         own = fields(kind)
         given = {f.name: _LAW_FIELDS.get(f.name, 0.7 + 0.3 * k) for k, f in enumerate(own)}
+        if kind is BSpline:  # LAW_TIME is where all five hills overlap.
+            given |= {"begin": -1.0, "end": 5.6}
         found[kind.__name__] = kind(**given)
         for field in own:
             if field.default is None:

@@ -572,7 +572,7 @@ def test_initial_states_follow_the_design_beside_an_equilibrium():
     scene = Scene(bodies=[disc], joints=[Pin(disc.origin)], loads=[motor], start=start)
     objective, design = Terminal(state("motor", "current")), ["motor.initial_current"]
     call, short = (scene, objective, 0.02), {"design": design}
-    # The circuit is linear: the derivative is that of its closed form.
+    # The circuit is linear: a difference of its closed form is exact.
     expected = motor_by_hand(0.02, i=1.5)[0] - motor_by_hand(0.02, i=0.5)[0]
     found = gradient(*call, DOP853(1e-11), **short).gradient[0]
     assert found == pytest.approx(expected, rel=1e-8)
@@ -600,7 +600,7 @@ def test_a_displacement_counts_from_the_reference_on_a_line_that_turns(d):
     shift[0] += 0.7 * turned @ unit
     assert axis.coordinate(moved, U_o)[0] == pytest.approx(0.0, abs=1e-14)
     assert axis.coordinate(shift, U_o)[0] == pytest.approx(0.7, rel=1e-14)
-    # The gradient is that of the value, also where the section of the rail is no longer square.
+    # The gradient differentiates the value, also where the section of the rail is no longer square.
     U = shift + 0.1 * rng.uniform(-1, 1, shift.shape)
     gradient_ = axis.coordinate(U, U_o)[1]
     for k in np.ndindex(U.shape):

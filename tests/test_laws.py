@@ -12,6 +12,7 @@ from ancfdae import Beam, Material, Pin, RotationDriver, Scene, assemble, distri
 from ancfdae.errors import InvalidInputError, UnknownNameError
 from ancfdae.extend import Law
 from ancfdae.laws import (
+    BSpline,
     Constant,
     ConstantAcceleration,
     Harmonic,
@@ -200,6 +201,32 @@ def test_a_spline_at_even_distances_exceeds_its_values_at_most_by_what_is_said()
         assert np.max(np.sum(np.abs(basis), axis=0)) < 2.5
 
 
+def test_a_b_spline_is_the_sum_of_its_hills():
+    # Five convolved boxes of one span each, as a divided difference of truncated fourth powers.
+    def hill(s):
+        steps = np.maximum(s + 2.5 - np.arange(6.0)[:, None], 0.0) ** 4
+        return np.array([1, -5, 10, -10, 5, -1]) @ steps / 24
+
+    values, t = np.array([2.0, -1.0, 0.5, 3.0, 3.5]), np.linspace(0.4, 2.6, 45)
+    law = BSpline(0.5, 2.5, values)
+    s = (t - 0.5) * 9 / 2 - 2.5
+    held = {k: values[min(max(k, 0), 4)] for k in range(-9, 14)}
+    expected = sum(x * hill(s - k) for k, x in held.items())
+    # Differences of fourth powers of up to 13 spans, 10 * 13^4/24, times the round-off.
+    assert law.at(t) == pytest.approx(expected, abs=1e-10)
+    for order in (1, 2, 3):
+        assert not np.any(law.at([-3.0, 0.5, 2.5, 9.0], order))
+
+
+def test_a_b_spline_stays_within_its_values():
+    rng = np.random.default_rng(4)
+    for count in (2, 3, 5, 12):
+        values, t = rng.uniform(-1, 1, count), np.linspace(-1, 4, 999)
+        x = BSpline(0.0, 3.0, values).at(t)
+        assert np.min(values) - 1e-14 <= np.min(x) < np.max(x) <= np.max(values) + 1e-14
+    assert BSpline(0.0, 3.0, [0.7, 0.7, 0.7]).at(t) == pytest.approx(0.7, rel=1e-15)
+
+
 def test_a_law_of_a_users_own_is_its_function():
     law = UserLaw(lambda t, a, w: a * np.sin(w * t) ** 2, (0.4, 3.0))
     t = np.linspace(-1, 1, 7)
@@ -234,6 +261,10 @@ def test_user_law_divides_by_whole_numbers_and_by_functions():
         (lambda: UserLaw(lambda t, a: np.real(a) * t, (2.0,)), "complex step"),
         (lambda: UserLaw(lambda t: t, 3.0), "sequence of numbers"),
         (lambda: UserLaw(lambda t: (t, t)), "derivatives in time"),
+        (lambda: BSpline(1.0, 1.0, (1.0, 2.0)), "later than begin"),
+        (lambda: BSpline(0.0, 1.0, (1.0,)), "several"),
+        (lambda: BSpline(0.0, np.inf, (1.0, 2.0)), "finite"),
+        (lambda: BSpline(0.0, 1.0, "ab"), "sequence of numbers"),
         (lambda: Spline((0.0, 1.0), (1.0,)), "1 values at 2 times"),
         (lambda: Spline((0.0, 0.0), (1.0, 2.0)), "ascend"),
         (lambda: Spline((0.0,), (1.0,)), "ascend"),

@@ -13,7 +13,10 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    BEAM_3D,
+    CABLE_3D,
     HHT,
+    PID,
     Beam,
     Clamp,
     FollowerForce,
@@ -30,6 +33,8 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError, UnknownNameError
 from ancfdae.laws import Harmonic
 from ancfdae.sections import Rectangle
+from ancfdae.sensitivity.observables.accelerations import acceleration
+from ancfdae.sensitivity.observables.controllers import effort, state
 from ancfdae.sensitivity.observables.drives import driver_torque, joint_power, load_power
 from ancfdae.sensitivity.observables.functions import _FUNCTIONS
 from ancfdae.sensitivity.observables.mass import (
@@ -50,6 +55,7 @@ from ancfdae.sensitivity.observables.quantities import (
     reaction,
     strain_energy,
 )
+from ancfdae.sensitivity.observables.rotation import angular_velocity
 from ancfdae.sensitivity.observables.section_forces import axial_force, bending_moment, shear_force
 from ancfdae.sensitivity.observables.states import States, states_of
 from ancfdae.sensitivity.observables.stress import maximum_von_mises, von_mises
@@ -76,6 +82,7 @@ DESIGN = ["rod.length", "rod.youngs_modulus", "arm.height", "arm.density", "arm.
 DESIGN += ["rod.damping_time", "rod.height[1]", "rod.poisson_ratio"]
 
 DRIVEN_DESIGN = [*DESIGN, "motor.frequency", "push.frequency", "spring.free_length"]
+DRIVEN_DESIGN += ["servo.derivative", "servo.amplitude"]
 
 
 def mechanism(dimension, driven=False):
@@ -93,7 +100,9 @@ def mechanism(dimension, driven=False):
         rod.at(0.8), (1.0, 2.0, 0.5)[:dimension], law=Harmonic(1.0, 3.0), name="push"
     )
     start = [InitialVelocity("rod", spin, (0.5, 0.1, *z))]
-    return Scene([arm, rod], joints, gravity, start, loads=[spring, push] if driven else [])
+    servo = PID(rod.at(0.3), Harmonic(0.4, 5.0), 3.0, 2.0, 0.5, other=arm.at_end, name="servo")
+    loads = [spring, push, servo] if driven else []
+    return Scene([arm, rod], joints, gravity, start, loads=loads)
 
 
 ARM, ROD = mechanism(2).beams
@@ -101,12 +110,16 @@ INNER = ROD.at(0.7, y=0.01)
 
 
 def states_around_start(system, count=5, seed=1):
-    random = np.random.default_rng(seed)
+    random, q = np.random.default_rng(seed), system.start()[0]
+    # Vectors of states come last, one for each controller here.
+    n = len(q) - system.vector_size * len(system.controllers)
+    moved, v, lam = (random.standard_normal((count, k)) for k in (n, n, system.n_lam))
+    x, x_t = random.standard_normal((2, count, len(q) - n))
     return States(
         np.linspace(0.0, 0.4, count),
-        system.start()[0] + 0.05 * random.standard_normal((count, system.n_q)),
-        random.standard_normal((count, system.n_q)),
-        10.0 * random.standard_normal((count, system.n_lam)),
+        q + 0.05 * np.hstack([moved, x]),
+        np.hstack([v, x_t]),
+        10.0 * lam,
     )
 
 
@@ -126,6 +139,8 @@ LEAVES = {
     "position": position(ROD.at_end, 1),
     "position between nodes": position(INNER, 0),
     "velocity": velocity(INNER, 1),
+    "acceleration": acceleration(INNER, 1),
+    "angular velocity": angular_velocity(INNER),
     "tangent between nodes": slope(INNER, 0, 0),
     "height axis": slope(ROD.at(0.3), 1, 0),
     "axial strain": axial_strain(ROD.at_end),
@@ -154,6 +169,9 @@ LEAVES = {
     "power": joint_power("motor"),
     "power of a spring": load_power("spring"),
     "power of a follower": load_power("push"),
+    "state": state("servo", "integral"),
+    "torque of a controller": effort("servo"),
+    "power of a controller": load_power("servo"),
     "strain energy": strain_energy(),
     "strain energy of a beam": strain_energy("rod"),
     "kinetic energy": kinetic_energy(),
@@ -257,7 +275,7 @@ def test_partials_are_those_of_the_value(system, name):
 @pytest.mark.parametrize("name", ALL)
 def test_partials_agree_with_central_differences(system, name):
     observable, states = ALL[name], states_around_start(system)
-    partials, random = observable.partials(system, states), np.random.default_rng(7)
+    partials, random = observable.partials(system, states), np.random.default_rng(8)
     change = {
         group: random.standard_normal(getattr(states, group).shape) for group in ("q", "v", "lam")
     }
@@ -771,3 +789,62 @@ def test_a_complex_solution_needs_a_complex_system():
     system = assemble(scene, ["rod.length"])
     with pytest.raises(InvalidInputError, match="complex design values"):
         solution.derivative(lambda moved: observe(strain_energy(), moved, system))
+
+
+# ---------------------------------------------------------------- accelerations and rotation
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_accelerations_are_those_that_the_run_found(dimension):
+    system = assemble(mechanism(dimension))
+    solution = simulate(system, 0.25, HHT(STEP))
+    for axis in range(dimension):
+        found = observe(acceleration(INNER, axis), solution, system)
+        known = solution.acceleration(INNER)[:, axis]
+        # Newton iterations end at 1e-8 of the accelerations of a step.
+        assert np.max(np.abs(found - known)) <= 1e-6 * np.max(np.abs(solution.a))
+
+
+def test_a_falling_body_is_accelerated_by_gravity_and_a_turning_one_towards_its_centre():
+    rod = Beam(
+        "rod", (1e3, 0.0, 0.0), (1e3 + 1.0, 0.0, 0.0), 2, Rectangle(0.1, 0.1), SOFT, rigid=True
+    )
+    spin, mark = (0.0, 0.0, 3.0), rod.at(0.25, y=0.02)
+    start = [InitialVelocity("rod", spin, (1e3 + 0.5, 0.0, 0.0))]
+    solution = simulate(scene := Scene([rod], [], (0.0, -9.81, 0.0), start), 0.25, HHT(STEP))
+    system = assemble(scene)
+    centre = rod.at(0.5)
+    assert np.allclose(observe(acceleration(centre, 1), solution, system), -9.81, rtol=1e-9)
+    for axis in range(2):
+        arm = solution.position(mark)[:, axis] - solution.position(centre)[:, axis]
+        towards = -9.0 * arm + (0.0, -9.81)[axis]
+        assert np.allclose(observe(acceleration(mark, axis), solution, system), towards, atol=1e-3)
+
+
+@pytest.mark.parametrize("rigid", [True, False])
+@pytest.mark.parametrize("element", [BEAM_3D, CABLE_3D])
+def test_angular_velocity_is_that_of_the_start(rigid, element):
+    spin, tangent = np.array([0.3, -0.5, 2.0]), np.array([2.0, 1.0, -2.0]) / 3
+    start = [InitialVelocity("rod", tuple(spin), (0.0, 0.0, 0.0))]
+    rod = Beam("rod", (0, 0, 0), tuple(tangent), 2, Rectangle(0.1, 0.1), SOFT, element=element)
+    rod = dataclasses.replace(rod, rigid=rigid)
+    system = assemble(Scene([rod], start=start))
+    states = States(np.zeros(1), *(x[None] for x in system.start()), np.zeros((1, system.n_lam)))
+    found = [angular_velocity(rod.at(0.3), k).value(system, states)[0] for k in range(3)]
+    known = spin if rigid or element is BEAM_3D else spin - (spin @ tangent) * tangent
+    assert np.allclose(found, known, rtol=1e-12)
+
+
+def test_angular_velocity_of_a_driven_rod_is_the_rate_of_its_law():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.1, 0.1), SOFT, rigid=True)
+    joints = [Pin(rod.at_start), RotationDriver(rod.at_start, Harmonic(0.5, 6.0))]
+    start = [InitialVelocity("rod", 3.0, (0.0, 0.0))]
+    solution = simulate(Scene([rod], joints, start=start), 1.0, HHT(1e-3))
+    # To the second order of the steps.
+    assert np.allclose(
+        observe(angular_velocity(rod.at_end), solution), 3.0 * np.cos(6.0 * solution.t), atol=1e-3
+    )
+    with pytest.raises(InvalidInputError, match=r"must be 2, the z axis, in the plane; got 0"):
+        observe(angular_velocity(rod.at_end, 0), solution)
+    with pytest.raises(InvalidInputError, match="assembled scene"):
+        observe(acceleration(rod.at_end, 0), solution)

@@ -1,7 +1,7 @@
 """Observables of what moves a scene: torque of a drive, force of a guide, power of all loads."""
 
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -70,8 +70,6 @@ class LoadPower(Leaf):
 @dataclass(frozen=True)
 class DriveWork(Leaf):
     """Power of a driven joint, at the rate of its law or at a rate of one."""
-
-    multipliers: ClassVar[bool] = True
 
     joint: str
     unit_rate: bool
