@@ -16,6 +16,7 @@ from ancfdae import (
     BEAM_3D,
     CABLE_3D,
     HHT,
+    PID,
     Beam,
     Clamp,
     FollowerForce,
@@ -33,6 +34,7 @@ from ancfdae.errors import InvalidInputError, UnknownNameError
 from ancfdae.laws import Harmonic
 from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.observables.accelerations import acceleration
+from ancfdae.sensitivity.observables.controllers import effort, state
 from ancfdae.sensitivity.observables.drives import driver_torque, joint_power, load_power
 from ancfdae.sensitivity.observables.functions import _FUNCTIONS
 from ancfdae.sensitivity.observables.mass import (
@@ -80,6 +82,7 @@ DESIGN = ["rod.length", "rod.youngs_modulus", "arm.height", "arm.density", "arm.
 DESIGN += ["rod.damping_time", "rod.height[1]", "rod.poisson_ratio"]
 
 DRIVEN_DESIGN = [*DESIGN, "motor.frequency", "push.frequency", "spring.free_length"]
+DRIVEN_DESIGN += ["servo.derivative", "servo.amplitude"]
 
 
 def mechanism(dimension, driven=False):
@@ -97,7 +100,9 @@ def mechanism(dimension, driven=False):
         rod.at(0.8), (1.0, 2.0, 0.5)[:dimension], law=Harmonic(1.0, 3.0), name="push"
     )
     start = [InitialVelocity("rod", spin, (0.5, 0.1, *z))]
-    return Scene([arm, rod], joints, gravity, start, loads=[spring, push] if driven else [])
+    servo = PID(rod.at(0.3), Harmonic(0.4, 5.0), 3.0, 2.0, 0.5, other=arm.at_end, name="servo")
+    loads = [spring, push, servo] if driven else []
+    return Scene([arm, rod], joints, gravity, start, loads=loads)
 
 
 ARM, ROD = mechanism(2).beams
@@ -105,12 +110,16 @@ INNER = ROD.at(0.7, y=0.01)
 
 
 def states_around_start(system, count=5, seed=1):
-    random = np.random.default_rng(seed)
+    random, q = np.random.default_rng(seed), system.start()[0]
+    # Vectors of states come last, one for each controller here.
+    n = len(q) - system.vector_size * len(system.controllers)
+    moved, v, lam = (random.standard_normal((count, k)) for k in (n, n, system.n_lam))
+    x, x_t = random.standard_normal((2, count, len(q) - n))
     return States(
         np.linspace(0.0, 0.4, count),
-        system.start()[0] + 0.05 * random.standard_normal((count, system.n_q)),
-        random.standard_normal((count, system.n_q)),
-        10.0 * random.standard_normal((count, system.n_lam)),
+        q + 0.05 * np.hstack([moved, x]),
+        np.hstack([v, x_t]),
+        10.0 * lam,
     )
 
 
@@ -160,6 +169,9 @@ LEAVES = {
     "power": joint_power("motor"),
     "power of a spring": load_power("spring"),
     "power of a follower": load_power("push"),
+    "state": state("servo", "integral"),
+    "torque of a controller": effort("servo"),
+    "power of a controller": load_power("servo"),
     "strain energy": strain_energy(),
     "strain energy of a beam": strain_energy("rod"),
     "kinetic energy": kinetic_energy(),
@@ -263,7 +275,7 @@ def test_partials_are_those_of_the_value(system, name):
 @pytest.mark.parametrize("name", ALL)
 def test_partials_agree_with_central_differences(system, name):
     observable, states = ALL[name], states_around_start(system)
-    partials, random = observable.partials(system, states), np.random.default_rng(7)
+    partials, random = observable.partials(system, states), np.random.default_rng(8)
     change = {
         group: random.standard_normal(getattr(states, group).shape) for group in ("q", "v", "lam")
     }

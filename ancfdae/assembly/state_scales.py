@@ -19,10 +19,12 @@ from ancfdae.assembly.load_input import LoadInput
 from ancfdae.numerics.arrays import STEP, Array
 
 
+@np.errstate(all="ignore")
 def state_masses(item: LoadInput, weights: Array) -> Array:
     """Return the masses of the vectors of the states of a load, shape (n_states,).
 
-    `weights` belong to the coordinates of the mechanism, (n_q,).
+    One where extreme numbers overflow. `weights` belong to the coordinates of the mechanism,
+    (n_q,).
     """
     n = len(item.masses)
     Q_x, f_q, f_v, f_x = _partials(item)
@@ -38,7 +40,8 @@ def state_masses(item: LoadInput, weights: Array) -> Array:
         for j, k in np.argwhere((root[:, None] == 0) & (root > 0)).tolist():
             out, into = abs(f_x[k, j]) * T[k], abs(f_x[j, k]) * T[j]
             root[j] = root[j] or (root[k] * out if out else root[k] / into if into else 0.0)
-    return np.where(root > 0, root, 1.0) ** 2
+    masses = root**2
+    return np.where((masses > 0) & np.isfinite(masses), masses, 1.0)
 
 
 def _or_infinite(x: Array) -> Array:
