@@ -762,6 +762,9 @@ def test_bad_events_are_refused_in_words():
         simulate(ball, 3.0, step, events=[BOUNCE], after=simulate(ball, 1.0, step))
     with pytest.raises(InvalidInputError, match="complex numbers"):
         gradient(ball, Terminal(HEIGHT), 3.0, DOP853(), method=ComplexStep(), events=[BOUNCE])
+    still = Ball((5.0, 0.0, 10.0, 0.8))
+    with pytest.raises(InvalidInputError, match="must not be zero"):
+        gradient(still, Terminal(HEIGHT), 3.0, step, method=FiniteDifference(), events=[BOUNCE])
     with pytest.raises(InvalidInputError, match="HHT or Radau"):
         gradient(ball, Terminal(HEIGHT), 3.0, DOP853(), method=Adjoint(), events=[BOUNCE])
     with pytest.raises(InvalidInputError, match="differentiates runs with events"):
