@@ -773,3 +773,24 @@ def test_bad_events_are_refused_in_words():
 
 def speeding(t, q, v, lam, b):
     return 3.0 + v[:, 0]
+
+
+def closing_angle(t, q, v, lam, b):
+    return 0.1 + 0.05 * np.sin(7 * t) - q[:, 0] + 0.1 * q[:, 1] ** 2
+
+
+def test_constraints_and_gaps_that_depend_on_time_pass_several_impacts():
+    """Times of events enter the constraints at an impact and the gaps of later phases."""
+    hit = Impact(custom(closing_angle, "closing"), 0.7)
+    objectives = [Terminal(custom(lambda t, q, v, lam, b: q[:, 0] + v[:, 1], "seen"))]
+    by_method = [
+        gradients(
+            GuidedDoublePendulum(spin=1.0), objectives, 1.5, HHT(step=0.02), method=m, events=[hit]
+        )[0]
+        for m in (*EXACT, FiniteDifference(1e-6, central=True))
+    ]
+    direct, *others, differences = by_method
+    assert len(direct.event_solution.events) >= 2
+    for other in others:
+        np.testing.assert_allclose(other.gradient, direct.gradient, rtol=1e-9)
+    np.testing.assert_allclose(differences.gradient, direct.gradient, rtol=1e-5)
