@@ -183,7 +183,7 @@ def test_objectives_over_several_phases_are_differentiated_exactly():
         AtTimes(HEIGHT, [0.4, 1.234, 3.0]),
         SmoothMaximum(-HEIGHT, 3.0) * Terminal(elapsed_time() * HEIGHT),
     ]
-    for integrator in (HHT(step=0.034), Radau(step=0.23)):
+    for integrator in (HHT(step=0.034), HHT(rtol=1e-5), Radau(step=0.23)):
         by_method = [
             gradients(Ball(), objectives, 3.2, integrator, method=m, events=[BOUNCE])
             for m in (*EXACT, FiniteDifference(1e-4, central=True))
@@ -192,7 +192,10 @@ def test_objectives_over_several_phases_are_differentiated_exactly():
             for other in others:
                 assert other.value == pytest.approx(direct.value, rel=1e-13)
                 np.testing.assert_allclose(other.gradient, direct.gradient, rtol=1e-10, atol=1e-12)
-            np.testing.assert_allclose(differences.gradient, direct.gradient, rtol=1e-5, atol=1e-6)
+            if integrator != HHT(rtol=1e-5):  # The steps of its runs differ.
+                np.testing.assert_allclose(
+                    differences.gradient, direct.gradient, rtol=1e-5, atol=1e-6
+                )
 
 
 def test_end_event_ends_the_run_and_its_time_has_a_derivative():
@@ -370,21 +373,35 @@ def test_pendulum_on_a_wall_follows_an_integration_in_minimal_coordinates(integr
     np.testing.assert_allclose(found.gradient, expected, rtol=1e-7, atol=1e-7)
 
 
+def test_impact_after_long_steps_is_differentiated_exactly():
+    """HHT-I3 satisfies the constraints of velocities to O(h^2): the impact projects them."""
+    first, *others = (
+        gradient(DoublePendulum(), Terminal(TIP), 0.8, HHT(step=0.04), method=method, events=[WALL])
+        for method in EXACT
+    )
+    assert len(first.event_solution.events) == 1
+    for other in others:
+        np.testing.assert_allclose(other.gradient, first.gradient, rtol=1e-11)
+
+
 def test_pendulum_that_locks_its_elbow_takes_the_impulse_of_the_lock():
-    system = DoublePendulum(spin=5.0)
-    modes = {"locked": Mode(LockedPendulum())}
-    expected = slopes_by_scipy(system.b, 1.2, lock=True)[:2]
-    for integrator, methods in ((DOP853(1e-11), EXACT[:1]), (Radau(rtol=1e-9), EXACT)):
-        for method in methods:
-            found = gradient(
-                system, Terminal(TIP), 1.2, integrator, method=method, events=[LOCK], modes=modes
-            )
-            value = pendulum_by_scipy(system.b, 1.2, lock=True)
-            assert found.value == pytest.approx(value, abs=1e-7)
-            np.testing.assert_allclose(found.gradient[:2], expected, rtol=0, atol=1e-6)
-            np.testing.assert_allclose(found.gradient[2:], 0, atol=1e-12)
+    system, modes = DoublePendulum(spin=5.0), {"locked": Mode(LockedPendulum())}
+    call = {"events": [LOCK], "modes": modes}
+    direct = DirectDifferentiation()
+    found = gradient(system, Terminal(TIP), 1.0, DOP853(1e-11), method=direct, **call)
+    assert found.value == pytest.approx(pendulum_by_scipy(system.b, 1.0, lock=True), abs=1e-7)
+    expected = slopes_by_scipy(system.b, 1.0, lock=True)[:2]
+    np.testing.assert_allclose(found.gradient[:2], expected, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.gradient[2:], 0, atol=1e-12)
     (lock,) = found.event_solution.events
     assert (lock.name, lock.mode) == ("lock", "locked")
+    first, *others = (
+        gradient(system, Terminal(TIP), 1.0, HHT(step=5e-3), method=method, **call)
+        for method in EXACT
+    )
+    assert first.value == pytest.approx(found.value, abs=4e-3)
+    for other in others:
+        np.testing.assert_allclose(other.gradient, first.gradient, rtol=1e-10, atol=1e-10)
 
 
 # -- scenes: a flexible rod on a stop --------------------------------------------------------------
@@ -462,12 +479,12 @@ def test_rod_rests_on_a_stop_and_leaves_it():
     ]
     by_method = [
         gradients(
-            scene, objectives, 0.35, HHT(step=2e-3), design=ROD_DESIGN, method=method,
+            scene, objectives, 0.35, HHT(step=4e-3), design=ROD_DESIGN[::2], method=method,
             events=[stop], modes=modes,
         )
         for method in (*EXACT, FiniteDifference(1e-6, central=True))
     ]  # fmt: skip
-    scale = np.array([2e8, 0.03, 1000.0])
+    scale = np.array([2e8, 1000.0])
     for direct, adjoint, stepped, differences in zip(*by_method, strict=True):
         for other in (adjoint, stepped):
             size = np.max(np.abs(direct.gradient * scale))
@@ -482,7 +499,7 @@ def test_rod_rests_on_a_stop_and_leaves_it():
     assert records[-2].mode == "closed"
     assert records[-1].mode == "start"
     # Without loads but gravity, stiffness and density alike leave the motion as it is.
-    d_E, _, d_rho = direct.gradient * scale
+    d_E, d_rho = direct.gradient * scale
     assert d_E == pytest.approx(-d_rho, rel=1e-6)
 
 
@@ -745,6 +762,9 @@ def test_bad_events_are_refused_in_words():
         simulate(ball, 3.0, step, events=[BOUNCE], after=simulate(ball, 1.0, step))
     with pytest.raises(InvalidInputError, match="complex numbers"):
         gradient(ball, Terminal(HEIGHT), 3.0, DOP853(), method=ComplexStep(), events=[BOUNCE])
+    still = Ball((5.0, 0.0, 10.0, 0.8))
+    with pytest.raises(InvalidInputError, match="must not be zero"):
+        gradient(still, Terminal(HEIGHT), 3.0, step, method=FiniteDifference(), events=[BOUNCE])
     with pytest.raises(InvalidInputError, match="HHT or Radau"):
         gradient(ball, Terminal(HEIGHT), 3.0, DOP853(), method=Adjoint(), events=[BOUNCE])
     with pytest.raises(InvalidInputError, match="differentiates runs with events"):
@@ -753,3 +773,24 @@ def test_bad_events_are_refused_in_words():
 
 def speeding(t, q, v, lam, b):
     return 3.0 + v[:, 0]
+
+
+def closing_angle(t, q, v, lam, b):
+    return 0.1 + 0.05 * np.sin(7 * t) - q[:, 0] + 0.1 * q[:, 1] ** 2
+
+
+def test_constraints_and_gaps_that_depend_on_time_pass_several_impacts():
+    """Times of events enter the constraints at an impact and the gaps of later phases."""
+    hit = Impact(custom(closing_angle, "closing"), 0.7)
+    objectives = [Terminal(custom(lambda t, q, v, lam, b: q[:, 0] + v[:, 1], "seen"))]
+    by_method = [
+        gradients(
+            GuidedDoublePendulum(spin=1.0), objectives, 1.5, HHT(step=0.02), method=m, events=[hit]
+        )[0]
+        for m in (*EXACT, FiniteDifference(1e-6, central=True))
+    ]
+    direct, *others, differences = by_method
+    assert len(direct.event_solution.events) >= 2
+    for other in others:
+        np.testing.assert_allclose(other.gradient, direct.gradient, rtol=1e-9)
+    np.testing.assert_allclose(differences.gradient, direct.gradient, rtol=1e-5)

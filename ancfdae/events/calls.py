@@ -33,7 +33,7 @@ from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
-from ancfdae.sensitivity.method import GradientMethod
+from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.states import States
 from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference, Perturbation
@@ -153,10 +153,7 @@ class EventRun:
     def _perturbed(
         self, run: PhasedRun, objectives: Sequence[Objective], method: Perturbation
     ) -> list[tuple[float, Array]]:
-        if isinstance(method, ComplexStep) and self.integrator.real_only:
-            rule = "needs an integrator that computes in complex numbers"
-            repair = "Use HHT or Radau, or FiniteDifference()."
-            raise InvalidInputError("ComplexStep", rule, repr(self.integrator), repair)
+        method.check(Run(self.system, self.t_end, self.integrator))
         base = self._values(objectives, states_of(run))
         slopes, b = np.zeros((len(objectives), self.system.n_b)), self.system.b
         for i, x in enumerate(b.tolist()):

@@ -27,6 +27,7 @@ from ancfdae.equations.saddle_points import saddle_point, solve
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.events.functions import Partials, gap_rows, gap_rows_along, partials
 from ancfdae.events.kinds import Impact
+from ancfdae.events.phase_system import PhaseStart, PhaseSystem
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.sensitivity.observables.observable import Observable
@@ -146,10 +147,11 @@ def struck(
 ) -> Struck:
     """Solve impacts that happen at (t, q, v); plastic ones have no restitution."""
     t, q, v = state
-    time = float(np.real(t))
-    matrices = saddle_point(system, time, q.real)
-    factors = matrices.factor(system.mass(q), system.constraint_q(time, q))
-    moved, multiplier = solve(factors, np.zeros_like(v), system.constraint(time, q, v))
+    # The time may have an imaginary part, which constraints of a phase that begins here accept.
+    local = PhaseSystem(system, PhaseStart.held(t, q, v, system.n_b), 1.0, first=False)
+    matrices = saddle_point(system, float(np.real(t)), q.real)
+    factors = matrices.factor(system.mass(q), local.constraint_q(0.0, q))
+    moved, multiplier = solve(factors, np.zeros_like(v), local.constraint(0.0, q, v))
     before = _Velocity(v - moved, -multiplier, np.zeros(0))
     active = _independent(system, factors, impacts, t, q)
     while True:

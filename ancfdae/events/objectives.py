@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast, final
+from itertools import product
+from typing import Any, cast, final
 
 import numpy as np
 
@@ -199,28 +200,45 @@ class _Reduced:
         used, slopes_all = w_all != 0, np.zeros(len(w_all))
         slopes_all[used] = objective.slopes(x_all[used].real, w_all[used])
         slopes = np.split(slopes_all, np.cumsum([len(each) for each in x])[:-1])
-        found = []
+        through, found = self._through_weights(x_all, w), []
         for k, phase in enumerate(phases):
             p = objective.pulled_back(phase.system, phase.states, self._nodes[k], slopes[k])
             on_t = slopes[k] * in_time(phase.system, objective.observable, phase.states)
             shares = phase.grid.t / np.real(phase.duration)
-            start = float(np.sum(on_t)) + self._through_weights(x_all, spans, k, 0)
-            duration = float(on_t @ shares) + self._through_weights(x_all, spans, k, 1)
-            found.append(PhasePartials(p.q, p.v, p.lam, p.b.sum(axis=0), start, duration))
+            start, duration = through[k] + [np.sum(on_t), on_t @ shares]
+            b = p.b.sum(axis=0)
+            found.append(PhasePartials(p.q, p.v, p.lam, b, float(start), float(duration)))
         return found
 
-    def _through_weights(
-        self, x: Array, spans: Sequence[tuple[complex, complex]], k: int, which: int
-    ) -> float:
-        """Return the derivative through the weights in the start (0) or duration (1) of phase k."""
-        pair = list(spans[k])
-        pair[which] = pair[which] + 1j * STEP
-        moved = [*spans[:k], (pair[0], pair[1]), *spans[k + 1 :]]
-        w = np.concatenate(self._weights(moved))
-        if not np.any(np.imag(w)):
-            return 0.0
-        used = w != 0
-        return float(np.imag(self._objective.reduce(x[used], w[used])) / STEP)
+    def _through_weights(self, x: Array, w: list[Array]) -> Array:
+        """Return the derivatives in start and duration of each phase through weights, (k, 2)."""
+        objective, phases = self._objective, self._phases
+        spans = [(phase.start, phase.duration) for phase in phases]
+        total, all_w = np.zeros((len(phases), 2)), np.concatenate(w)
+
+        def slope(change: Array) -> float:
+            used = (all_w != 0) | (change != 0)
+            moved = (all_w + 1j * STEP * change)[used]
+            return float(np.imag(objective.reduce(x[used], moved)) / STEP)
+
+        if isinstance(objective, OverTime):
+            length = float(np.sum(np.real([D for _, D in spans])))
+            late: Any = length + 1j * STEP
+            grown = np.imag(objective.factor(late)) / STEP / objective.factor(length)
+            total[:, 1] = slope(grown * all_w)
+            ends = np.cumsum([len(each) for each in w])
+            for k, end in enumerate(ends.tolist()):
+                own, change = slice(end - len(w[k]), end), np.zeros(len(all_w))
+                change[own] = all_w[own] / np.real(spans[k][1])
+                total[k, 1] += slope(change)
+        elif isinstance(objective, AtInstants) and not isinstance(objective, Terminal):
+            read = [k for k, each in enumerate(w) if np.any(each)]
+            for k, which in product(read, (0, 1)):
+                moved = [list(span) for span in spans]
+                moved[k][which] += 1j * STEP
+                shares = np.concatenate(self._shares(objective, [(t, D) for t, D in moved]))
+                total[k, which] = slope(np.imag(shares) / STEP)
+        return total
 
 
 def _around(grid: TimeGrid, time: float) -> slice:
