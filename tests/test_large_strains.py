@@ -83,7 +83,7 @@ def test_few_elements_of_a_rolled_up_strip_are_told(n, told, element):
 @pytest.mark.parametrize(("height", "n"), [(0.003, 2), (0.003, 4), (0.01, 2), (0.01, 3), (0.05, 2)])
 @pytest.mark.parametrize("turn", [0.3, 0.6, 1.0])
 def test_cantilevers_of_few_elements_are_told_where_deflections_err(height, n, turn):
-    """A force at the tip, against 32 elements: one off by 5.5 % is told, by 1.2 % not."""
+    """A force at the tip, against 32 elements: an error of 5.5 % warns, one of 1.2 % does not."""
     force = E * WIDTH * height**3 / 12 * 2 * turn
     deflections = []
     with warnings.catch_warnings(record=True) as caught:

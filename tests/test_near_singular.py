@@ -29,7 +29,7 @@ DENSITY, SIDE, CRANK, LINK, TORQUE, G, END = 1000.0, 0.05, 1.0, 2.0, 60.0, 9.81,
 
 
 def upright(rocker):
-    """End of the crank, that of the coupler, and the other ground of a four-bar that stands."""
+    """End of the crank, end of the coupler, and the second ground of the four-bar at its start."""
     B, D = np.array([0.0, CRANK]), np.array([LINK, 0.0])
     base = np.hypot(*(D - B))
     x = (base**2 + LINK**2 - rocker**2) / (2 * base)
@@ -38,7 +38,7 @@ def upright(rocker):
 
 
 def four_bar(rocker):
-    """Parallelogram but for the length of its rocker, of CRANK in the degenerate one."""
+    """A four-bar with sides CRANK, LINK, rocker and LINK; with rocker = CRANK it folds flat."""
     B, C, D = map(tuple, upright(rocker))
     made = 1, Rectangle(SIDE, SIDE), Material(DENSITY, 1e9, 0.3)
     crank = Beam("crank", (0.0, 0.0), B, *made, rigid=True)

@@ -333,8 +333,8 @@ class MechanicalSystem(ComplexSteps):
         """Return the first of k states that is mirrored, folded or crushed, and in words what is.
 
         q has the shape (k, n_q). A body is mirrored where its orientation differs from that in the
-        first state, folded where it is bent back on itself, and crushed where its law gives way:
-        steps may end there, for the strain energy is finite, but no motion leads there. The words
+        first state, folded where it is bent back on itself, and crushed where its law gives way.
+        Steps may end there, for the strain energy is finite, but no motion leads there. The words
         begin with a verb and end with a remedy. None if no state is, and by default.
         """
         return None

@@ -38,8 +38,9 @@ Solve: TypeAlias = Callable[[Array | None, Array | None], Array]
 def stacked(q: Array, v: Array, q_b: Array | None = None, v_b: Array | None = None) -> Array:
     """Return a state and its design derivatives as one array, shape (2, 1 + n_b, n_q).
 
-    q and v have the shape (n_q,), q_b and v_b (n_q, n_b); without these n_b is zero. Of the result,
-    [0] holds q and below it the columns of q_b as rows, [1] v and those of v_b.
+    q and v have the shape (n_q,), q_b and v_b (n_q, n_b); without these n_b is zero. Entry [0]
+    of the result holds q and below it the columns of q_b as rows, entry [1] holds v and the columns
+    of v_b.
     """
     states = np.stack([q, v])[:, None]
     if q_b is None or v_b is None:

@@ -68,7 +68,7 @@ class Carried(NDArrayOperatorsMixin, abc.ABC):
 
     @abc.abstractmethod
     def joined(self, parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Any:
-        """Return what a function of NumPy makes of a sequence of arrays, at least one of this kind.
+        """Apply a function of NumPy to a sequence of arrays, at least one of this kind.
 
         The function places entries and does not calculate with them, as np.stack does.
         """

@@ -310,7 +310,7 @@ class Listed(Carried):
         return self._apply(ANGLE, self, x)
 
     def joined(self, parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Listed:
-        """Return an array whose entries are those of others."""
+        """Return the entries of several arrays as one array."""
         return Listed(self._operations, join([self.numbers(x) for x in parts]))
 
     def numbers(self, x: Any) -> Array:

@@ -54,7 +54,7 @@ def require_differentiable(
             stacklevel=4,
         )
     else:
-        # Errors of derivatives grow twice: with those of the motion, and with their own.
+        # Errors of derivatives grow twice: from errors of the motion, and by themselves.
         warn_near_singular(system, Rows(t, q, v), errors, 2, stacklevel=5)
 
 
@@ -83,7 +83,7 @@ def warn_near_singular(
     warnings.warn(
         f"The motion passes near a singular position at t = {time:.6g} s, where Phi_q is "
         f"{nearness:.2g} times nearer to losing rank than elsewhere: errors of the run, estimated "
-        f"at {errors.motion:.2g} of the size of the coordinates, grow there, those of {of} to "
+        f"at {errors.motion:.2g} of the size of the coordinates, grow there, in {of} to "
         f"{errors.motion * nearness**power:.2g} and more. Take shorter steps, or rtol, and compare "
         "two of them.",
         StabilityWarning,

@@ -92,9 +92,9 @@ def simulate(
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
 
     Warns of errors estimated larger than the motion, or large beside a singular position of joints
-    (`StabilityWarning`), of very many steps under error control (`ManyStepsWarning`), of a
-    tolerance out of reach (`ToleranceWarning`), and of beams that are strained beyond what their
-    elements are made for (`LargeStrainWarning`) at one of nine instants, the end included.
+    (`StabilityWarning`), of very many steps under error control (`ManyStepsWarning`), and of a
+    tolerance out of reach (`ToleranceWarning`). Beams that are strained beyond what their elements
+    are made for at one of nine instants, the end included, give a `LargeStrainWarning`.
 
     Parameters
     ----------
