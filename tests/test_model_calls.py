@@ -8,7 +8,6 @@ import random
 
 import numpy as np
 import pytest
-from test_fronts import net
 
 from ancfdae import assemble, kernels
 from ancfdae.equations.saddle_points import saddle_point
@@ -17,6 +16,7 @@ from ancfdae.numerics.coupled import CoupledSaddlePoints
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum, GuidedDoublePendulum
+from nets import net
 
 STEPS, CALLS = 3, 60
 RULES = np.array(

@@ -232,13 +232,12 @@ int rest_iterated(const Plan<T> *p, Room<T> *r, const RestProblem<T> *x,
         settled += settled || to->size * fmin(1, rate * rate) <= x->rules.tolerance;
         if (settled > LAG<T>)
             return REST_SOLVED;
+        memcpy(to->q_s, r->x, (size_t)p->n_q * sizeof(T));
+        memcpy(to->lam_s, r->x + p->n_q, (size_t)p->n_lam * sizeof(T));
         if (moved > x->rules.far || growths >= x->rules.growths)
             return REST_NO_CONVERGENCE;
-        if (!settled && last < INFINITY && rate > 0.5 && to->size < sqrt(x->rules.tolerance)) {
-            memcpy(to->q_s, r->x, (size_t)p->n_q * sizeof(T));
-            memcpy(to->lam_s, r->x + p->n_q, (size_t)p->n_lam * sizeof(T));
+        if (!settled && last < INFINITY && rate > 0.5 && to->size < sqrt(x->rules.tolerance))
             return REST_STUCK;
-        }
         last = moved;
     }
     to->iterations--;

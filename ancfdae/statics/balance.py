@@ -227,7 +227,7 @@ class Balance:
         while taken < _ITERATIONS:
             end = self._kernel.solve(s, q, lam, gaps, mu, anchor, _ITERATIONS - taken)
             solved = self._counted(s, end)
-            if end.why != Rest.STUCK:
+            if end.why not in (Rest.STUCK, Rest.NO_CONVERGENCE):
                 return solved
             q, lam, taken = end.q, end.lam, taken + end.iterations
             before, Phi_q = q - end.path[0], self.Phi_q(q - end.path[0])
@@ -238,6 +238,8 @@ class Balance:
                 if isinstance(found, Balanced):
                     return replace(found, iterations=taken, correction=end.correction)
                 return found
+            if end.why == Rest.NO_CONVERGENCE:
+                return solved
         return Unsolved(Verdict.NO_CONVERGENCE, end.correction)
 
     def _left(self, s: float) -> float:
