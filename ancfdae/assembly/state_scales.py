@@ -14,7 +14,7 @@ through f_x. The unit of w is an energy over x^2, so that units and places do no
 
 Where all these partials are zero at the start, as of an effort with the square of a state that
 starts from zero, w = (l / (T X))^2 with the size l of the mechanism in the norm of W and the size
-X of the state, the largest of |x|, T |f| and T^2 |f_t|. If nothing else tells a rate, 1/T is
+X of the state, the largest of |x|, T |f| and T^2 |f_t|. Without any of those rates 1/T is
 |f_t| / |f|.
 """
 
@@ -28,8 +28,8 @@ from ancfdae.numerics.arrays import STEP, Array
 def state_masses(item: LoadInput, weights: Array, size: float) -> Array:
     """Return the masses of the vectors of the states of a load, shape (n_states,).
 
-    One where nothing tells a size, or numbers overflow. `weights` belong to the coordinates of the
-    mechanism, (n_q,), and `size` is its size in their norm.
+    One where all partials and rates vanish, or numbers overflow. `weights` belong to the
+    coordinates of the mechanism, (n_q,), and `size` is its size in their norm.
     """
     n = len(item.masses)
     Q_x, f_q, f_v, f_x = _partials(item)
