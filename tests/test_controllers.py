@@ -52,7 +52,15 @@ from ancfdae import (
     suggest_step,
 )
 from ancfdae.errors import InvalidInputError, UnknownNameError
-from ancfdae.extend import LAW_FIELD, Controller, Law, MaterialPoint, RotationAxis, TranslationAxis
+from ancfdae.extend import (
+    LAW_FIELD,
+    Controller,
+    Law,
+    MaterialPoint,
+    RotationAxis,
+    TranslationAxis,
+    require_law,
+)
 from ancfdae.laws import Constant, ConstantAcceleration, Harmonic
 from ancfdae.observables import (
     effort,
@@ -338,6 +346,42 @@ def test_nothing_depends_on_units(method):
     # IDA measures its first step in seconds, and no other method in anything.
     assert ends[1] == pytest.approx(ends[0], abs=1e-10)
     assert slopes[1] == pytest.approx(slopes[0], abs=1e-9)
+
+
+@dataclass(frozen=True)
+class Solenoid(Controller):
+    """A torque with the square of a current, which is written in a unit: zero at the start."""
+
+    point: MaterialPoint
+    drive: Law
+    unit: float
+
+    kind = "solenoid"
+    states = ("current",)
+    design_fields = (("drive", require_law), ("unit", lambda where, value: None), LAW_FIELD)
+
+    def axes(self, p):
+        return (RotationAxis(self.point),)
+
+    def equations(self, at, p):
+        unit, current = self.split(p)[1], at.states[0]
+        return [(unit * at.laws[0] - current) / 0.05], [0.02 * (current / unit) ** 2]
+
+
+@pytest.mark.parametrize("method", [HHT(rtol=1e-4), IDA(1e-8), Radau(rtol=1e-6)], ids=repr)
+@pytest.mark.parametrize("law", [Harmonic(1.0, 50.0), Constant(1.0)], ids=repr)
+def test_an_effort_that_starts_with_a_partial_of_zero_has_no_unit(method, law):
+    ends, steps = [], []
+    for unit in (1.0, 2.0**-30, 2.0**30):
+        arm = RigidBody("arm", (0, 0), mass=1.0, inertia=1e-2)
+        load = Solenoid(arm.origin, law, unit, name="coil")
+        scene = Scene(bodies=[arm], joints=[Pin(arm.origin)], loads=[load])
+        run = simulate(scene, 0.3, method)
+        x = values(state("coil", "current"), run, assemble(scene))[-1]
+        ends.append([x / unit, *run.velocity(arm.at(1.0))[-1]])
+        steps.append(run.statistics.steps)
+    assert steps[0] == steps[1] == steps[2]
+    assert np.array(ends[1:]) == pytest.approx(np.array([ends[0]] * 2), rel=1e-8)
 
 
 @pytest.mark.parametrize("method", [HHT(2.0**-7), HHT(rtol=1e-5), Radau(rtol=1e-6), DOP853(1e-8)])

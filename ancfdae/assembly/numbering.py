@@ -54,6 +54,11 @@ class Numbering:
         is_position[self.positions] = True
         return RigidMotions(owner, is_position, self.d)
 
+    def size(self, weights: Array) -> float:
+        """Return the size of the bodies in the norm of weights of coordinates, (n_q,)."""
+        w = weights.reshape(-1, self.d)[:, 0]
+        return float(np.sqrt(sum(np.sum(w[x.positions]) * x.size**2 for x in self.bodies)))
+
     @property
     def owners(self) -> Array:
         """Place among the bodies of the beam of each element that deforms, shape (n,)."""

@@ -122,7 +122,8 @@ class Numbers:
             if len(numbering.masses):
                 of_one = Numbers.first(scene, design, mapping, b.real, numbering)
                 loads, weights = of_one.geometry.loads, of_one.inertia.weights
-                found = [state_masses(item, weights) for item in loads if len(item.masses)]
+                size = numbering.size(weights)
+                found = [state_masses(item, weights, size) for item in loads if len(item.masses)]
                 numbering = replace(numbering, masses=np.concatenate(found))
         masses = tuple(mass.name for mass in scene.point_masses)
         bodies = numbering.bodies, numbering.beams

@@ -11,6 +11,11 @@ the loop that it closes with the mechanism. Then w = (g T)^2: sqrt(w) x is the v
 of W, that the forces of x cause in the time T. A state that acts on no axis has
 w = 1/(e T^2)^2 or 1/(d T)^2, the same from its input; one that only meets other states has theirs
 through f_x. The unit of w is an energy over x^2, so that units and places do not matter.
+
+Where all these partials are zero at the start, as of an effort with the square of a state that
+starts from zero, w = (l / (T X))^2 with the size l of the mechanism in the norm of W and the size
+X of the state, the largest of |x|, T |f| and T^2 |f_t|. Without any of those rates 1/T is
+|f_t| / |f|.
 """
 
 import numpy as np
@@ -20,26 +25,31 @@ from ancfdae.numerics.arrays import STEP, Array
 
 
 @np.errstate(all="ignore")
-def state_masses(item: LoadInput, weights: Array) -> Array:
+def state_masses(item: LoadInput, weights: Array, size: float) -> Array:
     """Return the masses of the vectors of the states of a load, shape (n_states,).
 
-    One where extreme numbers overflow. `weights` belong to the coordinates of the mechanism,
-    (n_q,).
+    One where all partials and rates vanish, or numbers overflow. `weights` belong to the
+    coordinates of the mechanism, (n_q,), and `size` is its size in their norm.
     """
     n = len(item.masses)
     Q_x, f_q, f_v, f_x = _partials(item)
     of_coordinates = (np.sqrt(np.sum(x**2 / weights, axis=1)) for x in (Q_x, f_q, f_v))
     g, e, d = of_coordinates
     rates = np.max([np.abs(np.diag(f_x)), np.sqrt(g * d), np.cbrt(g * e)], axis=0)
-    T = 1 / np.where(rates > 0, rates, np.max(rates) or 1.0)
+    x, f, f_t = _first_rates(item)
+    of_time = np.where((rates == 0) & (np.abs(f) > 0), np.abs(f_t / f), 0.0)
+    rates = np.where(rates > 0, rates, np.max(rates) or of_time)
+    T = 1 / np.where(rates > 0, rates, 1.0)
     root = g * T
-    for size in (1 / _or_infinite(e * T**2), 1 / _or_infinite(d * T)):
-        root = np.where(root > 0, root, size)
+    for from_input in (1 / _or_infinite(e * T**2), 1 / _or_infinite(d * T)):
+        root = np.where(root > 0, root, from_input)
     # Root by root from states that meet the mechanism to those that meet these.
     for _ in range(n):
         for j, k in np.argwhere((root[:, None] == 0) & (root > 0)).tolist():
             out, into = abs(f_x[k, j]) * T[k], abs(f_x[j, k]) * T[j]
             root[j] = root[j] or (root[k] * out if out else root[k] / into if into else 0.0)
+    expected = np.max(np.abs([x, T * f, T**2 * f_t]), axis=0)
+    root = np.where(root > 0, root, size / _or_infinite(T * expected))
     masses = root**2
     return np.where((masses > 0) & np.isfinite(masses), masses, 1.0)
 
@@ -48,14 +58,28 @@ def _or_infinite(x: Array) -> Array:
     return np.where(x > 0, x, np.inf)
 
 
+def _first_rates(item: LoadInput) -> tuple[Array, Array, Array]:
+    """Return the states, their rates f and the partials f_t in time at the start, (n,) each."""
+    U, V, first = _at_start(item)
+    signals, rates = (item.factors(np.zeros(1), k)[0, 1:] for k in (0, 1))
+    F = item.force(U + 0j, V + 0j, signals + 1j * STEP * rates)[first:, 0]
+    return V[first:, 0], F.real, F.imag / STEP
+
+
+def _at_start(item: LoadInput) -> tuple[Array, Array, int]:
+    """Return U in the reference configuration, V of the states alone, and the first state."""
+    U = item.reference.real
+    first, V = len(U) - len(item.masses), np.zeros_like(U)
+    V[first:, 0] = np.real(item.load.initial_states(item.p.real))
+    return U, V, first
+
+
 def _partials(item: LoadInput) -> tuple[Array, Array, Array, Array]:
     """Return rows Q_x, f_q and f_v, (n, n_q) each, and f_x, (n, n), at the start of the states.
 
     The mechanism stands in its reference configuration; masses in `item` are one.
     """
-    n, U = len(item.masses), item.reference.real
-    first, V = len(U) - n, np.zeros_like(U)
-    V[first:, 0] = np.real(item.load.initial_states(item.p.real))
+    n, (U, V, first) = len(item.masses), _at_start(item)
     signals, lift = item.factors(np.zeros(1), 0)[0, 1:], item.vectors.lift
     steps = 1j * STEP * np.eye(U.size).reshape(-1, *U.shape)
     F_U, F_V = (
