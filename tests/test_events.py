@@ -874,3 +874,41 @@ def test_starts_on_a_stop_are_refused_where_they_have_no_answer():
     turned = EndEvent(slope_angle(rod.at_start) + 0.1)
     with pytest.raises(InvalidInputError, match="counts turns"):
         simulate(scene, 0.1, HHT(step=0.01), events=[turned])
+
+
+class Bead(FormulaSystem):
+    """A bead on a line that turns about the origin: the Jacobian of its constraint turns too."""
+
+    n_q, n_lam = 2, 1
+    design_names = ("r0", "gravity", "rate")
+
+    def __init__(self, b=(1.0, 9.81, 2.0)):
+        super().__init__(b)
+
+    def with_values(self, b):
+        return type(self)(b)
+
+    def start(self):
+        r0, _, rate = self.b
+        return np.array([r0, 0 * r0]), np.array([0.5 + 0 * r0, rate * r0])
+
+    def mass_matrix(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.array([0.0, -1.0]) * self.b[1]
+
+    def position_constraint(self, t, q):
+        angle = self.b[2] * t
+        return np.array([q[1] * np.cos(angle) - q[0] * np.sin(angle)])
+
+
+def test_impact_on_a_turning_line_is_differentiated_exactly():
+    rim = Impact(custom(lambda t, q, v, lam, b: 1.3 - q[:, 0] ** 2 - q[:, 1] ** 2, "rim"), 0.6)
+    x = Terminal(custom(lambda t, q, v, lam, b: q[:, 0] + 0 * t, "x"))
+    direct, *others = (
+        gradient(Bead(), x, 0.9, HHT(step=0.05), method=method, events=[rim]) for method in EXACT
+    )
+    assert len(direct.event_solution.events) >= 1
+    for other in others:
+        np.testing.assert_allclose(other.gradient, direct.gradient, rtol=1e-10)

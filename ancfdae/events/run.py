@@ -295,7 +295,7 @@ class PhaseMarch:
         plastic: bool,
         state: tuple[float, Array, Array],
     ) -> tuple[Struck, ...]:
-        """Return impacts, and after them those of closed gaps that they make close."""
+        """Return impacts, followed by impacts of touching gaps with a negative rate after them."""
         found: list[Struck] = []
         (t, q, v), closing = state, list(impacts) or self._closing(mode, *state)
         while closing:
