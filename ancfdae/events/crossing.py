@@ -24,7 +24,7 @@ def first_crossing(
     value is then round-off. A zero at the first time point is no crossing otherwise: g is then
     on the side to which it moves.
     """
-    if side is None and rests_at_start(g, rate):
+    if rests_at_start(g, rate):
         rate = np.append(0.0, rate[1:])
     sides = _sides(g, rate, side)
     changed = sides[:-1] != sides[1:]

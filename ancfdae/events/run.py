@@ -187,7 +187,7 @@ class PhaseMarch:
                 return self._ended(before, [*phases, phase], None)
             short = short + 1 if _short(phase, self._t_end) else 0
             at_once = phase.duration <= _ROUND_OFF * self._t_end
-            rests = short > 0 and isinstance(event, Impact) and (event in happened or at_once)
+            rests = short > 0 and isinstance(event, Impact) and event in happened
             if at_once:
                 if not (rests and phases):
                     return self._accumulated(before, phases, phase, event)
