@@ -46,6 +46,7 @@ from ancfdae.observables import (
     kinetic_energy,
     multiplier,
     position,
+    slope_angle,
     velocity,
 )
 from ancfdae.sections import Rectangle
@@ -794,3 +795,120 @@ def test_constraints_and_gaps_that_depend_on_time_pass_several_impacts():
     for other in others:
         np.testing.assert_allclose(other.gradient, direct.gradient, rtol=1e-9)
     np.testing.assert_allclose(differences.gradient, direct.gradient, rtol=1e-5)
+
+
+class Row(FormulaSystem):
+    """Three balls of diameter 1 on a line; the first one moves, the others touch."""
+
+    n_q, n_lam = 3, 0
+    design_names = ("speed", "restitution")
+
+    def __init__(self, b=(1.0, 1.0)):
+        super().__init__(b)
+
+    def with_values(self, b):
+        return type(self)(b)
+
+    def start(self):
+        return np.array([-0.5, 1.0, 2.0]), self.b[0] * np.array([1.0, 0.0, 0.0])
+
+    def mass_matrix(self, q):
+        return np.eye(3)
+
+    def force(self, t, q, v):
+        return np.zeros(3)
+
+    def position_constraint(self, t, q):
+        return np.zeros(0)
+
+
+def test_impact_that_closes_a_touching_gap_is_followed_by_its_impact():
+    def bounce(t, q, v, lam, b):
+        return b[1] + 0 * t
+
+    events = [
+        Impact(
+            custom(lambda t, q, v, lam, b, k=k: q[:, k + 1] - q[:, k] - 1, f"gap {k}"),
+            custom(bounce, "bounce"),
+            f"{k}",
+        )
+        for k in (0, 1)
+    ]
+    last = Terminal(custom(lambda t, q, v, lam, b: q[:, 2] + 0 * t, "last"))
+    for integrator in (HHT(step=0.1), Radau(step=0.1)):
+        for method in EXACT:
+            found = gradient(Row(), last, 1.0, integrator, method=method, events=events)
+            # The last ball moves with u (1 + e)^2 / 4 from t = 1 / (2 u) on.
+            assert found.value == pytest.approx(2.5, abs=1e-13)
+            np.testing.assert_allclose(found.gradient, [1.0, 0.5], atol=1e-12)
+        solution = found.event_solution
+        assert [x.name for x in solution.events] == ["0", "1"]
+        np.testing.assert_allclose(solution.phases[1].v[0], [0, 0, 1], atol=1e-13)
+
+
+def test_impact_at_the_given_end_is_after_the_end():
+    ball = Ball((0.8, 0.0, 10.0, 0.5))
+    speed = Terminal(custom(lambda t, q, v, lam, b: v[:, 0], "speed"))
+    for integrator in (HHT(step=0.05), Radau(step=0.05)):
+        for method in EXACT:
+            height, rate = gradients(
+                ball, [Terminal(HEIGHT), speed], 0.8, integrator, method=method, events=[BOUNCE]
+            )
+            assert (height.value, rate.value) == pytest.approx((0.0, -2.0), abs=1e-12)
+            np.testing.assert_allclose(
+                [height.gradient[0], rate.gradient[0]], [1, 3.75], atol=1e-10
+            )
+
+
+def test_starts_on_a_stop_are_refused_where_they_have_no_answer():
+    lying, falling = Ball((0.0, 0.0, 10.0, 0.5)), Ball((0.0, -1.0, 10.0, 0.5))
+    with pytest.raises(InvalidInputError, match="keeps the gap closed"):
+        simulate(lying, 0.3, HHT(step=0.1), events=[BOUNCE])
+    assert len(simulate(falling, 0.05, HHT(step=0.01), events=[BOUNCE]).events) == 1
+    for method in EXACT:
+        with pytest.raises(InvalidInputError, match="stays closed at neighbouring designs"):
+            gradient(
+                falling, Terminal(HEIGHT), 0.05, HHT(step=0.01), method=method, events=[BOUNCE]
+            )
+    rod, scene, _ = falling_rod()
+    turned = EndEvent(slope_angle(rod.at_start) + 0.1)
+    with pytest.raises(InvalidInputError, match="counts turns"):
+        simulate(scene, 0.1, HHT(step=0.01), events=[turned])
+
+
+class Bead(FormulaSystem):
+    """A bead on a line that turns about the origin: the Jacobian of its constraint turns too."""
+
+    n_q, n_lam = 2, 1
+    design_names = ("r0", "gravity", "rate")
+
+    def __init__(self, b=(1.0, 9.81, 2.0)):
+        super().__init__(b)
+
+    def with_values(self, b):
+        return type(self)(b)
+
+    def start(self):
+        r0, _, rate = self.b
+        return np.array([r0, 0 * r0]), np.array([0.5 + 0 * r0, rate * r0])
+
+    def mass_matrix(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.array([0.0, -1.0]) * self.b[1]
+
+    def position_constraint(self, t, q):
+        angle = self.b[2] * t
+        return np.array([q[1] * np.cos(angle) - q[0] * np.sin(angle)])
+
+
+def test_impact_on_a_turning_line_is_differentiated_exactly():
+    rim = Impact(custom(lambda t, q, v, lam, b: 1.3 - q[:, 0] ** 2 - q[:, 1] ** 2, "rim"), 0.6)
+    x = Terminal(custom(lambda t, q, v, lam, b: q[:, 0] + 0 * t, "x"))
+    direct, *others = (
+        gradient(Bead(), x, 0.9, HHT(step=0.05), method=method, events=[rim]) for method in EXACT
+    )
+    assert len(direct.event_solution.events) >= 1
+    for other in others:
+        np.testing.assert_allclose(other.gradient, direct.gradient, rtol=1e-10)

@@ -207,16 +207,17 @@ def _records(
     jump: Jump, time: float, time_b: Array | None, impulses_b: Array | None
 ) -> list[EventRecord]:
     """Return the records of all events that happen at one time."""
-    pushing = () if jump.struck is None else jump.struck.impacts
-    records = []
-    for event in jump.events:
-        impulse, impulse_b = None, None
-        if isinstance(event, Impact) and event in pushing:
-            assert jump.struck is not None
-            row = pushing.index(event)
-            impulse = float(jump.struck.after.impulses[row])
+    records, row = [], 0
+    others = [x for x in jump.events if not isinstance(x, Impact)]
+    for each in jump.struck:
+        for impact, impulse in zip(each.impacts, each.after.impulses, strict=True):
             impulse_b = None if impulses_b is None else impulses_b[row]
-        records.append(EventRecord(event.name, time, jump.mode.name, impulse, time_b, impulse_b))
+            row += 1
+            name, mode = impact.name, jump.mode.name
+            records.append(EventRecord(name, time, mode, float(impulse), time_b, impulse_b))
+    pushing = {x for each in jump.struck for x in each.impacts}
+    others += [x for x in jump.events if isinstance(x, Impact) and x not in pushing]
+    records += [EventRecord(x.name, time, jump.mode.name, None, time_b) for x in others]
     return records
 
 
@@ -249,6 +250,11 @@ def _require_mode(
         raise InvalidInputError(where, rule, got, "Declare the same bodies in the same order.")
     for event in mode.events:
         event.crossing[0].check(system)
+        if event.crossing[0].remembers_any:
+            rule = "must follow from one state"
+            got = "one that counts turns, as slope_angle does"
+            repair = "Take slope(...) or custom(...), which have the same zeros."
+            raise InvalidInputError(f"function of event {event.name!r}", rule, got, repair)
         for target in event.leads_to:
             if target not in known:
                 raise UnknownNameError(f"mode that {event.name!r} leads to", target, list(known))

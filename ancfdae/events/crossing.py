@@ -24,7 +24,7 @@ def first_crossing(
     value is then round-off. A zero at the first time point is no crossing otherwise: g is then
     on the side to which it moves.
     """
-    if side is None and _rests(g, rate):
+    if rests_at_start(g, rate):
         rate = np.append(0.0, rate[1:])
     sides = _sides(g, rate, side)
     changed = sides[:-1] != sides[1:]
@@ -39,7 +39,7 @@ def first_crossing(
     return None
 
 
-def _rests(g: Array, rate: Array) -> bool:
+def rests_at_start(g: Array, rate: Array) -> bool:
     """Whether value and rate at the first time point are round-off of zero."""
     pairs = ((x[0], np.max(np.abs(x))) for x in (g, rate))
     return all(abs(x) <= _ROUND_OFF * largest for x, largest in pairs)

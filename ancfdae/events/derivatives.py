@@ -22,7 +22,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.equations.solution_parts import Sensitivities
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.events.functions import along_run, at_end
+from ancfdae.events.functions import along_run, at_end, partials
 from ancfdae.events.impact import Directions
 from ancfdae.events.objectives import PhasePartials
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
@@ -31,9 +31,12 @@ from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.method import UnfinishedRunError, finished
+from ancfdae.sensitivity.observables.states import States
 
 # A function whose rate at its zero is this part of the largest one in the phase grazes zero.
 _GRAZES = 1e-7
+# Derivatives of a gap that are this part of their terms are round-off.
+_CLOSED = 1e-10
 
 
 @final
@@ -66,6 +69,7 @@ def differentiated(run: PhasedRun) -> tuple[PhasedRun, list[PhaseDerivatives]]:
     system = run.phases[0].mode.system
     start = _Start(np.zeros(system.n_b), *system.start_b())
     if run.before is not None:
+        require_closed_start(system, run.before)
         start, _ = _after(system, run.before, start)
     found: list[PhaseDerivatives] = []
     for phase in run.phases:
@@ -123,6 +127,22 @@ def require_crossing(phase: Phase, rate: float) -> None:
         raise InvalidInputError(where, rule, got, repair)
 
 
+def require_closed_start(system: MechanicalSystem, jump: Jump) -> None:
+    """Refuse to differentiate impacts at the start whose gaps the design opens or closes."""
+    q_b, _ = system.start_b()
+    for struck in jump.struck:
+        time, q, v = struck.state
+        at = States(np.array([np.real(time)]), q[None], v[None], np.zeros((1, system.n_lam)))
+        for impact in struck.impacts:
+            _, p = partials(system, impact.gap, at)
+            parts = np.abs(p.q) @ np.abs(q_b) + np.abs(p.b)
+            if np.any(np.abs(p.q @ q_b + p.b) > _CLOSED * parts):
+                where = f"impact {impact.name!r} at the start"
+                rule = "must have a gap that stays closed at neighbouring designs"
+                repair = "Begin with bodies apart: their impact then has a time of its own."
+                raise InvalidInputError(where, rule, "a gap that depends on the design", repair)
+
+
 def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
     """Return the run of a phase with derivatives; UnfinishedRunError if their pass breaks off."""
     integrator = phase.integrator
@@ -137,11 +157,12 @@ def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
 
 def _after(system: MechanicalSystem, jump: Jump, end: _Start) -> tuple[_Start, Array]:
     """Return the derivatives after a jump, and the derivatives of its impulses, (m, n_b)."""
-    if jump.struck is None:
-        return end, np.zeros((0, system.n_b))
-    along = Directions(end.t_b, end.q_b, end.v_b, np.eye(system.n_b))
-    v_b, impulses_b = jump.struck.along(along)
-    return end._replace(v_b=v_b), impulses_b
+    impulses_b = [np.zeros((0, system.n_b))]
+    for each in jump.struck:
+        v_b, rows = each.along(Directions(end.t_b, end.q_b, end.v_b, np.eye(system.n_b)))
+        end = end._replace(v_b=v_b)
+        impulses_b.append(rows)
+    return end, np.concatenate(impulses_b)
 
 
 # -- backward --------------------------------------------------------------------------------------
@@ -167,6 +188,7 @@ def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> Array:
         on, on_b = _back_through(phase, p, on)
         gradient += on_b
     if run.before is not None:
+        require_closed_start(system, run.before)
         on, on_b = _before(system, run.before, on)
         gradient += on_b
     return gradient + system.start_pull_back(on.q, on.v)
@@ -174,13 +196,13 @@ def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> Array:
 
 def _before(system: MechanicalSystem, jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
     """Pull covectors back through a jump; those on the design come beside."""
-    if jump.struck is None:
-        return on, np.zeros(system.n_b)
-    n = system.n_q
-    v_b, _ = jump.struck.along(Directions.all_of(system))
-    total = on.v @ v_b
-    earlier = _Covectors(on.t + total[0], on.q + total[1 : n + 1], total[n + 1 : 2 * n + 1])
-    return earlier, total[2 * n + 1 :]
+    n, gradient = system.n_q, np.zeros(system.n_b)
+    for each in reversed(jump.struck):
+        v_b, _ = each.along(Directions.all_of(system))
+        total = on.v @ v_b
+        on = _Covectors(on.t + total[0], on.q + total[1 : n + 1], total[n + 1 : 2 * n + 1])
+        gradient += total[2 * n + 1 :]
+    return on, gradient
 
 
 def _back_through(phase: Phase, p: PhasePartials, on: _Covectors) -> tuple[_Covectors, Array]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.complex_steps import at_values
+from ancfdae.events.derivatives import require_closed_start
 from ancfdae.events.functions import in_time
 from ancfdae.events.impact import struck
 from ancfdae.events.objectives import PhaseStates
@@ -37,6 +38,7 @@ def at_complex(run: PhasedRun, b: Array) -> list[PhaseStates]:
     system = moved(run.phases[0])
     state: State = (0.0, *system.start())
     if run.before is not None:
+        require_closed_start(run.phases[0].mode.system, run.before)
         state = _jumped(system, run.before, state)
     found = []
     for phase in run.phases:
@@ -86,7 +88,7 @@ def _states(
 
 def _jumped(system: MechanicalSystem, jump: Jump, state: State) -> State:
     """Return the state after a jump."""
-    if jump.struck is None:
-        return state
-    again = struck(system, jump.struck.impacts, jump.struck.plastic, state)
-    return state[0], state[1], again.after.value
+    for each in jump.struck:
+        again = struck(system, each.impacts, each.plastic, state)
+        state = state[0], state[1], again.after.value
+    return state

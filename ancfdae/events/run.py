@@ -18,7 +18,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors.kinds import InconsistentStartError, InvalidInputError
 from ancfdae.errors.outcomes import RunOutcome, Verdict
-from ancfdae.events.crossing import first_crossing
+from ancfdae.events.crossing import first_crossing, rests_at_start
 from ancfdae.events.functions import along_run, partials
 from ancfdae.events.impact import Struck, struck
 from ancfdae.events.kinds import EndEvent, Event, Impact, Switch
@@ -42,6 +42,8 @@ _TOGETHER = 1e-12
 # Newton's corrections of D: most, the size against the time that is round-off, and the size
 # against D that a correction which has stopped shrinking may have.
 _CORRECTIONS, _ROUND_OFF, _ACCEPTED = 30, 4e-16, 1e-6
+# Part of the run before its end in which an event counts as one after the end.
+_AT_END = 1e-15
 # Times that a phase is located anew because another event happens before.
 _ANEW = 8
 # The first window, as a part of the run, and how windows grow: by the length of the last phase.
@@ -50,6 +52,8 @@ _FIRST, _GROWTH = 1 / 8, 2.0
 _INTERVALS = 4
 # Most steps into which a window is divided because no event was found in longer ones.
 _FINEST = 512
+# Most impacts one after the other at one time.
+_CHAIN = 1000
 # Phases in a row that are as short as rest, of whatever events.
 _SHORT = 200
 # A mode whose joints are farther off than this part of the mechanism cannot be switched to.
@@ -67,16 +71,19 @@ class ModeSystem(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Jump:
-    """The events between two phases: impacts, and the mode that follows; `ends` the run."""
+    """The events between two phases, and the mode that follows; `ends` the run.
+
+    Impacts that close further gaps at the same time are followed by the impacts of these gaps.
+    """
 
     events: tuple[Event, ...]
-    struck: Struck | None
+    struck: tuple[Struck, ...]
     mode: ModeSystem
     ends: bool = False
 
     def velocities(self, v: Array) -> Array:
         """Return the velocities after the jump, shape (n_q,)."""
-        return v if self.struck is None else self.struck.after.value
+        return self.struck[-1].after.value if self.struck else v
 
 
 @final
@@ -179,8 +186,9 @@ class PhaseMarch:
             if event is None:
                 return self._ended(before, [*phases, phase], None)
             short = short + 1 if _short(phase, self._t_end) else 0
-            rests = short > 0 and event in happened and isinstance(event, Impact)
-            if phase.duration <= _ROUND_OFF * self._t_end:
+            at_once = phase.duration <= _ROUND_OFF * self._t_end
+            rests = short > 0 and isinstance(event, Impact) and event in happened
+            if at_once:
                 if not (rests and phases):
                     return self._accumulated(before, phases, phase, event)
                 # The gap has not opened since the last impact.
@@ -188,11 +196,13 @@ class PhaseMarch:
             if (rests and not event.leads_to) or short > _SHORT:
                 return self._accumulated(before, [*phases, phase], phase, event)
             jump = self._jump(phase, event, rests)
+            if not jump.ends and self._t_end - phase.t_end <= _AT_END * self._t_end:
+                # The run ends before it.
+                return self._ended(before, [*phases, replace(phase, event=None)], None)
             phase = replace(phase, jump=jump)
             phases.append(phase)
             bar.update(phase.duration)
-            left = self._t_end - phase.t_end
-            if jump.ends or left <= _ROUND_OFF * self._t_end:
+            if jump.ends:
                 return self._ended(before, phases, None)
             state = phase.t_end, phase.run.q[-1], jump.velocities(phase.run.v[-1])
             mode, first, happened = jump.mode, False, jump.events
@@ -244,8 +254,10 @@ class PhaseMarch:
         for event in phase.mode.events:
             g, rate = _function(phase, event)
             side = None
-            if event in happened:
-                side = 1.0 if isinstance(event, Impact) else float(np.sign(rate[0])) or None
+            if isinstance(event, Impact) and (event in happened or rests_at_start(g, rate)):
+                side = 1.0
+            elif event in happened:
+                side = float(np.sign(rate[0])) or None
             at = first_crossing(phase.run.t, g, rate, event.crossing[1], side)
             if at is not None and (found is None or at < found[1]):
                 found = event, at
@@ -272,10 +284,32 @@ class PhaseMarch:
 
     def _at_start(self, mode: ModeSystem, q: Array, v: Array) -> Jump | None:
         """Return the impacts of gaps that are closed and closing at the start of the run."""
-        closing = self._closing(mode, 0.0, q, v)
-        if not closing:
-            return None
-        return Jump(tuple(closing), struck(mode.system, closing, False, (0.0, q, v)), mode)
+        struck_gaps = self._struck(mode, (), False, (0.0, q, v))
+        events = tuple(dict.fromkeys(x for each in struck_gaps for x in each.impacts))
+        return Jump(events, struck_gaps, mode) if struck_gaps else None
+
+    def _struck(
+        self,
+        mode: ModeSystem,
+        impacts: Sequence[Impact],
+        plastic: bool,
+        state: tuple[float, Array, Array],
+    ) -> tuple[Struck, ...]:
+        """Return impacts, followed by impacts of touching gaps with a negative rate after them."""
+        found: list[Struck] = []
+        (t, q, v), closing = state, list(impacts) or self._closing(mode, *state)
+        while closing:
+            found.append(struck(mode.system, closing, plastic, (t, q, v)))
+            v = found[-1].after.value
+            before, closing = closing, self._closing(mode, t, q, v)
+            if plastic:
+                closing = [x for x in closing if x not in before]
+            if len(found) > _CHAIN:
+                rule = "must end after some impacts at one time"
+                got = f"more than {_CHAIN} at t = {t:.6g}"
+                repair = "Give the gaps a distance, or the impacts a lower restitution."
+                raise InvalidInputError(f"impacts of {closing[0].name!r}", rule, got, repair)
+        return tuple(found)
 
     def _closing(self, mode: ModeSystem, t: float, q: Array, v: Array) -> list[Impact]:
         """Return the impacts whose gaps are closed at a time and have a negative rate."""
@@ -298,7 +332,9 @@ class PhaseMarch:
         mode, (t, q, v) = phase.mode, phase.last
         events = [event, *(x for x in self._with_it(phase) if x is not event)]
         impacts = [x for x in events if isinstance(x, Impact)]
-        solved = struck(mode.system, impacts, rests, (t, q, v)) if impacts else None
+        solved = self._struck(mode, impacts, rests, (t, q, v)) if impacts else ()
+        further = (x for each in solved for x in each.impacts)
+        events = list(dict.fromkeys([*events, *further]))
         ends = any(isinstance(x, EndEvent) for x in events)
         targets = [x.to for x in events if isinstance(x, Switch)]
         if rests:
