@@ -14,8 +14,8 @@ through f_x. The unit of w is an energy over x^2, so that units and places do no
 
 Where all these partials are zero at the start, as of an effort with the square of a state that
 starts from zero, w = (l / (T X))^2 with the size l of the mechanism in the norm of W and the size
-X of the state, the largest of |x|, T |f| and T^2 |f_t|. Without any of those rates 1/T is
-|f_t| / |f|.
+X of the state, the largest of |x|, T |f| and T^2 |f_t|. If all of those rates are
+zero, 1/T is |f_t| / |f|.
 """
 
 import numpy as np
