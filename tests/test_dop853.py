@@ -35,7 +35,7 @@ def accelerations(t, state):
 
 
 class Oscillators(Accelerations):
-    """Their accelerations without a system, which the test may refuse after a time."""
+    """Accelerations of two oscillators without a system, singular after a time."""
 
     def __init__(self, until=np.inf, moved=0.0):
         self.factorisations, self._until, self._moved = 0, until, moved

@@ -78,7 +78,7 @@ class Tolerances(NamedTuple):
     """Tolerances of a step, relative to the size of each vector, and absolute as (2, rows, n).
 
     Sizes of positions count from the `place` of the system, (n,); `vector` coordinates in a row are
-    those of one vector.
+    the components of one vector.
     """
 
     rtol: float
@@ -88,7 +88,7 @@ class Tolerances(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What is kept of accepted steps: begin and end, states and multipliers of the stages `used`.
+    """Accepted steps: begin and end, states and multipliers of the stages `used`.
 
     Shapes (k, 2), (k, used, 2, rows, n) and (k, used, rows, m).
     """
@@ -100,7 +100,7 @@ class Kept(NamedTuple):
 
     @staticmethod
     def room(count: int, used: Array, rows: int, n: int, m: int) -> "Kept":
-        """Return room for so many steps."""
+        """Return room for a number of steps."""
         shape = (count, len(used), rows)
         states = np.empty((count, len(used), 2, rows, n))
         return Kept(np.empty((count, 2)), states, np.empty((*shape, m)), used)
@@ -130,7 +130,7 @@ class Dop853:
     Attributes
     ----------
     states : array, shape (16, 2, rows, n)
-        States at the stages: before the step, within and after it, and at the points that only
+        States (units of the equations) at the stages: before the step, within and after it, and at the points that only
         `between` needs.
     """
 

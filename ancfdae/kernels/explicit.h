@@ -18,7 +18,7 @@ struct Accelerations {
 enum { ERROR_TEST = 3 };
 
 /* Least change of a step, part of what its error asks for, and exponents of the errors now and
- * before (Soderlind's PI.4.2), times that of the method; errors that count as no less. */
+ * before (Soderlind's PI.4.2), times the exponent of the method; errors that count as no less. */
 #define LEAST_CHANGE 0.2
 #define LARGEST_CHANGE 10.0
 #define SAFETY 0.95
@@ -113,7 +113,7 @@ void explicit_scale(const ExplicitSteps *s)
     }
 }
 
-/* Error of a step in tolerances: of order 5, but less where that of order 3 is large. */
+/* Error of a step in tolerances: the estimate of order 5, less where the one of order 3 is large. */
 double explicit_error(const ExplicitSteps *s, double h)
 {
     Size count = s->of->rows * s->of->n;

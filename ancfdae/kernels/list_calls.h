@@ -222,7 +222,7 @@ struct CalledAccelerations : Accelerations {
 using ListEquations =
     std::tuple<std::vector<Kept<OperationList>>, Array<double, 1>, Array<double, 1>>;
 using CalledEquations = std::tuple<Ref, Ref, Size>;
-/* Tables of DOP853: factors of stages, (16, 2, 18), those of errors, (2, 2, 12), and nodes, (16,). */
+/* Tables of DOP853: factors of stages, (16, 2, 18), and of errors, (2, 2, 12), and nodes, (16,). */
 using ExplicitTables = std::tuple<Array<double, 3>, Array<double, 3>, Array<double, 1>>;
 /* Rows, states and (a, lam) of a step, and the control, which are written to. */
 using ExplicitState = std::tuple<InPlace<double>, InPlace<double>, InPlace<double>, InPlace<double>>;
