@@ -323,9 +323,10 @@ def _turning(numbering: Numbering, vector: int, is_cable: bool, is_crushed: bool
         )
     return (
         f"turns sections of {name!r} inside out (det [r_x r_y r_z] changes its sign), where the "
-        "strain energy is finite: the step is too long for the waves of the section. Take shorter "
-        "steps, give materials a damping_time, or start with sections that have the contraction of "
-        "their axis; where sections turn between nodes, take more elements"
+        "strain energy is finite: the step is too long for the waves of the section, or the waves "
+        "are larger than its law bears. Take shorter steps; where they fold as well, give materials "
+        "a damping_time, start with sections that have the contraction of their axis, or take more "
+        "elements"
     )
 
 

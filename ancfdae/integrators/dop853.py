@@ -130,8 +130,8 @@ class Dop853:
     Attributes
     ----------
     states : array, shape (16, 2, rows, n)
-        States (units of the equations) at the stages: before the step, within and after it, and at the points that only
-        `between` needs.
+        States (units of the equations) at the stages: before the step, within and after it, and at
+        the points that only `between` needs.
     """
 
     def __init__(
