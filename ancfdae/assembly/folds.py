@@ -324,8 +324,8 @@ def _turning(numbering: Numbering, vector: int, is_cable: bool, is_crushed: bool
     return (
         f"turns sections of {name!r} inside out (det [r_x r_y r_z] changes its sign), where the "
         "strain energy is finite: the step is too long for the waves of the section, or the waves "
-        "are larger than its law bears. Take shorter steps; where they fold as well, give materials "
-        "a damping_time, start with sections that have the contraction of their axis, or take more "
+        "are larger than its law bears. Take shorter steps; where they fold too, give materials a "
+        "damping_time, start with sections that have the contraction of their axis, or take more "
         "elements"
     )
 
