@@ -25,6 +25,7 @@ from ancfdae import (
     PointOnLine,
     PrescribedSteps,
     Radau,
+    RigidBody,
     Scene,
     SmoothMaximum,
     Switch,
@@ -558,6 +559,31 @@ def test_two_gaps_that_close_at_one_instant_share_their_equations():
     M = TwoBalls().mass_matrix(None)
     impulses = [x.impulse for x in solution.events]
     np.testing.assert_allclose(impulses, M @ [1.5, 1.5], atol=1e-12)
+
+
+@pytest.mark.parametrize("method", EXACT, ids=lambda x: type(x).__name__)
+def test_times_that_coincide_at_one_design_only_have_no_derivative(method):
+    """Two balls of their own heights land together; either one lands first beside this design."""
+    heights = ["left.position_y", "right.position_y"]
+    left, right = (RigidBody(n, (x, 1.0), 1.0, 0.3) for n, x in (("left", 0.0), ("right", 3.0)))
+    scene = Scene(bodies=[left, right], gravity=(0.0, -10.0))
+    gaps = [position(ball.at(0, 0), 1) for ball in (left, right)]
+    events = [Impact(gap, 0.5, f"floor {k}") for k, gap in enumerate(gaps)]
+
+    def call(model, **settings):
+        return gradient(model, Terminal(gaps[1]), 0.6, HHT(0.01), **settings)
+
+    with pytest.raises(InvalidInputError, match="happen together with the other event"):
+        call(scene, design=heights, events=events, method=method)
+    # One after the other both have theirs.
+    apart = scene.with_values({"left.position_y": 0.9})
+    found = call(apart, design=heights, events=events, method=method)
+    # With u the speed at the floor, y = e u s - g s^2/2 a time s = T - u/g later; ds/dh = -1/u.
+    u = np.sqrt(20.0)
+    s = 0.6 - u / 10.0
+    slope = 0.5 * 10.0 * s / u - 0.5 + 10.0 * s / u
+    assert found.gradient[0] == pytest.approx(0.0, abs=1e-12)
+    assert found.gradient[1] == pytest.approx(slope, rel=1e-3)
 
 
 def test_impact_and_end_at_one_instant():

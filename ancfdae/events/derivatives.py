@@ -37,6 +37,8 @@ from ancfdae.sensitivity.observables.states import States
 _GRAZES = 1e-7
 # Derivatives of a gap that are this part of their terms are round-off.
 _CLOSED = 1e-10
+# The same where the terms are derivatives of a run, which carry its Newton iterations.
+_TOGETHER = 1e-7
 
 
 @final
@@ -75,6 +77,7 @@ def differentiated(run: PhasedRun) -> tuple[PhasedRun, list[PhaseDerivatives]]:
     for phase in run.phases:
         done, end = _through(phase, start)
         if done.phase.jump is not None:
+            _happen_together(done, end)
             start, impulses_b = _after(phase.mode.system, done.phase.jump, end)
             done = replace(done, impulses_b=impulses_b)
         found.append(done)
@@ -143,6 +146,37 @@ def require_closed_start(system: MechanicalSystem, jump: Jump) -> None:
                 raise InvalidInputError(where, rule, "a gap that depends on the design", repair)
 
 
+def require_one_time(run: PhasedRun) -> None:
+    """Refuse to differentiate a run in which times of events coincide at this design only."""
+    if any(phase.jump is not None and len(phase.jump.events) > 1 for phase in run.phases):
+        differentiated(run)
+
+
+def _happen_together(done: PhaseDerivatives, end: _Start) -> None:
+    """Refuse to differentiate events whose times are the same at this design only.
+
+    Their order changes with the design, and a jump of the whole belongs to one of them.
+    """
+    phase, run, lam_b = done.phase, done.phase.run, done.states.lam_b[-1]
+    assert phase.jump is not None
+    # Derivatives at a held time, and what the motion adds until the time of the event.
+    moved = [np.outer(rate[-1], end.t_b) for rate in (run.v, run.a)]
+    q_b, v_b = ((x_b - more, more) for x_b, more in zip((end.q_b, end.v_b), moved, strict=True))
+    for event in phase.jump.events:
+        if event is phase.event:
+            continue
+        _, p = at_end(phase.mode.system, event.crossing[0], phase.t_end, phase.run)
+        pairs = *((p.q, x) for x in q_b), *((p.v, x) for x in v_b), (p.lam, lam_b)
+        terms = [on[:, None] * x_b for on, x_b in pairs]
+        every = np.concatenate([*terms, [p.b, p.t * end.t_b]])
+        if np.any(np.abs(every.sum(axis=0)) > _TOGETHER * np.abs(every).sum(axis=0)):
+            where = f"event {event.name!r} at t = {phase.t_end:.6g}"
+            rule = "must happen together with the other event of that time at neighbouring designs"
+            got = "a time that changes otherwise with the design"
+            repair = "Move a part so that the times differ, or take FiniteDifference()."
+            raise InvalidInputError(where, rule, got, repair)
+
+
 def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
     """Return the run of a phase with derivatives; UnfinishedRunError if their pass breaks off."""
     integrator = phase.integrator
@@ -178,6 +212,7 @@ class _Covectors(NamedTuple):
 
 def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> Array:
     """Return the gradient of an objective from its partials in all phases, (n_b,) (adjoint)."""
+    require_one_time(run)
     system = run.phases[0].mode.system
     gradient, n_q = np.zeros(system.n_b), system.n_q
     on = _Covectors(0.0, np.zeros(n_q), np.zeros(n_q))
