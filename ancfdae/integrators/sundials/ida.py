@@ -132,12 +132,11 @@ class _IdaMarch(March):
         if self.steps == 0:
             _release(self._solver)
         # After an interpolation IDA returns its last step once more before it goes on.
-        if not result.t > self._t:
-            return []
-        self.steps += 1
-        self._y = result.y.copy()
-        if self._points.wanted:
-            self._points.add(result.t, self._y, result.yp.copy())
+        if result.t > self._t:
+            self.steps += 1
+            self._y = result.y.copy()
+            if self._points.wanted:
+                self._points.add(result.t, self._y, result.yp.copy())
         return [result.t]
 
     def _states(self, times: Array) -> Array:
