@@ -19,7 +19,7 @@ class Told(Runs):
         self._found = [Estimate(np.array([number]), np.array([bar]))]
         sizes = lambda vectors: [1.0 for _ in vectors]  # noqa: E731
         problem = InitialValueProblem.of(CartesianPendulum(), 1.0)
-        super().__init__(Wanted(problem, 1.0, 0.01, sizes, None, (), None, False, None))
+        super().__init__(Wanted(problem, 1.0, 0.01, sizes, None, (), None, False, None, 0.0))
         self.take(Sample([x.x for x in self._found], None, 1, None, None))
 
     def judged(self):
