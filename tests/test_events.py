@@ -25,6 +25,7 @@ from ancfdae import (
     PointOnLine,
     PrescribedSteps,
     Radau,
+    RigidBody,
     Scene,
     SmoothMaximum,
     Switch,
@@ -912,3 +913,58 @@ def test_impact_on_a_turning_line_is_differentiated_exactly():
     assert len(direct.event_solution.events) >= 1
     for other in others:
         np.testing.assert_allclose(other.gradient, direct.gradient, rtol=1e-10)
+
+
+HALF = position(RigidBody("ball", (0.1, 1.0), mass=2.0, inertia=0.3).at(0, 0), 1) - 0.5
+
+
+def _falling_body():
+    body = RigidBody("ball", (0.1, 1.0), mass=2.0, inertia=0.3)
+    return Scene(bodies=[body], gravity=(0, -10.0))
+
+
+@pytest.mark.parametrize("steepness", [1e2, 1e3, 3e3, 1e4, 1e6])
+@pytest.mark.parametrize("integrator", [HHT(0.01), HHT(0.001), Radau(0.03), IDA(1e-8)])
+def test_steep_function_that_saturates_ends_the_run_where_it_is_zero(integrator, steepness):
+    # y = 1 - 5 t^2, so that tanh(k (y - 0.5)) = w at 5 t^2 = 0.5 - artanh(w) / k.
+    for w in (0.0, 0.5):
+        end = EndEvent(np.tanh(steepness * HALF) - w)
+        solution = simulate(_falling_body(), 1.0, integrator, events=[end])
+        exact = np.sqrt((0.5 - np.arctanh(w) / steepness) / 5)
+        assert solution.outcome.success
+        assert solution.events[0].time == pytest.approx(exact, abs=1e-6)
+        assert abs(np.tanh(steepness * (solution.q[-1, 1] - 0.5)) - w) < 1e-6
+
+
+@pytest.mark.parametrize("integrator", [Radau(0.03), DOP853(1e-8)])
+def test_pole_is_no_zero_and_leads_no_farther_than_the_end(integrator):
+    solution = simulate(_falling_body(), 1.0, integrator, events=[EndEvent(1 / HALF)])
+    assert "has a pole" in str(solution.outcome)
+    assert not solution.outcome.success
+    assert np.all(solution.t <= 1.0)
+
+
+@pytest.mark.parametrize("later", 10.0 ** np.arange(-14.0, -8.0, 0.5))
+@pytest.mark.parametrize("integrator", [HHT(0.01), Radau(0.05), DOP853(1e-8)])
+def test_impact_that_follows_another_one_at_once_is_not_lost(integrator, later):
+    bodies = [
+        RigidBody(f"ball {n}", (3 * n, 1.0 + n * later), mass=1.0 + n, inertia=0.3) for n in (0, 1)
+    ]
+    gaps = [position(body.at(0, 0), 1) for body in bodies]
+    events = [Impact(gap, 0.5, f"floor {n}") for n, gap in enumerate(gaps)]
+    scene = Scene(bodies=bodies, gravity=(0, -10.0))
+    solution = simulate(scene, 0.6, integrator, events=events)
+    fall = np.sqrt(0.2)
+    after = 0.6 - fall
+    assert solution.outcome.success
+    assert len(solution.events) == 2
+    heights = solution.q[-1, [1, solution.q.shape[1] // 2 + 1]]
+    np.testing.assert_allclose(heights, 5 * fall * after - 5 * after**2, atol=1e-7)
+
+
+@pytest.mark.parametrize("distance", 10.0 ** np.arange(-14.0, -6.0, 0.5))
+def test_gap_that_is_nearly_closed_at_the_start_closes(distance):
+    start = Ball((distance, -1.0, 1e-3, 0.5))
+    solution = simulate(start, 10.0, HHT(0.5), events=[Impact(HEIGHT, 0.5)])
+    assert solution.outcome.success
+    assert solution.q[-1, 0] == pytest.approx(0.5 * 10 - 5e-4 * 100, abs=1e-5)

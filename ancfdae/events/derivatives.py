@@ -34,7 +34,7 @@ from ancfdae.sensitivity.method import UnfinishedRunError, finished
 from ancfdae.sensitivity.observables.states import States
 
 # A function whose rate at its zero is this part of the largest one in the phase grazes zero.
-_GRAZES = 1e-7
+_GRAZES = 1e-6
 # Derivatives of a gap that are this part of their terms are round-off.
 _CLOSED = 1e-10
 
