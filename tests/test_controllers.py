@@ -29,6 +29,7 @@ from ancfdae import (
     FirstOrderLag,
     Integral,
     Material,
+    Mode,
     Pin,
     PointMass,
     PointOnLine,
@@ -39,6 +40,7 @@ from ancfdae import (
     RigidBody,
     RotatingFrame,
     Scene,
+    Switch,
     Terminal,
     TorsionalSpringDamper,
     assemble,
@@ -64,6 +66,7 @@ from ancfdae.extend import (
 from ancfdae.laws import Constant, ConstantAcceleration, Harmonic
 from ancfdae.observables import (
     effort,
+    elapsed_time,
     inertia,
     kinetic_energy,
     linear_momentum,
@@ -718,3 +721,26 @@ def test_equations_that_do_not_fit_are_refused():
         made(start=lambda self, p: [0.0])
     with pytest.raises(InvalidInputError, match="must return axes"):
         made(axes=lambda self, p: (RotationAxis,))
+
+
+def test_a_mode_has_the_same_controllers_in_the_same_order():
+    def scene(u, *names):
+        made = motor_scene(u)
+        pid = PID(made.bodies[0].origin, Constant(0.3), 0.0, name="pid")
+        loads = {"motor": made.loads[0], "pid": pid}
+        return replace(made, loads=[loads[name] for name in names])
+
+    def switched(mode):
+        off = Switch(elapsed_time() - 0.1, to="off")
+        first = scene(U, "motor", "pid")
+        return simulate(first, SPAN, Radau(0.005), events=[off], modes={"off": Mode(mode)})
+
+    solution = switched(scene(0.0, "motor", "pid"))
+    half = motor_by_hand(0.1)
+    A = np.array([[-R / L, -K / L], [K / J, 0]])
+    exact = expm(A * (SPAN - 0.1)) @ half
+    last = solution.phases[-1]
+    found = current(last, scene(0.0, "motor", "pid"))[-1]
+    assert found == pytest.approx(exact[0], rel=1e-6)
+    with pytest.raises(InvalidInputError, match=r"'pid.integral.* in place of 'motor.current"):
+        switched(scene(0.0, "pid", "motor"))

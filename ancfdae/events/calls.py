@@ -248,6 +248,13 @@ def _require_mode(
         rule = "must have the coordinates and the design of the model that the run begins with"
         got = f"{system.n_q} coordinates, design {system.design_names}"
         raise InvalidInputError(where, rule, got, "Declare the same bodies in the same order.")
+    names, others = (x.naming.coordinate_names() if x.naming else [] for x in (first, system))
+    for number, (name, other) in enumerate(zip(names, others, strict=False)):
+        if name != other:
+            rule = "must have the coordinates of the model that the run begins with, in its order"
+            got = f"{other!r} in place of {name!r} at place {number}"
+            repair = "Declare the same bodies and the same controllers, by name, in the same order."
+            raise InvalidInputError(where, rule, got, repair)
     for event in mode.events:
         event.crossing[0].check(system)
         if event.crossing[0].remembers_any:
