@@ -24,6 +24,7 @@ from ancfdae.equations.solution_parts import Sensitivities
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.events.functions import along_run, at_end, partials
 from ancfdae.events.impact import Directions
+from ancfdae.events.kinds import Impact
 from ancfdae.events.objectives import PhasePartials
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
 from ancfdae.events.run import Jump, Phase, PhasedRun
@@ -35,8 +36,9 @@ from ancfdae.sensitivity.observables.states import States
 
 # A function whose rate at its zero is this part of the largest one in the phase grazes zero.
 _GRAZES = 1e-6
-# Derivatives of a gap that are this part of their terms are round-off.
-_CLOSED = 1e-10
+# Derivatives of a gap that are this part of their terms are round-off: at the start, and at the
+# end of a phase, which iterations have led to.
+_CLOSED, _TOGETHER = 1e-10, 1e-6
 
 
 @final
@@ -75,6 +77,7 @@ def differentiated(run: PhasedRun) -> tuple[PhasedRun, list[PhaseDerivatives]]:
     for phase in run.phases:
         done, end = _through(phase, start)
         if done.phase.jump is not None:
+            _require_together(done.phase, end)
             start, impulses_b = _after(phase.mode.system, done.phase.jump, end)
             done = replace(done, impulses_b=impulses_b)
         found.append(done)
@@ -130,17 +133,46 @@ def require_crossing(phase: Phase, rate: float) -> None:
 def require_closed_start(system: MechanicalSystem, jump: Jump) -> None:
     """Refuse to differentiate impacts at the start whose gaps the design opens or closes."""
     q_b, _ = system.start_b()
-    for struck in jump.struck:
-        time, q, v = struck.state
-        at = States(np.array([np.real(time)]), q[None], v[None], np.zeros((1, system.n_lam)))
-        for impact in struck.impacts:
+    impact = _opened(system, jump, np.zeros(system.n_b), q_b, _CLOSED)
+    if impact is not None:
+        where = f"impact {impact.name!r} at the start"
+        rule = "must have a gap that stays closed at neighbouring designs"
+        repair = "Begin with bodies apart: their impact then has a time of its own."
+        raise InvalidInputError(where, rule, "a gap that depends on the design", repair)
+
+
+def closes_several(phase: Phase) -> bool:
+    """Whether several gaps close at the end of a phase."""
+    return phase.jump is not None and sum(isinstance(x, Impact) for x in phase.jump.events) > 1
+
+
+def _require_together(phase: Phase, end: _Start) -> None:
+    """Refuse to differentiate impacts that coincide at this design only."""
+    if not closes_several(phase):
+        return
+    assert phase.jump is not None
+    impact = _opened(phase.mode.system, phase.jump, end.t_b, end.q_b, _TOGETHER)
+    if impact is not None:
+        where = f"impact {impact.name!r} at t = {phase.t_end:.6g}"
+        rule = "must coincide with the other impacts of this time at neighbouring designs"
+        repair = "Move one body a little, so that impacts follow each other, or drop the variable."
+        raise InvalidInputError(where, rule, "a gap that closes earlier or later there", repair)
+
+
+def _opened(
+    system: MechanicalSystem, jump: Jump, t_b: Array, q_b: Array, round_off: float
+) -> Impact | None:
+    """Return an impact of a jump whose gap changes along t_b and q_b of its state, if any."""
+    time, q, v = jump.struck[0].state
+    at = States(np.array([np.real(time)]), q[None], v[None], np.zeros((1, system.n_lam)))
+    for impact in jump.events:
+        if isinstance(impact, Impact):
             _, p = partials(system, impact.gap, at)
-            parts = np.abs(p.q) @ np.abs(q_b) + np.abs(p.b)
-            if np.any(np.abs(p.q @ q_b + p.b) > _CLOSED * parts):
-                where = f"impact {impact.name!r} at the start"
-                rule = "must have a gap that stays closed at neighbouring designs"
-                repair = "Begin with bodies apart: their impact then has a time of its own."
-                raise InvalidInputError(where, rule, "a gap that depends on the design", repair)
+            moved = np.abs(q_b) + np.abs(np.outer(v, t_b))
+            parts = np.abs(p.q) @ moved + np.abs(p.t * t_b) + np.abs(p.b)
+            if np.any(np.abs(p.q @ q_b + p.t * t_b + p.b) > round_off * parts):
+                return impact
+    return None
 
 
 def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
