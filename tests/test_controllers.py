@@ -5,6 +5,7 @@ with the equations of the package.
 """
 
 import functools
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +30,7 @@ from ancfdae import (
     FirstOrderLag,
     Integral,
     Material,
+    Mode,
     Pin,
     PointMass,
     PointOnLine,
@@ -39,6 +41,7 @@ from ancfdae import (
     RigidBody,
     RotatingFrame,
     Scene,
+    Switch,
     Terminal,
     TorsionalSpringDamper,
     assemble,
@@ -51,7 +54,7 @@ from ancfdae import (
     simulate,
     suggest_step,
 )
-from ancfdae.errors import InvalidInputError, UnknownNameError
+from ancfdae.errors import InvalidInputError, UnknownNameError, UnlikelyValueWarning
 from ancfdae.extend import (
     LAW_FIELD,
     Controller,
@@ -59,11 +62,13 @@ from ancfdae.extend import (
     MaterialPoint,
     RotationAxis,
     TranslationAxis,
+    design_numbers,
     require_law,
 )
 from ancfdae.laws import Constant, ConstantAcceleration, Harmonic
 from ancfdae.observables import (
     effort,
+    elapsed_time,
     inertia,
     kinetic_energy,
     linear_momentum,
@@ -718,3 +723,92 @@ def test_equations_that_do_not_fit_are_refused():
         made(start=lambda self, p: [0.0])
     with pytest.raises(InvalidInputError, match="must return axes"):
         made(axes=lambda self, p: (RotationAxis,))
+
+
+def test_a_mode_has_the_same_controllers_in_the_same_order():
+    def scene(u, *names):
+        made = motor_scene(u)
+        pid = PID(made.bodies[0].origin, Constant(0.3), 0.0, name="pid")
+        loads = {"motor": made.loads[0], "pid": pid}
+        return replace(made, loads=[loads[name] for name in names])
+
+    def switched(mode):
+        off = Switch(elapsed_time() - 0.1, to="off")
+        first = scene(U, "motor", "pid")
+        return simulate(first, SPAN, Radau(0.005), events=[off], modes={"off": Mode(mode)})
+
+    solution = switched(scene(0.0, "motor", "pid"))
+    half = motor_by_hand(0.1)
+    A = np.array([[-R / L, -K / L], [K / J, 0]])
+    exact = expm(A * (SPAN - 0.1)) @ half
+    last = solution.phases[-1]
+    found = current(last, scene(0.0, "motor", "pid"))[-1]
+    assert found == pytest.approx(exact[0], rel=1e-6)
+    with pytest.raises(InvalidInputError, match=r"'pid.integral.* in place of 'motor.current"):
+        switched(scene(0.0, "pid", "motor"))
+
+
+def test_a_mode_cannot_change_a_design_variable():
+    off = Switch(elapsed_time() - 0.1, to="off")
+    objective, modes_ = Terminal(state("motor", "current")), {"off": Mode(motor_scene(0.0))}
+    with pytest.raises(InvalidInputError, match=r"got 0 in place of 12 for design.*'motor.value'"):
+        gradient(
+            motor_scene(),
+            objective,
+            0.2,
+            HHT(0.01),
+            design=["motor.value"],
+            events=[off],
+            modes=modes_,
+        )
+
+
+@dataclass(frozen=True)
+class Named(Controller):
+    """x' = (U1 - x) / Tau, with names of design fields in capitals and digits."""
+
+    point: MaterialPoint
+    U1: float = 2.0
+    Tau: float = 0.1
+
+    kind = "named"
+    states = ("x",)
+    design_fields = (*design_numbers("U1", "Tau"), LAW_FIELD)
+
+    def axes(self, p):
+        return (RotationAxis(self.point),)
+
+    def equations(self, at, p):
+        U1, Tau, _ = self.split(p)
+        return [(U1 - at.states[0]) / Tau], [0.0 * at.rates[0]]
+
+
+def test_design_fields_may_have_capitals_and_digits():
+    body = RigidBody("body", (0.0, 0.0), mass=2.0, inertia=1.0)
+    scene = Scene(bodies=[body], loads=[Named(body.origin, name="c")])
+    found = gradient(scene, Terminal(state("c", "x")), 0.1, Radau(0.01), design=["c.U1", "c.Tau"])
+    assert found.value == pytest.approx(2 * (1 - np.exp(-1)), rel=1e-8)
+    assert found.gradient == pytest.approx([1 - np.exp(-1), -20 * np.exp(-1)], rel=1e-7)
+
+
+def test_axes_name_points_that_are_fields():
+    body = RigidBody("body", (0.0, 0.0), mass=2.0, inertia=1.0)
+    kind = type("Elsewhere", (Named,), {"axes": lambda self, p: (RotationAxis(body.at(1, 0)),)})
+    with pytest.raises(InvalidInputError, match=r"vectors of load 'c': must be vectors of points"):
+        assemble(Scene(bodies=[body], loads=[kind(body.origin, name="c")]))
+
+
+@pytest.mark.parametrize("method", [HHT(0.01), Radau(0.02), DOP853(1e-6), IDA(1e-6)], ids=repr)
+def test_a_reference_beyond_half_a_turn_is_warned_of(method):
+    body = RigidBody("body", (0.0, 0.0), mass=2.0, inertia=1.0)
+
+    def run(angle):
+        ramp = ConstantAcceleration(angle / 0.5)
+        pid = PID(body.origin, ramp, 30.0, 0.0, 10.0, name="pid")
+        return simulate(Scene(bodies=[body], joints=[Pin(body.origin)], loads=[pid]), 0.5, method)
+
+    with pytest.warns(UnlikelyValueWarning, match="reference of pid 'pid' is beyond half a turn"):
+        run(3.2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert run(3.1).outcome.success

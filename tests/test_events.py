@@ -13,6 +13,7 @@ from ancfdae import (
     Beam,
     ComplexStep,
     ContinuousAdjoint,
+    DesignVariable,
     DirectDifferentiation,
     EndEvent,
     FiniteDifference,
@@ -561,31 +562,6 @@ def test_two_gaps_that_close_at_one_instant_share_their_equations():
     np.testing.assert_allclose(impulses, M @ [1.5, 1.5], atol=1e-12)
 
 
-@pytest.mark.parametrize("method", EXACT, ids=lambda x: type(x).__name__)
-def test_times_that_coincide_at_one_design_only_have_no_derivative(method):
-    """Two balls of their own heights land together; either one lands first beside this design."""
-    heights = ["left.position_y", "right.position_y"]
-    left, right = (RigidBody(n, (x, 1.0), 1.0, 0.3) for n, x in (("left", 0.0), ("right", 3.0)))
-    scene = Scene(bodies=[left, right], gravity=(0.0, -10.0))
-    gaps = [position(ball.at(0, 0), 1) for ball in (left, right)]
-    events = [Impact(gap, 0.5, f"floor {k}") for k, gap in enumerate(gaps)]
-
-    def call(model, **settings):
-        return gradient(model, Terminal(gaps[1]), 0.6, HHT(0.01), **settings)
-
-    with pytest.raises(InvalidInputError, match="happen together with the other event"):
-        call(scene, design=heights, events=events, method=method)
-    # One after the other both have theirs.
-    apart = scene.with_values({"left.position_y": 0.9})
-    found = call(apart, design=heights, events=events, method=method)
-    # With u the speed at the floor, y = e u s - g s^2/2 a time s = T - u/g later; ds/dh = -1/u.
-    u = np.sqrt(20.0)
-    s = 0.6 - u / 10.0
-    slope = 0.5 * 10.0 * s / u - 0.5 + 10.0 * s / u
-    assert found.gradient[0] == pytest.approx(0.0, abs=1e-12)
-    assert found.gradient[1] == pytest.approx(slope, rel=1e-3)
-
-
 def test_impact_and_end_at_one_instant():
     solution = simulate(
         Ball(), 3.0, HHT(step=0.1), events=[BOUNCE, EndEvent(2 * HEIGHT, -1, "down")]
@@ -938,3 +914,79 @@ def test_impact_on_a_turning_line_is_differentiated_exactly():
     assert len(direct.event_solution.events) >= 1
     for other in others:
         np.testing.assert_allclose(other.gradient, direct.gradient, rtol=1e-10)
+
+
+HALF = position(RigidBody("ball", (0.1, 1.0), mass=2.0, inertia=0.3).at(0, 0), 1) - 0.5
+
+
+def _falling_body():
+    body = RigidBody("ball", (0.1, 1.0), mass=2.0, inertia=0.3)
+    return Scene(bodies=[body], gravity=(0, -10.0))
+
+
+@pytest.mark.parametrize("steepness", [1e2, 1e3, 3e3, 1e4, 1e6])
+@pytest.mark.parametrize("integrator", [HHT(0.01), HHT(0.001), Radau(0.03), IDA(1e-8)])
+def test_steep_function_that_saturates_ends_the_run_where_it_is_zero(integrator, steepness):
+    # y = 1 - 5 t^2, so that tanh(k (y - 0.5)) = w at 5 t^2 = 0.5 - artanh(w) / k.
+    for w in (0.0, 0.5):
+        end = EndEvent(np.tanh(steepness * HALF) - w)
+        solution = simulate(_falling_body(), 1.0, integrator, events=[end])
+        exact = np.sqrt((0.5 - np.arctanh(w) / steepness) / 5)
+        assert solution.outcome.success
+        assert solution.events[0].time == pytest.approx(exact, abs=1e-6)
+        assert abs(np.tanh(steepness * (solution.q[-1, 1] - 0.5)) - w) < 1e-6
+
+
+@pytest.mark.parametrize("integrator", [Radau(0.03), DOP853(1e-8)])
+def test_pole_is_no_zero_and_leads_no_farther_than_the_end(integrator):
+    solution = simulate(_falling_body(), 1.0, integrator, events=[EndEvent(1 / HALF)])
+    assert "has a pole" in str(solution.outcome)
+    assert not solution.outcome.success
+    assert np.all(solution.t <= 1.0)
+
+
+@pytest.mark.parametrize("later", 10.0 ** np.arange(-14.0, -8.0, 0.5))
+@pytest.mark.parametrize("integrator", [HHT(0.01), Radau(0.05), DOP853(1e-8)])
+def test_impact_that_follows_another_one_at_once_is_not_lost(integrator, later):
+    bodies = [
+        RigidBody(f"ball {n}", (3 * n, 1.0 + n * later), mass=1.0 + n, inertia=0.3) for n in (0, 1)
+    ]
+    gaps = [position(body.at(0, 0), 1) for body in bodies]
+    events = [Impact(gap, 0.5, f"floor {n}") for n, gap in enumerate(gaps)]
+    scene = Scene(bodies=bodies, gravity=(0, -10.0))
+    solution = simulate(scene, 0.6, integrator, events=events)
+    fall = np.sqrt(0.2)
+    after = 0.6 - fall
+    assert solution.outcome.success
+    assert len(solution.events) == 2
+    heights = solution.q[-1, [1, solution.q.shape[1] // 2 + 1]]
+    np.testing.assert_allclose(heights, 5 * fall * after - 5 * after**2, atol=1e-7)
+
+
+@pytest.mark.parametrize("distance", 10.0 ** np.arange(-14.0, -6.0, 0.5))
+def test_gap_that_is_nearly_closed_at_the_start_closes(distance):
+    start = Ball((distance, -1.0, 1e-3, 0.5))
+    solution = simulate(start, 10.0, HHT(0.5), events=[Impact(HEIGHT, 0.5)])
+    assert solution.outcome.success
+    assert solution.q[-1, 0] == pytest.approx(0.5 * 10 - 5e-4 * 100, abs=1e-5)
+
+
+@pytest.mark.parametrize("method", EXACT)
+def test_impacts_that_coincide_at_one_design_only_have_no_derivative(method):
+    bodies = [RigidBody(f"ball{n}", (3 * n, 1.0), mass=1.0 + n, inertia=0.3) for n in (0, 1)]
+    gaps = [position(body.at(0, 0), 1) for body in bodies]
+    floor = [Impact(gap, 0.5, f"floor {n}") for n, gap in enumerate(gaps)]
+    scene = Scene(bodies=bodies, gravity=(0, -10.0))
+
+    def slope(variable):
+        return gradient(
+            scene, Terminal(gaps[1]), 0.6, HHT(0.01), design=[variable], events=floor, method=method
+        ).gradient[0]
+
+    # y = 5 t_f (T - t_f) - 5 (T - t_f)^2 with 5 t_f^2 = h and e = 0.5.
+    both = DesignVariable("height", ["ball0.position_y", "ball1.position_y"])
+    fall, after = np.sqrt(0.2), 0.6 - np.sqrt(0.2)
+    exact = (5 * after - 5 * fall + 10 * after) / (10 * fall)
+    assert slope(both) == pytest.approx(exact, rel=1e-9)
+    with pytest.raises(InvalidInputError, match="happen together with the other event"):
+        slope("ball1.position_y")

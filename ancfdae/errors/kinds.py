@@ -112,7 +112,7 @@ class FailedDesignWarning(UserWarning):
 
 @final
 class UnlikelyValueWarning(UserWarning):
-    """A value that is admissible but looks like another quantity; the message says which.
+    """An admissible value that looks like a mistake; the message says why.
 
     ``warnings.simplefilter("ignore", UnlikelyValueWarning)`` silences it.
     """

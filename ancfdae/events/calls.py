@@ -14,7 +14,12 @@ from ancfdae.equations.complex_steps import at_values
 from ancfdae.equations.event_solution import EventRecord, EventSolution, at_held_times
 from ancfdae.errors.checks import require_flag, require_kind, require_positive
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
-from ancfdae.events.derivatives import PhaseDerivatives, differentiated, pulled_back
+from ancfdae.events.derivatives import (
+    PhaseDerivatives,
+    differentiated,
+    pulled_back,
+    require_one_time,
+)
 from ancfdae.events.kinds import Impact, Mode, require_events
 from ancfdae.events.objectives import (
     PhasePartials,
@@ -117,6 +122,8 @@ class EventRun:
         require_reductions(objectives)
         if isinstance(method, DirectDifferentiation):
             return self._direct(run, objectives)
+        if isinstance(method, Adjoint | ComplexStep):
+            require_one_time(run)
         if isinstance(method, Adjoint) and method.memory is None:
             return self._adjoint(run, objectives)
         if isinstance(method, ComplexStep | FiniteDifference):
@@ -243,11 +250,22 @@ def _require_mode(
 ) -> None:
     """Refuse a mode with other coordinates, or with events that lead nowhere or do not fit it."""
     system, where = mode.system, f"modes[{name!r}]"
-    ours, theirs = ((x.n_q, x.design_names, x.b.tolist()) for x in (first, system))
+    ours, theirs = ((x.n_q, x.design_names) for x in (first, system))
+    rule = "must have the coordinates and the design of the model that the run begins with"
     if ours != theirs:
-        rule = "must have the coordinates and the design of the model that the run begins with"
         got = f"{system.n_q} coordinates, design {system.design_names}"
         raise InvalidInputError(where, rule, got, "Declare the same bodies in the same order.")
+    for design, ours_b, theirs_b in zip(first.design_names, first.b, system.b, strict=True):
+        if ours_b != theirs_b:
+            got = f"{theirs_b:.6g} in place of {ours_b:.6g} for design variable {design!r}"
+            repair = "A number that a mode changes cannot be a design variable."
+            raise InvalidInputError(where, rule, got, repair)
+    names, others = (x.naming.coordinate_names() if x.naming else [] for x in (first, system))
+    for number, (name, other) in enumerate(zip(names, others, strict=False)):
+        if name != other:
+            got = f"{other!r} in place of {name!r} at place {number}"
+            repair = "Declare the same bodies and the same controllers, by name, in the same order."
+            raise InvalidInputError(where, rule, got, repair)
     for event in mode.events:
         event.crossing[0].check(system)
         if event.crossing[0].remembers_any:

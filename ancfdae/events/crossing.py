@@ -5,6 +5,9 @@ function changes its sign has a zero; so has one whose cubic reaches beyond zero
 values at its ends alone do not show.
 """
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from ancfdae.numerics.arrays import Array
@@ -15,10 +18,21 @@ _END = 1e-9
 _ROUND_OFF = 1e-10
 
 
+class Crossing(NamedTuple):
+    """A zero of a function: its time, the sign before it, and a time point with the other sign.
+
+    `after` is infinite where no time point shows the other sign.
+    """
+
+    time: float
+    side: float
+    after: float
+
+
 def first_crossing(
     t: Array, g: Array, rate: Array, direction: int, side: float | None
-) -> float | None:
-    """Return the first time at which g crosses zero in a direction; None if it does not.
+) -> Crossing | None:
+    """Return the first zero that g crosses in a direction; None if there is none.
 
     `side` is the sign that g has just after the start where an event has just happened there: its
     value is then round-off. A zero at the first time point is no crossing otherwise: g is then
@@ -31,18 +45,23 @@ def first_crossing(
     hidden = (sides[:-1] * rate[:-1] < 0) & (sides[1:] * rate[1:] > 0) & ~changed
     for n in np.flatnonzero(changed | hidden).tolist():
         found = _in_step(t[n : n + 2], g[n : n + 2], rate[n : n + 2], direction, sides[n])
-        if found is not None:
-            return found
-        if changed[n] and direction in (0, -sides[n]):
+        if found is None and changed[n] and direction in (0, -sides[n]):
             # A value that is round-off at the start, and moves on to the other side at once.
-            return float(t[n] if n == 0 and side is not None else t[n + 1])
+            found = float(t[n] if n == 0 and side is not None else t[n + 1])
+        if found is not None:
+            before = float(-direction or sides[n])
+            return Crossing(found, before, float(t[n + 1]) if sides[n + 1] != before else math.inf)
     return None
+
+
+def starts_at_zero(g: Array) -> bool:
+    """Whether the value at the first time point is round-off of zero."""
+    return bool(abs(g[0]) <= _ROUND_OFF * np.max(np.abs(g)))
 
 
 def rests_at_start(g: Array, rate: Array) -> bool:
     """Whether value and rate at the first time point are round-off of zero."""
-    pairs = ((x[0], np.max(np.abs(x))) for x in (g, rate))
-    return all(abs(x) <= _ROUND_OFF * largest for x, largest in pairs)
+    return starts_at_zero(g) and starts_at_zero(rate)
 
 
 def _sides(g: Array, rate: Array, side: float | None) -> Array:
@@ -50,7 +69,7 @@ def _sides(g: Array, rate: Array, side: float | None) -> Array:
     sides, moves = np.sign(g), np.sign(rate)
     if side is not None:
         sides[0] = side
-    elif abs(g[0]) <= _ROUND_OFF * np.max(np.abs(g)):
+    elif starts_at_zero(g):
         # If it does not move either it counts where it goes then.
         sides[0] = moves[0] or next(iter(sides[1:][sides[1:] != 0]), 1.0)
     for n in np.flatnonzero(sides == 0).tolist():

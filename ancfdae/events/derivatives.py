@@ -34,11 +34,10 @@ from ancfdae.sensitivity.method import UnfinishedRunError, finished
 from ancfdae.sensitivity.observables.states import States
 
 # A function whose rate at its zero is this part of the largest one in the phase grazes zero.
-_GRAZES = 1e-7
-# Derivatives of a gap that are this part of their terms are round-off.
-_CLOSED = 1e-10
-# The same where the terms are derivatives of a run, which carry its Newton iterations.
-_TOGETHER = 1e-7
+_GRAZES = 1e-6
+# Derivatives of a gap that are this part of their terms are round-off: at the start, and at the
+# end of a phase, which iterations have led to.
+_CLOSED, _TOGETHER = 1e-10, 1e-6
 
 
 @final
@@ -212,7 +211,6 @@ class _Covectors(NamedTuple):
 
 def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> Array:
     """Return the gradient of an objective from its partials in all phases, (n_b,) (adjoint)."""
-    require_one_time(run)
     system = run.phases[0].mode.system
     gradient, n_q = np.zeros(system.n_b), system.n_q
     on = _Covectors(0.0, np.zeros(n_q), np.zeros(n_q))

@@ -11,7 +11,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.complex_steps import at_values
-from ancfdae.events.derivatives import require_closed_start, require_one_time
+from ancfdae.events.derivatives import require_closed_start
 from ancfdae.events.functions import in_time
 from ancfdae.events.impact import struck
 from ancfdae.events.objectives import PhaseStates
@@ -27,7 +27,6 @@ State = tuple[complex, Array, Array]
 
 def at_complex(run: PhasedRun, b: Array) -> list[PhaseStates]:
     """Return the states of all phases of a run at a complex design near its own."""
-    require_one_time(run)
     systems: dict[str, MechanicalSystem] = {}
 
     def moved(phase: Phase) -> MechanicalSystem:

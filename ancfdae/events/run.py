@@ -18,7 +18,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors.kinds import InconsistentStartError, InvalidInputError
 from ancfdae.errors.outcomes import RunOutcome, Verdict
-from ancfdae.events.crossing import first_crossing, rests_at_start
+from ancfdae.events.crossing import Crossing, first_crossing, starts_at_zero
 from ancfdae.events.functions import along_run, partials
 from ancfdae.events.impact import Struck, struck
 from ancfdae.events.kinds import EndEvent, Event, Impact, Switch
@@ -39,9 +39,11 @@ REST = 1e-8
 _MOST = 100_000
 # Gaps that close within this part of the run after the first one close with it.
 _TOGETHER = 1e-12
-# Newton's corrections of D: most, the size against the time that is round-off, and the size
-# against D that a correction which has stopped shrinking may have.
-_CORRECTIONS, _ROUND_OFF, _ACCEPTED = 30, 4e-16, 1e-6
+# Corrections of D: most of Newton's, and most where a bracket is halved, too.
+_CORRECTIONS, _HALVED = 30, 100
+# The size of a correction against the time that is round-off; its size against D where it has
+# stopped shrinking, and the value at a zero against the values before it.
+_ROUND_OFF, _ACCEPTED = 4e-16, 1e-6
 # Part of the run before its end in which an event counts as one after the end.
 _AT_END = 1e-15
 # Times that a phase is located anew because another event happens before.
@@ -231,7 +233,7 @@ class PhaseMarch:
                     self._window = max(_GROWTH * located.duration, REST * self._t_end)
                     return located
                 # Steps as long as the phase do not show the motion in it.
-                window, finer = min(window, _GROWTH * found[1]), 8 * finer
+                window, finer = min(window, _GROWTH * found[1].time), 8 * finer
             elif window >= left or not phase.run.outcome.success:
                 return replace(phase, integrator=integrator.frozen(phase.run))
             else:
@@ -246,36 +248,38 @@ class PhaseMarch:
         stops = tuple(x - t for x in integrator.stops if x > t)
         return replace(integrator, intervals=max(_INTERVALS, math.ceil(count)), stops=stops)
 
-    def _first(self, phase: Phase, happened: Sequence[Event]) -> tuple[Event, float] | None:
+    def _first(self, phase: Phase, happened: Sequence[Event]) -> tuple[Event, Crossing] | None:
         """Return the first event in a phase and its time from the start of the phase on."""
-        found: tuple[Event, float] | None = None
+        found: tuple[Event, Crossing] | None = None
         if len(phase.run.t) < 2:
             return None
         for event in phase.mode.events:
             g, rate = _function(phase, event)
             side = None
-            if isinstance(event, Impact) and (event in happened or rests_at_start(g, rate)):
+            if isinstance(event, Impact) and (event in happened or starts_at_zero(g)):
+                # A gap that is closed at the start of a phase opens, or it closes at once.
                 side = 1.0
             elif event in happened:
                 side = float(np.sign(rate[0])) or None
             at = first_crossing(phase.run.t, g, rate, event.crossing[1], side)
-            if at is not None and (found is None or at < found[1]):
+            if at is not None and (found is None or at.time < found[1].time):
                 found = event, at
         return found
 
     def _located(
-        self, phase: Phase, found: tuple[Event, float], happened: Sequence[Event]
+        self, phase: Phase, found: tuple[Event, Crossing], happened: Sequence[Event]
     ) -> Phase:
         """Return the phase up to an event that its run has passed, ended there to round-off."""
         for _ in range(_ANEW):
-            event, D = found
-            if _ROUND_OFF * self._t_end >= D:
+            event, crossing = found
+            if _ROUND_OFF * self._t_end >= crossing.time:
                 return replace(phase, event=event, duration=0.0)
-            steps = _StretchedSteps(phase.integrator, phase.run, D)
-            located = _ended_at(replace(phase, event=event), steps, D)
+            steps = _StretchedSteps(phase.integrator, phase.run, crossing.time)
+            left = self._t_end - phase.t_0
+            located = _ended_at(replace(phase, event=event), steps, crossing, left)
             earlier = self._first(located, happened) if located.run.outcome.success else None
             least = _TOGETHER * self._t_end
-            if earlier is None or earlier[1] >= located.duration - least:
+            if earlier is None or earlier[1].time >= located.duration - least:
                 return located
             found = earlier
         return located
@@ -433,30 +437,52 @@ def _function(phase: Phase, event: Event) -> tuple[Array, Array]:
     return g, np.where(np.isfinite(rate), rate, 0.0)
 
 
-def _ended_at(phase: Phase, steps: _StretchedSteps, D: float) -> Phase:
-    """Return the phase whose end is the zero of the function of its event, near D."""
-    event = phase.event
+def _ended_at(phase: Phase, steps: _StretchedSteps, crossing: Crossing, left: float) -> Phase:
+    """Return the phase whose end is the zero of the function of its event.
+
+    A zero that is not before `left`, the end of the run, is none.
+    """
+    event, D = phase.event, min(crossing.time, left)
     assert event is not None
     last, before = math.inf, (0.0, 0.0)
-    for _ in range(_CORRECTIONS):
+    # Durations with the sign before the zero and with the other one.
+    below, above = 0.0, math.inf
+    for n in range(_HALVED):
         phase = _integrated(replace(phase, duration=D, integrator=steps.of(D)))
         if not phase.run.outcome.success:
-            break
-        g, rate = (float(x[-1]) for x in _function(phase, event))
+            return phase
+        values, rates = _function(phase, event)
+        g, rate, t = float(values[-1]), float(rates[-1]), phase.t_0 + D
         if last < math.inf and before[1] != D and g != before[0]:
             # The change from run to run; the rate before belongs to the motion in one run.
             rate = (g - before[0]) / (D - before[1])
-        change = -g / rate if rate else 0.0
+        change = -g / rate if rate else math.copysign(math.inf, g * crossing.side)
         stuck = abs(change) >= 0.5 * last and abs(change) <= _ACCEPTED * D
-        if stuck or abs(change) <= _ROUND_OFF * (phase.t_0 + D):
+        if _is_zero(values, rates, t) and (stuck or abs(change) <= _ROUND_OFF * t):
+            return phase
+        below, above = (D, above) if g * crossing.side > 0 else (below, min(D, above))
+        if above == math.inf and left <= D and crossing.after < math.inf:
+            return replace(phase, event=None)
+        if above - below <= _ROUND_OFF * t or (above == math.inf and n >= _CORRECTIONS):
             break
-        before, last = (g, D), abs(change)
-        D = min(max(D + change, 0.5 * D), 2.0 * D)
-    else:
-        advice = f"The function of {event.name!r} touches zero, or jumps there."
-        done = replace(phase.run.outcome, verdict=Verdict.EVENT_NOT_LOCATED, advice=advice)
-        phase = replace(phase, run=replace(phase.run, outcome=done))
-    return phase
+        before, new = (g, D), min(max(D + change, 0.5 * D), 2.0 * D)
+        if above < math.inf and not (below < new < above and abs(change) < 0.5 * last):
+            last, D = above - below, 0.5 * (below + above)
+            continue
+        if above == math.inf and change <= 0 and D < crossing.after < math.inf:
+            new = crossing.after
+        last, D = abs(change), min(new, left)
+    advice = f"The function of {event.name!r} touches zero, or jumps or has a pole there."
+    done = replace(phase.run.outcome, verdict=Verdict.EVENT_NOT_LOCATED, advice=advice)
+    return replace(phase, run=replace(phase.run, outcome=done))
+
+
+def _is_zero(values: Array, rates: Array, t: float) -> bool:
+    """Whether the last of the values of a phase is small beside those before, or round-off."""
+    before, speeds = np.abs(values[:-1]), np.abs(rates[:-1])
+    largest = np.max(before) + speeds[0] * t
+    noise = 8 * _ROUND_OFF * np.max(speeds) * t
+    return bool(abs(values[-1]) <= _ACCEPTED * largest + noise)
 
 
 def _in_steps(integrator: Integrator, window: float, least: int) -> Integrator:

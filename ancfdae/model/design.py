@@ -19,7 +19,7 @@ from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.numerics.arrays import Array
 
 # The owner may contain dots: joints are named like pin(rod@0.5) by default.
-_TARGET = re.compile(r"(.+)\.([a-z_]+)(?:\[(\d+)\])?")
+_TARGET = re.compile(r"(.+)\.([A-Za-z_]\w*)(?:\[(\d+)\])?")
 
 # Entries of a symmetric tensor, in the order of a field that holds one.
 _TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")

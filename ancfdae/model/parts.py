@@ -244,6 +244,14 @@ class Part(Designable, abc.ABC):
                 repr(vectors),
                 "For example ((self.point, Quantity.POSITION),).",
             )
+        points = [x[0] for x in vectors if isinstance(x, tuple)]
+        points += [x.point for x in vectors if isinstance(x, Normal)]
+        for point in points:
+            if point not in self.points:
+                where = f"vectors of {self.role} {self.name!r}"
+                rule = "must be vectors of points that are fields of its class"
+                repair = "Write `point: MaterialPoint` in the class, and use self.point."
+                raise InvalidInputError(where, rule, repr(point), repair)
         return vectors
 
     def _given(self) -> dict[str, Any]:

@@ -119,7 +119,13 @@ class Controller(Load):
         values = zip(self._design_values(), self.split(p), strict=True)
         laws = [(x, its) for (_, x), its in values if isinstance(x, Law)]
         columns = [x.derivative(its, t, order + k) for k in (0, 1) for x, its in laws]
+        if order == 0:
+            self.check_laws([np.real(column) for column in columns[: len(laws)]])
         return np.stack(columns, axis=-1) if columns else np.zeros((len(t), 0))
+
+    def check_laws(self, laws: Sequence[Array]) -> None:
+        """Warn of values of laws that the equations do not expect; by default none."""
+        return
 
     @final
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:

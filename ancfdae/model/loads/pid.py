@@ -1,10 +1,15 @@
 """A PID controller of an angle."""
 
+import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
+import numpy as np
+
 from ancfdae.errors.checks import require_direction
+from ancfdae.errors.kinds import UnlikelyValueWarning
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.design import design_numbers
 from ancfdae.model.laws.law import Law, require_law
@@ -66,3 +71,14 @@ class PID(Controller):
         _, proportional, integral, derivative, *_ = self.split(p)
         e, e_t = at.laws[0] - at.coordinates[0], at.law_rates[0] - at.rates[0]
         return [e], [proportional * e + integral * at.states[0] + derivative * e_t]
+
+    def check_laws(self, laws: Sequence[Array]) -> None:
+        """Warn of a reference that the angle, between -pi and pi, cannot reach."""
+        if np.max(np.abs(laws[0]), initial=0.0) > math.pi:
+            warnings.warn(
+                f"reference of pid {self.name!r} is beyond half a turn, where the angle jumps "
+                "from pi to -pi: the controlled section does not follow it and may run away. "
+                "Let the reference stay within -pi to pi, or turn it back.",
+                UnlikelyValueWarning,
+                stacklevel=2,
+            )
