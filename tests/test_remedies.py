@@ -57,7 +57,8 @@ def with_damping(scene, time):
 def test_the_step_that_is_named_reaches_the_end_and_so_does_the_damping(seed, steps):
     scene, t_end = mechanism(seed)
     run = simulate(scene, t_end, HHT(t_end / steps))
-    assert run.outcome.verdict is Verdict.NO_CONVERGENCE
+    # A whirl of steps too long crushes elements, or is not solved at all.
+    assert run.outcome.verdict in (Verdict.NO_CONVERGENCE, Verdict.FOLDED)
     assert run.outcome.time < t_end
     assert simulate(scene, t_end, HHT(step=tried(run.outcome))).outcome.success
     (time,) = re.findall(r"with damping_time=([0-9.e-]+) where", str(run.outcome))
