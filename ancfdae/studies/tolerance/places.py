@@ -514,18 +514,22 @@ def _forces(system: MechanicalSystem, path: _Path) -> list[_Group]:
 
 
 def _loaded(item: LoadInput, path: _Path) -> list[_Group]:
-    """Return the forces of a load along the path of its vectors, without its law of time."""
-    n_q, size, count = path.sizes[0], item.reference.size, len(path.t)
+    """Return the forces of a load, with its law of time, along the path of its vectors."""
+    n_q, size, t = path.sizes[0], item.reference.size, path.t
     rows = path.Y[:, 1 : 1 + n_q], path.Y[:, 1 + n_q : 1 + 2 * n_q], path.slopes[:, 1 + n_q :]
-    U, V, A = (item.vectors.of(x[:, :n_q]).reshape(count, size) for x in rows)
-    Y, slopes = (
-        np.concatenate(x, axis=1) for x in ((path.Y[:, :1], U, V), (path.slopes[:, :1], V, A))
-    )
-    moving = _Path(path.t, Y, slopes, (size, 0))
-    # U and V come first, then their rates, the time and its rate.
-    operations, at = Operations(4 * size + 2), np.arange(2 * size)
-    outputs = item.listed(operations)
-    columns = np.append(4 * size, at), np.append(4 * size + 1, 2 * size + at)
+    U, V, A = (item.vectors.of(x[:, :n_q]).reshape(len(t), size) for x in rows)
+    law, rate = (item.factor(t, order)[:, None] for order in (0, 1))
+    if not np.any(law):
+        return []
+    Y = np.concatenate([path.Y[:, :1], U, V, law], axis=1)
+    slopes = np.concatenate([path.slopes[:, :1], V, A, rate], axis=1)
+    # U and V come first, then their rates; the time and the law, and their rates.
+    operations, at = Operations(4 * size + 4), np.arange(2 * size)
+    time, factor = 4 * size, 4 * size + 1
+    forces = item.listed(operations).ravel().tolist()
+    outputs = np.array([operations.apply(np.multiply, x, factor) for x in forces])
+    columns = np.array([time, *at, factor]), np.array([time + 2, *(2 * size + at), factor + 2])
+    moving = _Path(t, Y, slopes, (size, 0))
     group = _with_rates(operations, outputs, columns, {}, moving)
     return [] if group is None else [group]
 
