@@ -19,7 +19,6 @@ from ancfdae.extend import (
     Quantity,
     design_numbers,
 )
-from ancfdae.laws import SmoothStep
 from ancfdae.observables import position
 from ancfdae.sections import Rectangle
 
@@ -50,10 +49,10 @@ class Notch(Load):
         return strength * np.exp(-s * s) * np.array([1.0, 0.0])
 
 
-def scene(of, strength, place, width, law=None):
+def scene(of, strength, place, width):
     made = 1, Rectangle(0.05, 0.05), Material(1000.0, 1e9, 0.3)
     rod = Beam("rod", (0, 0), (1, 0), *made, rigid=True)
-    notch = Notch(rod.at_end, strength, place, width, of, name="notch", law=law)
+    notch = Notch(rod.at_end, strength, place, width, of, name="notch")
     return Scene([rod], [Pin(rod.at_start)], loads=[notch], gravity=(0, -G)), rod
 
 
@@ -115,14 +114,6 @@ def test_values_over_time_follow_them_too():
     seen = simulate(there, END, tolerance=1e-4, observables=[position(rod.at_end, 1)])
     exact = height("x", 3e4, 0.5, 1e-4, seen.t)
     assert np.linalg.norm(seen.values[:, 0] - exact) < 2e-4 * np.linalg.norm(exact)
-
-
-def test_a_sharp_load_that_its_law_switches_off_changes_nothing():
-    there, rod = scene("x", 3e4, 0.5, 1e-4, SmoothStep(0.0, 0.0, 1.0))
-    found = gradient(
-        there, Terminal(position(rod.at_end, 1)), END, tolerance=1e-3, design=["rod.density"]
-    )
-    assert found.value == pytest.approx(height("x", 0.0, 0.5, 1.0)[0], abs=3e-3)
 
 
 def test_a_notch_that_no_run_follows_is_said_to_be_missed():

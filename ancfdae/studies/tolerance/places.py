@@ -564,19 +564,25 @@ def _forces(system: MechanicalSystem, path: _Path) -> list[_Group]:
 
 
 def _loaded(item: LoadInput, path: _Path) -> list[_Group]:
-    """Return the forces of a load along the path of its vectors, without its law of time."""
-    n_q, size, count = path.sizes[0], item.reference.size, len(path.t)
+    """Return the forces of a load, with its law of time, along the path of its vectors."""
+    n_q, size, t = path.sizes[0], item.reference.size, path.t
     rows = path.Y[:, 1 : 1 + n_q], path.Y[:, 1 + n_q : 1 + 2 * n_q], path.slopes[:, 1 + n_q :]
-    U, V, A = (item.vectors.of(x[:, :n_q]).reshape(count, size) for x in rows)
-    signals, rates = (item.factors(path.t, order)[:, 1:] for order in (0, 1))
-    Y = np.concatenate([path.Y[:, :1], U, V, signals], axis=1)
+    U, V, A = (item.vectors.of(x[:, :n_q]).reshape(len(t), size) for x in rows)
+    factors, rates = (item.factors(t, order) for order in (0, 1))
+    if not np.any(factors[:, 0]):
+        return []
+    # The law of the load stands behind its signals.
+    factors, rates = (np.roll(x, -1, axis=1) for x in (factors, rates))
+    Y = np.concatenate([path.Y[:, :1], U, V, factors], axis=1)
     slopes = np.concatenate([path.slopes[:, :1], V, A, rates], axis=1)
-    n_signals = signals.shape[1]
-    moving, n = _Path(path.t, Y, slopes, (size, n_signals)), 2 * size + n_signals
-    # U, V and signals come first, then their rates, the time and its rate.
-    operations, at = Operations(2 * n + 2), np.arange(n)
-    outputs = item.listed(operations, n_signals)
-    columns = np.append(2 * n, at), np.append(2 * n + 1, n + at)
+    n_signals = factors.shape[1] - 1
+    n = 2 * size + n_signals
+    # U, V and signals come first, then their rates; the time and the law, and their rates.
+    operations, at, time, factor = Operations(2 * n + 4), np.arange(n), 2 * n, 2 * n + 1
+    forces = item.listed(operations, n_signals).ravel().tolist()
+    outputs = np.array([operations.apply(np.multiply, x, factor) for x in forces])
+    columns = np.array([time, *at, factor]), np.array([time + 2, *(n + at), factor + 2])
+    moving = _Path(t, Y, slopes, (size, n_signals))
     group = _with_rates(operations, outputs, columns, {}, moving)
     return [] if group is None else [group]
 
