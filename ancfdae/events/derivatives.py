@@ -155,7 +155,7 @@ def _require_together(phase: Phase, end: _Start) -> None:
     if impact is not None:
         where = f"impact {impact.name!r} at t = {phase.t_end:.6g}"
         rule = "must coincide with the other impacts of this time at neighbouring designs"
-        repair = "Move one body a little, so that impacts follow each other, or drop the variable."
+        repair = "Move one body, so that impacts follow each other, or leave out the variable."
         raise InvalidInputError(where, rule, "a gap that closes earlier or later there", repair)
 
 
