@@ -32,7 +32,7 @@ class Crossing(NamedTuple):
 def first_crossing(
     t: Array, g: Array, rate: Array, direction: int, side: float | None
 ) -> Crossing | None:
-    """Return the first zero that g crosses in a direction; None if there is none.
+    """Return the first zero that g crosses in a direction; None if it crosses no zero.
 
     `side` is the sign that g has just after the start where an event has just happened there: its
     value is then round-off. A zero at the first time point is no crossing otherwise: g is then

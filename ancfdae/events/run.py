@@ -440,7 +440,7 @@ def _function(phase: Phase, event: Event) -> tuple[Array, Array]:
 def _ended_at(phase: Phase, steps: _StretchedSteps, crossing: Crossing, left: float) -> Phase:
     """Return the phase whose end is the zero of the function of its event.
 
-    A zero that is not before `left`, the end of the run, is none.
+    Zeros after `left`, the end of the run, do not count.
     """
     event, D = phase.event, min(crossing.time, left)
     assert event is not None
