@@ -5,7 +5,7 @@ lengths, turned, or in other units of length, mass and time: the same digits.
 """
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -24,12 +24,16 @@ from ancfdae import (
     Clamp,
     DesignVariable,
     DirectDifferentiation,
+    Evaluator,
+    FrequencyMisfit,
     Integral,
     Material,
+    Misfit,
     Pin,
     PointForce,
     PointMass,
     Radau,
+    Responses,
     RigidBody,
     RotatingFrame,
     Scene,
@@ -39,6 +43,7 @@ from ancfdae import (
     assemble,
     campbell,
     critical_load,
+    differentiate,
     equilibrium,
     equilibrium_gradient,
     error_bars,
@@ -46,8 +51,10 @@ from ancfdae import (
     gradient,
     mass_properties,
     modes,
+    record_observables,
     simulate,
     suggest_step,
+    sweep,
 )
 from ancfdae.observables import kinetic_energy, strain_energy
 from ancfdae.sections import Rectangle
@@ -394,6 +401,49 @@ def bar_of_one_run(name, x):
     return np.array([found.value, found.error]) / (x.unit(*ENERGY) * x.time)
 
 
+def derivatives_of_states(name, x):
+    """Return b q_b at the end in the frame and the unit of `HERE`."""
+    scene, design = scene_at(name, x), design_of(name)
+    run = differentiate(scene, END * x.time, HHT(STEP * x.time), design=design)
+    q_b = (run.sensitivities.q_b[-1] * assemble(scene, design).b).T
+    unmoved = replace(x, offset=0.0)
+    return back(replace(run, t=run.t[: len(design)], q=q_b), unmoved, scene).ravel()
+
+
+def values_over_time(name, x):
+    """Return energies over time to a tolerance, and at kept times of one run."""
+    scene, energy = scene_at(name, x), strain_energy() + kinetic_energy()
+    at = np.linspace(0.25, 1.0, 4) * END * x.time
+    found = simulate(scene, END * x.time, tolerance=1e-3, observables=[energy], at=at)
+    kept = record_observables(scene, [energy], END * x.time, HHT(STEP * x.time), keep=2)
+    return np.concatenate([found.values.ravel(), kept.values.ravel()]) / x.unit(*ENERGY)
+
+
+def many_designs(name, x):
+    """Return gradients of a sweep, and values and Jacobian of responses."""
+    scene, design = scene_at(name, x), design_of(name)
+    settings, b = (END * x.time, HHT(STEP * x.time)), assemble(scene, design).b
+    what = Evaluator(energies(x), *settings, gradient=True, design=design)
+    rows = sweep(scene, np.array([b, 1.05 * b]), what, design=design).results
+    both = Responses(scene, {"energy": energies(x)}, *settings, design=design, scale=b)
+    ones = np.ones(len(b))
+    parts = [np.append(row["value"], row["gradient"] * b) for row in rows]
+    parts += [both.values(ones), both.jacobian(ones).ravel()]
+    return np.concatenate(parts) / (x.unit(*ENERGY) * x.time)
+
+
+def misfits(name, x):
+    """Return residuals of energies over time and of frequencies, and their Jacobians."""
+    scene, design = scene_at(name, x), design_of(name)
+    b, energy = assemble(scene, design).b, strain_energy() + kinetic_energy()
+    times, unit = np.array([0.5, 1.0]) * END * x.time, x.unit(*ENERGY)
+    moving = Misfit([energy], times, np.ones((1, 2)) * unit, 1 / unit)
+    fits = [moving.fit(scene, END * x.time, HHT(STEP * x.time), design=design)]
+    fits += [FrequencyMisfit([5.0 / x.time], x.time).fit(scene, design=design)]
+    parts = [np.append(fit.residuals(b), (fit.jacobian(b) * b).ravel()) for fit in fits]
+    return np.concatenate(parts)
+
+
 #: Scenes with an equilibrium near.
 HELD = (
     *("cantilever", "damped", "rope", "column", "sprung", "carrier"),
@@ -434,6 +484,10 @@ CALLS = {
     "critical loads of beams": (critical, LOADED),
     # The steps of DOP853 that the column takes turn round-off of places into 3e-7.
     "to a tolerance": (to_a_tolerance, tuple(x for x in MOVING if x != "column")),
+    "derivatives of states": (derivatives_of_states, MOVING[1::2]),
+    "values over time": (values_over_time, ("pendulum", "sprung", "carrier", "spatial_rope")),
+    "sweep and responses": (many_designs, MOVING[::2]),
+    "misfits": (misfits, ("cantilever", "carrier", "spatial_cantilever")),
     "Campbell": (diagram, ("rotor", "shaft")),
     "error bars": (bars, ("cantilever", "sprung", "spatial_rope")),
     "error from one run": (bar_of_one_run, ("cantilever", "sprung", "spatial_rope")),
