@@ -18,6 +18,7 @@ from ancfdae import (
     EndEvent,
     FiniteDifference,
     Impact,
+    InitialVelocity,
     Integral,
     Material,
     Mode,
@@ -990,3 +991,20 @@ def test_impacts_that_coincide_at_one_design_only_have_no_derivative(method):
     assert slope(both) == pytest.approx(exact, rel=1e-9)
     with pytest.raises(InvalidInputError, match="happen together with the other event"):
         slope("ball1.position_y")
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.7, 1.3])
+@pytest.mark.parametrize("integrator", [HHT(0.01), Radau(0.05), DOP853(1e-8)])
+def test_bodies_that_stay_in_touch_after_a_plastic_impact_do_not_pass_each_other(integrator, speed):
+    # 1 kg hits 3 kg, both go on at a quarter of the speed; a wall throws the second one back, and
+    # both return at an eighth.
+    starts = (("a", -0.5, 1.0), ("b", 1.0, 3.0))
+    bodies = [RigidBody(name, (x, 0.0), mass=m, inertia=0.01) for name, x, m in starts]
+    first, second = (position(body.at(0, 0), 0) for body in bodies)
+    start = [InitialVelocity("a", 0.0, about=(0, 0), velocity=(speed, 0))]
+    events = [Impact(second - first - 1.0, 0.0, "both"), Impact(2.0 - second, 1.0, "wall")]
+    scene = Scene(bodies=bodies, start=start)
+    solution = simulate(scene, 6.0 / speed, integrator, events=events)
+    assert solution.outcome.success
+    places = solution.q[-1, [0, solution.q.shape[1] // 2]]
+    np.testing.assert_allclose(places, [0.8125, 1.8125], atol=1e-9)

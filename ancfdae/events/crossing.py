@@ -30,17 +30,20 @@ class Crossing(NamedTuple):
 
 
 def first_crossing(
-    t: Array, g: Array, rate: Array, direction: int, side: float | None
+    t: Array, g: Array, rate: Array, direction: int, side: float | None, open_: Array | None = None
 ) -> Crossing | None:
     """Return the first zero that g crosses in a direction; None if it crosses no zero.
 
     `side` is the sign that g has just after the start where an event has just happened there: its
     value is then round-off. A zero at the first time point is no crossing otherwise: g is then
-    on the side to which it moves.
+    on the side to which it moves. Values of a gap that are round-off, where `open_` is true, count
+    as positive.
     """
     if rests_at_start(g, rate):
         rate = np.append(0.0, rate[1:])
     sides = _sides(g, rate, side)
+    if open_ is not None:
+        sides[open_] = 1.0
     changed = sides[:-1] != sides[1:]
     hidden = (sides[:-1] * rate[:-1] < 0) & (sides[1:] * rate[1:] > 0) & ~changed
     for n in np.flatnonzero(changed | hidden).tolist():

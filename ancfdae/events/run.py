@@ -19,7 +19,7 @@ from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors.kinds import InconsistentStartError, InvalidInputError
 from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.events.crossing import Crossing, first_crossing, starts_at_zero
-from ancfdae.events.functions import along_run, partials
+from ancfdae.events.functions import along_run, gap_rows, partials
 from ancfdae.events.impact import Struck, struck
 from ancfdae.events.kinds import EndEvent, Event, Impact, Switch
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
@@ -261,7 +261,8 @@ class PhaseMarch:
                 side = 1.0
             elif event in happened:
                 side = float(np.sign(rate[0])) or None
-            at = first_crossing(phase.run.t, g, rate, event.crossing[1], side)
+            touching = _touching(phase, event, g) if isinstance(event, Impact) else None
+            at = first_crossing(phase.run.t, g, rate, event.crossing[1], side, touching)
             if at is not None and (found is None or at.time < found[1].time):
                 found = event, at
         return found
@@ -435,6 +436,13 @@ def _function(phase: Phase, event: Event) -> tuple[Array, Array]:
         got = f"NaN or infinity at t = {bad:.6g}"
         raise InvalidInputError(f"event {event.name!r}", rule, got, repair)
     return g, np.where(np.isfinite(rate), rate, 0.0)
+
+
+def _touching(phase: Phase, impact: Impact, g: Array) -> Array:
+    """Return where along a phase a gap is round-off of the coordinates that it is made of, (k,)."""
+    run = phase.run
+    g_q, _ = gap_rows(phase.mode.system, impact.gap, phase.t_0 + run.t, run.q)
+    return np.asarray(np.abs(g) <= 8 * _ROUND_OFF * np.sum(np.abs(g_q * run.q), axis=1))
 
 
 def _ended_at(phase: Phase, steps: _StretchedSteps, crossing: Crossing, left: float) -> Phase:
