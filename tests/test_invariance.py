@@ -482,7 +482,7 @@ CALLS = {
     "mass": (masses, SCENES),
     "critical load": (buckling, ("column",)),
     "critical loads of beams": (critical, LOADED),
-    # The steps of DOP853 that the column takes turn round-off of places into 3e-7.
+    # The steps of DOP853 that the column takes turn round-off of places into 5e-7.
     "to a tolerance": (to_a_tolerance, tuple(x for x in MOVING if x != "column")),
     "derivatives of states": (derivatives_of_states, MOVING[1::2]),
     "values over time": (values_over_time, ("pendulum", "sprung", "carrier", "spatial_rope")),

@@ -18,8 +18,8 @@ _GEAR = (
     "prescribe both rotations."
 )
 _ACCELERATION = (
-    "No observable of acceleration exists. solution.acceleration(point) returns it, (n_t, d); "
-    "velocity(point) is an observable."
+    "acceleration(point, axis) of ancfdae.observables is one component; "
+    "solution.acceleration(point) returns the vectors, (n_t, d)."
 )
 _ROTATION = (
     "Rotations are observed by slope_angle(point) in the plane, by slope(point, along, axis) in "
@@ -55,7 +55,7 @@ _ANSWERS = {
     **dict.fromkeys(("event", "events", "stop", "lock", "latch", "clutch", "restitution"), _EVENT),
     "friction": "Friction is RotationalFriction in a joint, TranslationalFriction along a line.",
     **dict.fromkeys(("gear", "gears", "rackandpinion", "screw", "belt", "coupler"), _GEAR),
-    **dict.fromkeys(("acceleration", "accelerations"), _ACCELERATION),
+    "accelerations": _ACCELERATION,
     **dict.fromkeys(
         ("angle", "rotation", "orientation", "angularvelocity", "quaternion", "omega"), _ROTATION
     ),
@@ -194,7 +194,8 @@ def answer(name: str, module: str) -> str:
     if plain in _ANSWERS:
         return f"{text} {_ANSWERS[plain]}"
     plains = {x.lower().replace("_", ""): x for x in homes}
-    near = [plains[x] for x in difflib.get_close_matches(plain, plains, _MOST, _NEAR)]
+    same = [plain] if plain in plains else difflib.get_close_matches(plain, plains, _MOST, _NEAR)
+    near = [plains[x] for x in same]
     if near:
         places = " or ".join(f"{homes[x]}.{x}" for x in near)
         return f"{text} Did you mean {places}?"

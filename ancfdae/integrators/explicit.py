@@ -38,8 +38,9 @@ _SMALL = 1e-2
 # Panels of a step whose stages are too few.
 _PANELS = (1, 4, 16)
 # Steps that are taken into the integrals together, at least and at most, and the numbers that their
-# states may be: an evaluation of observables costs several steps of a small system. Where stages
-# are too few, these steps are repeated, and the next ones keep their dense output.
+# states may be: an evaluation of observables costs several steps of a small system. There are twice
+# as many each time. Where stages are too few, these steps are repeated, and the next ones keep
+# their dense output.
 _LEAST_TOGETHER, _MOST_TOGETHER, _NUMBERS = 8, 64, 200_000
 _NONE = np.zeros(0, dtype=np.int32)
 _VERDICTS = {
@@ -98,6 +99,7 @@ class _ExplicitMarch(March):
         count = max(_LEAST_TOGETHER, min(_MOST_TOGETHER, _NUMBERS // per_step))
         self._kept = Kept.room(count, used, rows, n, problem.system.n_lam)
         # Steps that wait for their integrals, and their dense output where that is kept.
+        self._together = _LEAST_TOGETHER
         self._waiting, self._dense, self._between = 0, False, list[Between | None]()
         self._last: Between | None = None
         self._failed = 0
@@ -129,6 +131,7 @@ class _ExplicitMarch(March):
             return _VERDICTS[self._failed]
         method, first = self._method, self._waiting if self._wanted else 0
         count = 1 if self._dense else self._max_steps - self.steps
+        count = min(count, self._together - first) if self._wanted else count
         kept = self._kept.part(slice(first, first + count))
         evaluations = method.evaluations
         self._failed, taken = method.march(self._tolerances, target, self._stop, kept)
@@ -140,7 +143,7 @@ class _ExplicitMarch(March):
         if self._wanted:
             self._waiting += taken
             self._between += [self._dense_output() if self._dense else None] * taken
-            if self._waiting == len(self._kept.spans):
+            if self._waiting == self._together:
                 self.finish()
         ends: list[float] = kept.spans[:taken, 1].tolist()
         return ends
@@ -172,6 +175,8 @@ class _ExplicitMarch(March):
             steps = self._kept.part(slice(0, self._waiting))
             self._quadrature.add(self._choices(steps, self._between))
             self._waiting, self._between = 0, []
+            most = _LEAST_TOGETHER if self._dense else len(self._kept.spans)
+            self._together = min(2 * self._together, most)
 
     def _choices(self, steps: Kept, dense: list[Between | None]) -> Iterator[Points]:
         """Points within steps: their stages, then their dense output on ever more panels."""

@@ -58,10 +58,13 @@ def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion:
 
 
 def small_from(system: MechanicalSystem, run: Solution, alpha: float) -> float:
-    """Return the number of equal steps above which half of those of a run would be small."""
-    root = np.sqrt(system.weights)
+    """Return the number of equal steps above which half of those of a run would be small.
+
+    Where the system stands does not count, so that the same runs are foreseen everywhere.
+    """
+    root, q_0 = np.sqrt(system.weights), system.centred(run.q[0].real)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        q, A = (np.linalg.norm(root * x.real, axis=1) for x in (run.q, run.a))
+        q, A = np.linalg.norm(root * q_0), np.linalg.norm(root * run.a.real, axis=1)
         longest = np.sqrt(_EPS * q / (_QUIET_DERIVATIVES * Coefficients(1.0, alpha).beta * A))
         return float(run.t[-1] / np.median(longest))
 
