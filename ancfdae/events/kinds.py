@@ -43,7 +43,7 @@ class Event(abc.ABC):
 def _require(event: Event) -> None:
     """Refuse an event without a function of the motion, a direction or a name."""
     where, (function, direction) = type(event).__name__, event.crossing
-    repair = "For example position(ball.centre, 1) - 0.1, or custom(function)."
+    repair = "For example position(ball.origin, 1) - 0.1, or custom(function)."
     require_kind(f"{where}, function of the event", function, (Observable,), repair)
     require_text(f"{where}.name", event.name)
     if direction not in (-1, 0, 1):
@@ -59,7 +59,7 @@ class EndEvent(Event):
     Parameters
     ----------
     function : Observable
-        For example ``position(slider.centre, 0) - 1.2``.
+        For example ``position(slider.origin, 0) - 1.2``.
     direction : int
         1: the zero counts where the function rises, -1: where it falls, 0: in both cases.
     name : str
@@ -136,7 +136,7 @@ class Impact(Event):
     ----------
     gap : Observable
         Distance of the bodies, positive where they are apart; a function of positions, time and
-        design, for example ``position(ball.centre, 1) - 0.1``.
+        design, for example ``position(ball.origin, 1) - 0.1``.
     restitution : float or Observable
         e, from 0 on; dimensionless. An observable may depend on the motion before the impact and on
         the design, for example ``design_value(name)``.
