@@ -38,6 +38,8 @@ WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
 # Part of the motion that round-off of the constraints may disturb, and of its derivatives.
 QUIET, _QUIET_DERIVATIVES = 1e-9, 1e-8
 _EPS = float(np.finfo(float).eps)
+# States of a run from which the size of its coordinates is taken.
+_SOME = 9
 
 
 def motion_size(
@@ -62,9 +64,15 @@ def small_from(system: MechanicalSystem, run: Solution, alpha: float) -> float:
 
     Where the system stands does not count, so that the same runs are foreseen everywhere.
     """
-    root, q_0 = np.sqrt(system.weights), system.centred(run.q[0].real)
+    root = np.sqrt(system.weights)
+    some = np.linspace(0, len(run.t) - 1, _SOME).round().astype(int)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        q, A = np.linalg.norm(root * q_0), np.linalg.norm(root * run.a.real, axis=1)
+        # The system about its centre, or a point on its way.
+        shapes = np.array([system.centred(x) for x in run.q[some].real])
+        moved = run.q[some].real - run.q[0].real
+        sizes = [np.linalg.norm(root * x, axis=1) for x in (shapes, moved)]
+        q = np.median(np.maximum(*sizes))
+        A = np.linalg.norm(root * run.a.real, axis=1)
         longest = np.sqrt(_EPS * q / (_QUIET_DERIVATIVES * Coefficients(1.0, alpha).beta * A))
         return float(run.t[-1] / np.median(longest))
 
