@@ -170,7 +170,7 @@ class AncfSystem(PlannedSystem):
 
     @property
     def plan(self) -> Plan | None:
-        """Arrays for steps in the compiled kernel; None for a rotating frame."""
+        """Arrays of the scene for kernels; None in a rotating frame, whose functions they call."""
         if self._turning is not None:
             return None
         steady, rows = self._loads.timed()

@@ -445,7 +445,7 @@ class PlannedSystem(MechanicalSystem):
     @property
     @abc.abstractmethod
     def plan(self) -> Plan | None:
-        """The same system as arrays; None for a system that cannot be given so."""
+        """Arrays of the system for kernels; None where kernels call its functions instead."""
 
 
 class ListedSystem(MechanicalSystem):
