@@ -84,7 +84,7 @@ from ancfdae.observables import (
 from ancfdae.plotting.fields import StrainEnergyDensity
 from ancfdae.plotting.mechanism import mechanism
 from ancfdae.sections import Circle, QuadratureSection, Rectangle
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import States
 
 from oracle.newton_euler import (
     Action,

@@ -78,7 +78,7 @@ from ancfdae.plotting.mechanism import mechanism
 from ancfdae.plotting.page import page_data
 from ancfdae.plotting.shapes import BeamMesh
 from ancfdae.sections import Circle, GeneralSection, ISection, Rectangle, Tube
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
 
 STEEL = Material(2700, 1e8, 0.3)
 DESIGN = ["rod.height", "rod.length"]

@@ -12,8 +12,7 @@ from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.charts import require_unit, settings
 from ancfdae.plotting.looks import COLOURS
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import Observable, states_of
 
 _SIZE = (7.5, 2.7)  # inches, of each observable
 
