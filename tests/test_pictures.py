@@ -72,10 +72,10 @@ from ancfdae.plotting import (
     snapshots,
     write_vtk,
 )
-from ancfdae.plotting.bars import bar_places
-from ancfdae.plotting.glyphs import Glyphs
+from ancfdae.plotting.derivatives import bar_places
 from ancfdae.plotting.mechanism import mechanism
-from ancfdae.plotting.page import page_data
+from ancfdae.plotting.painters import Glyphs
+from ancfdae.plotting.pictures import page_data
 from ancfdae.plotting.shapes import BeamMesh
 from ancfdae.sections import Circle, GeneralSection, ISection, Rectangle, Tube
 from ancfdae.sensitivity.observables.observable import states_of
