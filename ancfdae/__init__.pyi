@@ -22,19 +22,35 @@ from ancfdae.model.elements import (
     PlaneStress,
     SaintVenantKirchhoff,
 )
-from ancfdae.model.joints.axis_joint import Cylindrical, PlanarJoint, Revolute
-from ancfdae.model.joints.drive import RotationDriver
-from ancfdae.model.joints.guide import TranslationDriver
-from ancfdae.model.joints.held_sections import Clamp, MovingSupport, Weld
-from ancfdae.model.joints.point_joints import Distance, Pin, PointOnLine, Spherical
-from ancfdae.model.joints.prismatic import Prismatic
-from ancfdae.model.joints.universal import Universal
+from ancfdae.model.joints.axis_joint import (
+    Cylindrical,
+    PlanarJoint,
+    Prismatic,
+    Revolute,
+    Universal,
+)
+from ancfdae.model.joints.drive import RotationDriver, TranslationDriver
+from ancfdae.model.joints.point_joints import (
+    Clamp,
+    Distance,
+    MovingSupport,
+    Pin,
+    PointOnLine,
+    Spherical,
+    Weld,
+)
 from ancfdae.model.loads.actuators import DCMotor, FirstOrderLag
-from ancfdae.model.loads.forces import DistributedForce, FollowerForce, PointForce
+from ancfdae.model.loads.controller import PID
+from ancfdae.model.loads.forces import (
+    DistributedForce,
+    FollowerForce,
+    Moment,
+    MotorTorque,
+    PointForce,
+    TorsionalSpringDamper,
+)
 from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
-from ancfdae.model.loads.pid import PID
 from ancfdae.model.loads.springs import Bushing, SpringDamper
-from ancfdae.model.loads.torques import Moment, MotorTorque, TorsionalSpringDamper
 from ancfdae.model.material import Material
 from ancfdae.model.point_mass import PointMass
 from ancfdae.model.scene import Scene

@@ -11,8 +11,13 @@ from ancfdae.model.elements import BeamElement, StrainEnergyFunction
 from ancfdae.model.elements.element import ElementIntegrals, Quantity
 from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
 from ancfdae.model.laws.law import Law, require_law
-from ancfdae.model.loads.control_axes import ControlAxis, RotationAxis, TranslationAxis
-from ancfdae.model.loads.controller import Controller, ControllerInput
+from ancfdae.model.loads.controller import (
+    ControlAxis,
+    Controller,
+    ControllerInput,
+    RotationAxis,
+    TranslationAxis,
+)
 from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.model.sections.section import Section
 from ancfdae.numerics.external import ExternalFunction

@@ -5,8 +5,8 @@ import pytest
 
 from ancfdae import BEAM_2D, BEAM_3D, EnhancedContinuum
 from ancfdae.model.elements import Batch, ElementParameter
+from ancfdae.model.elements.continuum import prepare
 from ancfdae.model.elements.elastic import energy
-from ancfdae.model.elements.invariants import prepare
 from ancfdae.sections import QuadratureSection
 
 from element_kinds import arc, kind_of, straight

@@ -35,7 +35,7 @@ from ancfdae import (
 )
 from ancfdae.errors import InvalidInputError, UnknownNameError
 from ancfdae.model.elements import Batch, ElementParameter, SaintVenantKirchhoff, elastic
-from ancfdae.model.elements.invariants import prepare
+from ancfdae.model.elements.continuum import prepare
 from ancfdae.observables import axial_force, maximum_von_mises, position, reaction, von_mises
 from ancfdae.sections import Circle, Rectangle
 from ancfdae.studies.meshes import model_kinds

@@ -21,10 +21,10 @@ from ancfdae.model.elements import (
     ElementType,
     SaintVenantKirchhoff,
     elastic,
-    invariants,
 )
-from ancfdae.model.elements.invariants import prepare
-from ancfdae.model.sections.rectangle import Rectangle
+from ancfdae.model.elements import continuum as invariants
+from ancfdae.model.elements.continuum import prepare
+from ancfdae.model.sections.shapes import Rectangle
 
 import element_forces
 from oracle import plain_ancf as ancf

@@ -24,7 +24,7 @@ from ancfdae import (
 )
 from ancfdae.errors import InvalidInputError
 from ancfdae.model.elements import Batch, ElementParameter
-from ancfdae.model.elements.invariants import prepare
+from ancfdae.model.elements.continuum import prepare
 from ancfdae.sections import (
     Box,
     Circle,

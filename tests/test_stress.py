@@ -17,7 +17,7 @@ from ancfdae import (
 )
 from ancfdae.assembly import section_results as stress_points
 from ancfdae.errors import InvalidInputError
-from ancfdae.model.sections.spread import rectangle_torsional_shear
+from ancfdae.model.sections.section import rectangle_torsional_shear
 from ancfdae.sections import (
     Box,
     Circle,

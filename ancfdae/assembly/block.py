@@ -12,8 +12,8 @@ import numpy as np
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.bodies import BeamBody
 from ancfdae.model.elements import Batch, BeamElement, ElementParameter, ElementType
+from ancfdae.model.elements.continuum import joined, prepare, relative_places, widened
 from ancfdae.model.elements.element import Invariants
-from ancfdae.model.elements.invariants import joined, prepare, relative_places, widened
 from ancfdae.numerics.arrays import Array
 
 

@@ -23,7 +23,7 @@ from ancfdae.kernels import (
     stressed,
     tangents,
 )
-from ancfdae.model.elements import curvature, elastic
+from ancfdae.model.elements import cable, elastic
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import SparsityPattern
 
@@ -203,7 +203,7 @@ class ElasticForces:
         p = elastic.apply_invariant(block.A, strain(block.g_o, Y, None, None))
         F = stressed(p * chosen[:, None], Y)
         if block.bending is not None:
-            F = F + chosen[:, None, None] * curvature.forces(block.bending, Y)
+            F = F + chosen[:, None, None] * cable.curvature_forces(block.bending, Y)
         return lifted(self._elements, F)
 
     def energy_b(self, q: Array, chosen: Array) -> Array:
@@ -216,7 +216,7 @@ class ElasticForces:
         if block.bending is not None:
             bending = np.broadcast_to(block.bending, (len(self._places.vectors), 2))[pairs]
             change = its.rest_b[:, -2:]
-            per_pair = per_pair + curvature.energy_along(bending, change, Y[:, pairs])
+            per_pair = per_pair + cable.energy_along(bending, change, Y[:, pairs])
         result = np.zeros((len(q), self._n_b), dtype=per_pair.dtype)
         np.add.at(result.T, self._pair_variable[: self._stiff], (per_pair * chosen[pairs]).T)
         return result

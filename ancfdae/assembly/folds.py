@@ -40,7 +40,7 @@ from ancfdae.assembly.numbering import Numbering
 from ancfdae.errors.text import listed
 from ancfdae.model.bodies import BeamBody
 from ancfdae.model.elements import ElementParameter, Quantity
-from ancfdae.model.elements.hermite import tangent_weights
+from ancfdae.model.elements.element import tangent_weights
 from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import Array
 

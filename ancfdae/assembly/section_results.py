@@ -10,7 +10,7 @@ import numpy as np
 from ancfdae.assembly.beam_elements import BeamElements, StatePartials
 from ancfdae.model.elements import Batch, ElementParameter
 from ancfdae.model.elements.element import SectionLaw, SectionPlace, StressLaw
-from ancfdae.model.elements.volume import change
+from ancfdae.model.elements.strains import change
 from ancfdae.numerics.arrays import STEP, Array
 
 

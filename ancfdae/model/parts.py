@@ -1,9 +1,10 @@
-"""Base class of joints and loads: a name, points of beams or bodies, and design targets."""
+"""Base class of joints and loads: name, points of bodies, design targets, how they are drawn."""
 
 import abc
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
+from enum import Enum
 from functools import cache, cached_property
 from typing import Any, ClassVar, Self, TypeAlias, TypeVar, final
 
@@ -13,10 +14,28 @@ from ancfdae.errors.checks import require_axial, require_kind, require_text, req
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import BeamBody, MaterialPoint, RigidBody, require_point
 from ancfdae.model.design import Designable
-from ancfdae.model.drawing import Stroke
 from ancfdae.model.elements import BeamElement, Quantity, default_element
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.rotations import rotation
+
+
+@final
+@dataclass(frozen=True)
+class Sign:
+    """The sign of a joint, at its first point."""
+
+    word: str  # what the legend calls it
+    marker: str  # a marker of matplotlib, or a symbol of its mathematics between dollar signs
+    filled: bool = False
+    size: float = 7.0  # points of print
+
+
+@final
+class Stroke(Enum):
+    """A line that a part is drawn as, between its points or from its point to `ground`."""
+
+    LINK = "link"
+    SPRING = "spring"
 
 
 @final

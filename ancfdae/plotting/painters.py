@@ -20,7 +20,7 @@ from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from ancfdae.model.drawing import Sign
+from ancfdae.model.parts import Sign
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.mechanism import Mechanism
 from ancfdae.plotting.shapes import BeamMesh, Mesh

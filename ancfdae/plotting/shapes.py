@@ -28,7 +28,7 @@ from ancfdae.model.bodies import (
     RigidCylinder,
 )
 from ancfdae.model.elements import ElementParameter, elastic
-from ancfdae.model.elements.invariants import prepare
+from ancfdae.model.elements.continuum import prepare
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.rotations import generators
 

@@ -9,10 +9,9 @@ from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.equations import Solution
 from ancfdae.model.bodies import MaterialPoint, Quantity, RigidBody
-from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.joint import Joint
 from ancfdae.model.loads.load import Load
-from ancfdae.model.parts import CentreLine
+from ancfdae.model.parts import CentreLine, Sign
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array

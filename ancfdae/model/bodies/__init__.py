@@ -1,8 +1,7 @@
 """Beams, rigid bodies and points on them."""
 
-from ancfdae.model.bodies.beam import Beam
+from ancfdae.model.bodies.beam import Beam, CurvedBeam
 from ancfdae.model.bodies.body import BeamBody, ReferenceShape
-from ancfdae.model.bodies.curved_beam import CurvedBeam
 from ancfdae.model.bodies.point import (
     MaterialPoint,
     locate,

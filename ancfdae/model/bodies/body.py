@@ -12,8 +12,8 @@ import numpy as np
 
 from ancfdae.errors.checks import require_finite, require_kind, require_name, require_sequence
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
-from ancfdae.model.bodies.placed import Placed
 from ancfdae.model.bodies.point import MaterialPoint, locate, require_fraction
+from ancfdae.model.bodies.rigid_body import Placed
 from ancfdae.model.elements import (
     ALL_ELEMENTS,
     BeamElement,

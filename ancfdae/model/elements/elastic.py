@@ -12,7 +12,7 @@ Forces and tangents, with the strains and products that they consist of, are tho
 `ancfdae.kernels`. tau is the retardation time of Kelvin-Voigt damping, stress = C (E + tau E').
 Y and V have shape (..., n, n_y, d): leading axes are instants. A has shape (n, n_g, n_g), or
 (1, n_g, n_g) when all elements share it. Cables have the energy of bending in addition, whose
-stress and second partials in g are added to p and A (`curvature`).
+stress and second partials in g are added to p and A (`cable`).
 """
 
 import math
@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from ancfdae.kernels import strain
-from ancfdae.model.elements import curvature
+from ancfdae.model.elements import cable
 from ancfdae.numerics.arrays import Array
 
 
@@ -45,4 +45,4 @@ def energy(A: Array, g_o: Array, Y: Array, bending: Array | None = None) -> Arra
     """Return the strain energy of each element, shape (..., n)."""
     dg = strain(g_o, Y, None, None)
     U = np.asarray(np.sum(dg * (0.5 * apply_invariant(A, dg)), axis=-1))
-    return U if bending is None else U + curvature.energy(bending, Y)
+    return U if bending is None else U + cable.energy(bending, Y)

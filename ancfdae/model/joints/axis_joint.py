@@ -1,4 +1,4 @@
-"""Joints about an axis: the section of a point keeps across it."""
+"""Joints about an axis or along one: revolute, cylindrical, planar, prismatic, universal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,16 +7,18 @@ from typing import TypeAlias, final
 import numpy as np
 
 from ancfdae.errors.checks import require_direction, require_vector
+from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint
-from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import (
     Carrier,
     SectionFrame,
     across,
     axis_shapes,
     carrier_of,
+    fix_turn,
     hold_axis,
     hold_place,
+    hold_turn,
     is_fixed_in,
     place_shapes,
     sections,
@@ -31,6 +33,7 @@ from ancfdae.model.joints.joint import (
     empty_equations,
     place_coincidence,
 )
+from ancfdae.model.parts import Sign
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import cross
 
@@ -167,4 +170,129 @@ class PlanarJoint(AxisJoint):
         axis, carrier, ground = self.around(p, reference)
         c = self.aligned(3, p, reference, square(carrier, unless_it_holds=axis))
         hold_place(c, 0, carrier, axis, self.level(axis, ground, reference))
+        return c
+
+
+@final
+@dataclass(frozen=True)
+class Prismatic(Joint):
+    """Let a section slide along an axis, without turning; to ground or to another beam.
+
+    e_j . (r(point) - r(other)) stays as in the reference configuration for the d - 1 directions
+    e_j across the axis, and the section turns with that of `other` or not at all. The section of
+    `other` carries e_j along and keeps at right angles to its centre line. The force on the point
+    is the sum of -lam_j e_j over the first equations, with e_j as `PointOnLine` has n_j. Design
+    targets: ``axis_x`` ...
+
+    Parameters
+    ----------
+    point : MaterialPoint
+    axis : sequence of float
+        Direction in the reference configuration; not zero.
+    other : MaterialPoint, optional
+        Point of another beam, whose section carries the axis along; without it the axis is fixed
+        to ground.
+    """
+
+    point: MaterialPoint
+    axis: Sequence[float]
+    other: MaterialPoint | None = None
+
+    kind = "prismatic"
+    sign = Sign("prismatic joint", "d")
+    takes_part = SECTION
+    way_field = "axis"
+    design_fields = (("axis", require_direction),)
+
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
+        """Equations across the axis, and one for every turn."""
+        (axis,), d = self.split(p), reference.shape[1]
+        section, *others = sections(self.points, reference)
+        carrier, places = carrier_of(others), reference[: len(self.points)]
+        apart = places[0] - places[1] if others else places[0]
+        rows = 2 if d == 2 else 5
+        c = empty_equations(rows, p, reference, section.flat() + square(carrier))
+        for row, e in enumerate(across(axis)):
+            hold_place(c, row, carrier, e, e @ apart)
+        if others:
+            hold_turn(c, slice(d - 1, rows), section, others[0])
+            place_shapes(c, (section, others[0]))
+        else:
+            fix_turn(c, d - 1, reference[2:], 2)
+        return c
+
+
+# One minus the cosine of an angle of 1e-6 that is taken for none.
+_PARALLEL = 1e-12
+
+
+@final
+@dataclass(frozen=True)
+class Universal(Joint):
+    """Cardan joint of a spatial beam, to ground or to another beam.
+
+    The points coincide, and two directions, one carried along by each section, keep their angle:
+    the axes of the cross, as a rule perpendicular. A section in which its axis does not lie keeps
+    at right angles to the centre line. Design targets: ``axis_x`` ..., ``cross_x`` ...
+
+    Parameters
+    ----------
+    point : MaterialPoint
+    axis : sequence of float
+        Axis of the cross that the section of the point carries, in the reference; not zero.
+    cross : sequence of float
+        Axis of the cross that `other` or the ground carries, in the reference; not zero.
+    other : MaterialPoint, optional
+    ground : sequence of float, optional
+        Position on the ground, not with `other`, with design targets ``ground_x`` ...; by default
+        where the point is in the reference configuration.
+    """
+
+    point: MaterialPoint
+    axis: Sequence[float]
+    cross: Sequence[float]
+    other: MaterialPoint | None = None
+    ground: Sequence[float] | None = None
+
+    kind = "universal"
+    sign = Sign("universal joint", "P")
+    takes_part = SECTION
+    design_fields = (
+        ("axis", require_direction),
+        ("cross", require_direction),
+        ("ground", require_vector),
+    )
+    spatial = True
+    way_field = "axis"
+    holds_position = True
+
+    def __post_init__(self) -> None:
+        """Refuse axes that are parallel: they would hold their angle to first order alone."""
+        super().__post_init__()
+        axis, cross = (np.asarray(direction, float) for direction in (self.axis, self.cross))
+        if len(axis) == len(cross) and abs(unit(axis) @ unit(cross)) > 1 - _PARALLEL:
+            raise InvalidInputError(
+                f"joint {self.name!r}, cross",
+                "must not be parallel to the axis",
+                self.cross,
+                "Give the direction of the other axis of the cross.",
+            )
+
+    @property
+    def by_slopes(self) -> bool:
+        """To ground the place of the point matters as well."""
+        return self.other is not None
+
+    def coefficients(self, p: Array, reference: Array) -> JointEquations:
+        """Coincidence, and F axis . F' cross as in the reference."""
+        *directions, ground = self.split(p)
+        axis, cross = map(unit, directions)
+        both = sections(self.points, reference)
+        carrier = carrier_of(both[1:])
+        shapes = square(both[0], unless_it_holds=axis) + square(carrier, unless_it_holds=cross)
+        c = empty_equations(4, p, reference, shapes)
+        place_coincidence(c, len(both), reference, ground)
+        carrier.meet(c, 3, both[0].carried(axis), cross)
+        c.offset[3] = np.sum(axis * cross)
+        place_shapes(c, both)
         return c

@@ -22,10 +22,9 @@ import numpy as np
 from ancfdae.errors.checks import require_direction, require_kind
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint
-from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
 from ancfdae.model.laws.law import Law, require_law
-from ancfdae.model.parts import Elements, Normal, Part, Vectors
+from ancfdae.model.parts import Elements, Normal, Part, Sign, Vectors
 from ancfdae.numerics.arrays import Array
 
 #: Position and all slopes take part, as many as space has dimensions.

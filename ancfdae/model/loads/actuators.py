@@ -9,8 +9,13 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.design import design_numbers
 from ancfdae.model.laws.law import Law, require_law
-from ancfdae.model.loads.control_axes import ControlAxis, RotationAxis, TranslationAxis
-from ancfdae.model.loads.controller import Controller, ControllerInput
+from ancfdae.model.loads.controller import (
+    ControlAxis,
+    Controller,
+    ControllerInput,
+    RotationAxis,
+    TranslationAxis,
+)
 from ancfdae.model.loads.load import LAW_FIELD
 from ancfdae.numerics.arrays import Array
 

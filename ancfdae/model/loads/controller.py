@@ -1,28 +1,149 @@
-"""Base class of controllers: loads with states of their own, x' = f(x, s, s', r, r', b).
+"""Controllers: loads with states of their own, x' = f(x, s, s', r, r', b), and a PID of an angle.
 
-A controller measures coordinates s of the mechanism (`ControlAxis`) and laws of time r, and acts on
-the same coordinates with efforts e(x, s, s', r, r', b): torques and forces. Each state x is the
-rate of a coordinate y of its own with a mass w. So w y'' = w f is one of the equations of motion,
-for all integrators, sensitivity methods and kernels (docs/theory/17-controllers.md).
+A controller measures coordinates s of the mechanism (`ControlAxis`), an angle of a section or a
+displacement of a point, and laws of time r. It acts on the same coordinates with efforts e(x, s,
+s', r, r', b): torques and forces. Each state x is the rate of a coordinate y of its own with a mass
+w. So w y'' = w f is one of the equations of motion, for all integrators, sensitivity methods and
+kernels (docs/theory/17-controllers.md).
 """
 
 from __future__ import annotations
 
 import abc
+import math
+import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.model.laws.law import Law
-from ancfdae.model.loads.control_axes import ControlAxis
-from ancfdae.model.loads.load import Load
-from ancfdae.model.loads.sections import rate_of
+from ancfdae.errors.checks import require_direction
+from ancfdae.errors.kinds import InvalidInputError, UnlikelyValueWarning
+from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
+from ancfdae.model.design import design_numbers
+from ancfdae.model.laws.law import Law, require_law
+from ancfdae.model.loads.load import LAW_FIELD, Load
+from ancfdae.model.loads.sections import rate_of, section_of, travel, turn, unit_axes
 from ancfdae.model.parts import Elements, StateVector, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate
+
+
+class ControlAxis(abc.ABC):
+    """A coordinate s of the mechanism: what a controller measures, and what its effort works on.
+
+    An effort e, a torque or a force, does the work e ds, so that the forces on the vectors U of its
+    points are e s_U.
+    """
+
+    @abc.abstractmethod
+    def vectors(self, elements: Elements) -> Vectors:
+        """Return the vectors of points that the coordinate depends on."""
+
+    @abc.abstractmethod
+    def count(self, d: int) -> int:
+        """Return the number of these vectors in d dimensions."""
+
+    @abc.abstractmethod
+    def coordinate(self, U: Any, U_o: Array) -> tuple[Any, Any]:
+        """Return s, (..., 1, 1), and its gradient s_U, (..., n_vectors, d).
+
+        U are the vectors and U_o the vectors in the reference configuration, where s is zero.
+        """
+
+
+def _require_points(where: str, point: object, other: object) -> None:
+    """Raise InvalidInputError unless both are points; `other` may be None."""
+    require_point(f"{where}, point", point)
+    if other is not None:
+        require_point(f"{where}, other", other)
+
+
+def _require_components(where: str, value: object, sizes: tuple[int, ...]) -> None:
+    """Raise InvalidInputError unless a vector is an array with a number of components."""
+    given = np.asarray(value)
+    if given.dtype.kind not in "iufc" or given.ndim != 1 or len(given) not in sizes:
+        rule = f"must be an array of {' or '.join(map(str, sizes))} numbers"
+        raise InvalidInputError(where, rule, repr(value), "For example np.array([1.0, 0.0, 0.0]).")
+
+
+@final
+@dataclass(frozen=True)
+class RotationAxis(ControlAxis):
+    """The angle of a section about an axis, from the reference, between -pi and pi; rad.
+
+    Its effort is a torque, in N m. The angle jumps at half a turn; its rate does not.
+
+    Parameters
+    ----------
+    point : MaterialPoint
+    axis : array, shape (3,), optional
+        In space, in the reference configuration; it turns with the other section. z by default.
+    other : MaterialPoint, optional
+        Section that the angle counts from and that takes the opposite torque; ground by default.
+    """
+
+    point: MaterialPoint
+    axis: Array | None = None
+    other: MaterialPoint | None = None
+
+    def __post_init__(self) -> None:
+        _require_points("RotationAxis", self.point, self.other)
+        if self.axis is not None:
+            _require_components("RotationAxis, axis", self.axis, (3,))
+
+    def vectors(self, elements: Elements) -> Vectors:
+        """Return the slopes that span the sections."""
+        points = (self.point,) if self.other is None else (self.point, self.other)
+        return section_of(points, elements)
+
+    def count(self, d: int) -> int:
+        """Return d - 1 slopes for each section."""
+        return (d - 1) * (1 if self.other is None else 2)
+
+    def coordinate(self, U: Any, U_o: Array) -> tuple[Any, Any]:
+        """Return the angle and its gradient in the slopes."""
+        angle, gradient = turn(U, U_o, unit_axes(self.axis))
+        return angle[..., 0, :, :], gradient[..., 0, :, :]
+
+
+@final
+@dataclass(frozen=True)
+class TranslationAxis(ControlAxis):
+    """The displacement of a point along a direction since the reference; m. Its effort is a force.
+
+    Parameters
+    ----------
+    point : MaterialPoint
+    direction : array, shape (d,)
+        In the reference configuration; it turns with the other section.
+    other : MaterialPoint, optional
+        Point that the displacement counts from and that takes the opposite force; ground by
+        default.
+    """
+
+    point: MaterialPoint
+    direction: Array
+    other: MaterialPoint | None = None
+
+    def __post_init__(self) -> None:
+        _require_points("TranslationAxis", self.point, self.other)
+        _require_components("TranslationAxis, direction", self.direction, (2, 3))
+
+    def vectors(self, elements: Elements) -> Vectors:
+        """Return the positions of the points, and the slopes of the section with the direction."""
+        others = () if self.other is None else (self.other,)
+        places = tuple((point, Quantity.POSITION) for point in (self.point, *others))
+        return (*places, *section_of(others, elements))
+
+    def count(self, d: int) -> int:
+        """Return one position, or two and d - 1 slopes."""
+        return 1 if self.other is None else d + 1
+
+    def coordinate(self, U: Any, U_o: Array) -> tuple[Any, Any]:
+        """Return the displacement and its gradient in positions and slopes."""
+        return travel(U, U_o, self.direction, self.other is not None)
 
 
 @final
@@ -180,3 +301,68 @@ class Controller(Load):
         r = tuple(signals[..., k, None, None] for k in range(2 * n_r))
         at = ControllerInput(x, tuple(coordinates), tuple(rates), r[:n_r], r[n_r:])
         return at, gradients
+
+
+@final
+@dataclass(frozen=True)
+class PID(Controller):
+    """A proportional-integral-derivative controller of an angle, by a torque on it.
+
+    theta is the angle of the section at `point`, as a joint turns it, and r its reference. The
+    torque is P e + I z + D e' with the error e = r - theta and the state ``integral`` z, z' = e.
+    It acts on the section, and its opposite on `other`. The angle counts from the reference
+    configuration and lies between -pi and pi. Design targets: ``proportional``, ``integral``,
+    ``derivative``, ``axis_x`` ..., and the parameters of the law.
+
+    Parameters
+    ----------
+    point : MaterialPoint
+    reference : Law
+        r; rad.
+    proportional : float
+        P; N m/rad.
+    integral : float
+        I; N m/(rad s).
+    derivative : float
+        D; N m s/rad.
+    axis, other
+        As in `MotorTorque`.
+    """
+
+    point: MaterialPoint
+    reference: Law
+    proportional: float
+    integral: float = 0.0
+    derivative: float = 0.0
+    axis: Sequence[float] | None = None
+    other: MaterialPoint | None = None
+
+    kind = "pid"
+    states = ("integral",)
+    design_fields = (
+        ("reference", require_law),
+        *design_numbers("proportional", "integral", "derivative"),
+        ("axis", require_direction),
+        LAW_FIELD,
+    )
+
+    def axes(self, p: Array) -> tuple[RotationAxis, ...]:
+        """Return the angle."""
+        return (RotationAxis(self.point, self.split(p)[4], self.other),)
+
+    def equations(self, at: ControllerInput, p: Array) -> tuple[Sequence[Any], Sequence[Any]]:
+        """Return z' = e and the torque P e + I z + D e'."""
+        _, proportional, integral, derivative, *_ = self.split(p)
+        e, e_t = at.laws[0] - at.coordinates[0], at.law_rates[0] - at.rates[0]
+        return [e], [proportional * e + integral * at.states[0] + derivative * e_t]
+
+    def check_laws(self, laws: Sequence[Array]) -> None:
+        """Warn of a reference that the angle, between -pi and pi, cannot reach."""
+        if np.max(np.abs(laws[0]), initial=0.0) > math.pi:
+            warnings.warn(
+                f"reference of pid {self.name!r} is beyond half a turn, where the angle jumps "
+                "from pi to -pi: the controlled section does not follow it and may run away. "
+                "Let the reference stay within -pi to pi, or turn it back.",
+                UnlikelyValueWarning,
+                stacklevel=2,
+            )

@@ -1,15 +1,17 @@
-"""Forces that are given: on a point, along a beam, turning with a section."""
+"""Forces on a point or along a beam, following forces, moments, motor torques, torsion springs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-from ancfdae.errors.checks import require_vector
+from ancfdae.errors.checks import require_axial, require_direction, require_flag, require_vector
 from ancfdae.model.bodies import MaterialPoint, Quantity
-from ancfdae.model.loads.load import LAW_FIELD, ConstantLoad, Load
+from ancfdae.model.design import design_numbers
+from ancfdae.model.loads.load import LAW_FIELD, ConstantLoad, Load, SectionLoad, require_damping
+from ancfdae.model.loads.sections import QUARTER_TURN, rate_of, turn, unit_axes
 from ancfdae.model.parts import CentreLine, Elements, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import concatenate, direction
+from ancfdae.numerics.jets import concatenate, cross, direction, dot
 
 
 @final
@@ -94,3 +96,139 @@ class FollowerForce(Load):
         axes = direction(U[..., 1:, :])[1]
         F = (self.split(p)[0][:, None] * axes).sum(axis=-2, keepdims=True)
         return concatenate([F, 0.0 * axes])
+
+
+@final
+@dataclass(frozen=True)
+class Moment(SectionLoad):
+    """A moment on a section of a beam.
+
+    It does the work M . dphi on a turn dphi of the section. The section turns as its plane does,
+    and in this plane with the mean of its slopes: with n across r_y and r_z and r^y, r^z dual to
+    them in the plane, the force on r_k is (M - (M . n) n / 2) x r^k. In the plane of a planar
+    scene the section turns with r_y (a cable, which has none, with its tangent), and
+    the force is M x r_y / |r_y|^2 (docs/theory/03-joints-and-loads.md). Cables in space have no
+    section to take it. Design targets: ``moment`` in the plane; ``moment_x``, ``moment_y``,
+    ``moment_z`` in space.
+
+    Parameters
+    ----------
+    point : MaterialPoint
+    moment : float or sequence of float
+        A number in the plane, from x to y; three components in space; N m.
+    follower : bool, optional
+        Whether the components are along n and the height and width slopes, and turn with them,
+        instead of being fixed in space. In the plane there is no difference.
+    """
+
+    point: MaterialPoint
+    moment: float | Sequence[float]
+    follower: bool = False
+
+    sharp = False
+    kind = "moment"
+    design_fields = (("moment", require_axial), LAW_FIELD)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_flag("moment, follower", self.follower)
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """(M - (M . n) n / 2) x r^k."""
+        M = self.split(p)[0]
+        if U_o.shape[1] == 2:
+            return M * (U @ QUARTER_TURN) / dot(U, U)
+        r_y, r_z = U[..., :1, :], U[..., 1:, :]
+        s, n = direction(cross(r_y, r_z))
+        if self.follower:
+            axes = concatenate([n, direction(U)[1]])
+            M = (M[:, None] * axes).sum(axis=-2, keepdims=True)
+        duals = concatenate([cross(r_z, n), cross(n, r_y)]) / s
+        return cross(M - 0.5 * dot(M, n) * n, duals)
+
+
+@final
+@dataclass(frozen=True)
+class MotorTorque(SectionLoad):
+    """A motor: a torque on a section about an axis, and the opposite on another section or ground.
+
+    It does the work T dtheta on the angle between them (docs/theory/03-joints-and-loads.md).
+    Where they turn about the axis alone, as a revolute joint makes them, the moment is T times the
+    axis. Design targets: ``torque``, ``axis_x`` ..., and the parameters of the law.
+
+    Parameters
+    ----------
+    point : MaterialPoint
+    torque : float
+        T; N m.
+    axis : sequence of float, optional
+        In space, in the reference configuration; it turns with the other section. z by default.
+    other : MaterialPoint, optional
+        Body that carries the motor; the ground by default.
+    """
+
+    point: MaterialPoint
+    torque: float
+    axis: Sequence[float] | None = None
+    other: MaterialPoint | None = None
+
+    sharp = False
+    kind = "torque"
+    design_fields = (*design_numbers("torque"), ("axis", require_direction), LAW_FIELD)
+    refers = True
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """Return T theta_U: the torque times the gradient of the angle in the slopes."""
+        torque, axis, _ = self.split(p)
+        return (torque * turn(U, U_o, unit_axes(axis))[1])[..., 0, :, :]
+
+
+@final
+@dataclass(frozen=True)
+class TorsionalSpringDamper(SectionLoad):
+    """Linear spring and damper about an axis between two sections, or a section and the ground.
+
+    The torque on the section is -(k (theta - theta_0) + c theta'), with theta the angle from the
+    reference, between -pi and pi (docs/theory/03-joints-and-loads.md). A turn beyond pi
+    comes out at -pi: there the torque of the spring jumps, and a run does not pass. Design targets:
+    ``stiffness``, ``damping``, ``free_angle`` and ``axis_x`` ...
+
+    Parameters
+    ----------
+    point : MaterialPoint
+    stiffness : float
+        k; N m/rad. It may be negative.
+    damping : float
+        c, not negative; N m s/rad.
+    free_angle : float
+        theta_0; rad.
+    axis, other
+        As in `MotorTorque`; the spring is fixed to the other section, or to the ground.
+    """
+
+    point: MaterialPoint
+    stiffness: float
+    damping: float = 0.0
+    free_angle: float = 0.0
+    axis: Sequence[float] | None = None
+    other: MaterialPoint | None = None
+
+    sharp = False
+    kind = "torsion-spring"
+    elastic = True
+    design_fields = (
+        *design_numbers("stiffness"),
+        ("damping", require_damping),
+        *design_numbers("free_angle"),
+        ("axis", require_direction),
+        LAW_FIELD,
+    )
+    damping_fields = ("damping",)
+    refers = True
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """Return -(k (theta - theta_0) + c theta') theta_U, forces on the slopes."""
+        k, damping, free_angle, axis, _ = self.split(p)
+        theta, theta_U = turn(U, U_o, unit_axes(axis))
+        torque = k * (theta - free_angle) + damping * rate_of(theta_U, V[..., None, :, :])
+        return -(torque * theta_U)[..., 0, :, :]

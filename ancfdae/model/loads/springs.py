@@ -9,10 +9,9 @@ import numpy as np
 from ancfdae.errors.checks import require_axial, require_not_negative, require_vector
 from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.design import design_numbers
-from ancfdae.model.drawing import Stroke
 from ancfdae.model.loads.load import LAW_FIELD, Load, require_damping
 from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of, turn
-from ancfdae.model.parts import Elements, Vectors
+from ancfdae.model.parts import Elements, Stroke, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, direction, dot
 

@@ -5,18 +5,21 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from ancfdae.model.sections.rectangle import (
+from ancfdae.model.sections.section import (
+    ROUND_UP,
+    SectionPoints,
+    columns,
+    in_web,
+    rectangle_torsional_shear,
+    require_smaller,
+    stepped_share,
+)
+from ancfdae.model.sections.shapes import (
     Rectangular,
     around,
     corners,
     rectangle_torsion,
     rectangles_points,
-)
-from ancfdae.model.sections.section import ROUND_UP, SectionPoints, columns, require_smaller
-from ancfdae.model.sections.spread import (
-    in_web,
-    rectangle_torsional_shear,
-    stepped_share,
 )
 from ancfdae.numerics.arrays import Array
 

@@ -1,4 +1,4 @@
-"""Smooth curve through control values."""
+"""Smooth curves: through control values, or between bounds that control values set."""
 
 from __future__ import annotations
 
@@ -16,8 +16,73 @@ from ancfdae.model.design import require_numbers
 from ancfdae.model.laws.law import Law
 from ancfdae.numerics.arrays import Array, Numbers
 
+# The least degree with three continuous derivatives.
+_LOCAL_DEGREE = 4
+
+
+@final
+@dataclass(frozen=True)
+class BSpline(Law):
+    """A spline of degree four that stays between the least and the largest of its control values.
+
+    Each value weighs a hill over five equal spans of time; the weights add up to one at all times.
+    Bounds of the values are therefore bounds of the law: an optimiser shapes a torque within
+    the limits of its motor. Before `begin` the law has the first value, after `end` the last one;
+    three derivatives are continuous. It does not pass through the values between (`Spline` does).
+    Design targets: ``value[0]``, ``value[1]`` ...
+
+    Parameters
+    ----------
+    begin, end : float
+        Times between which the law changes; s.
+    values : sequence of float
+        Two or more control values, evenly over that time; the unit of what the law drives.
+    """
+
+    begin: float
+    end: float
+    values: Numbers
+
+    marked = True
+    design_fields = (("values", require_numbers),)
+    indexed_fields: ClassVar[Mapping[str, str]] = {"values": "value"}
+
+    def check(self) -> None:
+        """Refuse times and values that do not fit."""
+        require_numbers("BSpline, times", (self.begin, self.end))
+        if not self.begin < self.end:
+            repair = "For example BSpline(0.0, 2.0, [0.0, 5.0, -5.0, 0.0])."
+            rule = f"must be later than begin, {self.begin:g}"
+            raise InvalidInputError("BSpline, end", rule, self.end, repair)
+        if len(self.values) < 2:
+            repair = "Give two values or more; one is a Constant."
+            raise InvalidInputError("BSpline, values", "must be several", self.values, repair)
+
+    def breakpoints(self, p: Array) -> tuple[float, ...]:
+        """Begin and end; the fourth derivative also jumps at the knots between them."""
+        return float(self.begin), float(self.end)
+
+    def derivative(self, p: Array, t: Any, order: int) -> Array:
+        """Sum of control values times derivatives of their hills, shape of t."""
+        spans = len(p) + _LOCAL_DEGREE
+        s = np.clip((np.asarray(t) - self.begin) * spans / (self.end - self.begin), 0.0, spans)
+        # Values go on as the first and the last, so that the ends are constant.
+        held = np.concatenate(
+            [np.repeat(p[:1], _LOCAL_DEGREE), p, np.repeat(p[-1:], _LOCAL_DEGREE)]
+        )
+        x = self._hills(s, nu=order) @ held * (spans / (self.end - self.begin)) ** order
+        return np.where((s > 0.0) & (s < spans), x, 0.0) if order else np.asarray(x)
+
+    @cached_property
+    def _hills(self) -> scipy.interpolate.BSpline:
+        """Weights of all control values over the number of the span."""
+        count = len(self.values) + 2 * _LOCAL_DEGREE
+        knots = np.arange(-_LOCAL_DEGREE, count + 1.0)
+        return scipy.interpolate.BSpline(knots, np.eye(count), _LOCAL_DEGREE)
+
+
 # The least odd degree whose ends can have three given derivatives.
-_DEGREE = 7
+_SPLINE_DEGREE = 7
 
 
 @final
@@ -74,7 +139,7 @@ class Spline(Law):
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Time derivative of a given order: the sum of control values times basis functions."""
         s = (np.asarray(t) - self.times[0]) / self._unit
-        last = self._basis.t[-_DEGREE - 1]
+        last = self._basis.t[-_SPLINE_DEGREE - 1]
         # The basis of a periodic one repeats by itself.
         inside = s if self.period is not None else np.clip(s, 0.0, last)
         N = self._basis(inside, nu=order)
@@ -94,6 +159,8 @@ class Spline(Law):
         one = np.eye(len(s))
         if self.period is not None:
             s, one = np.append(s, self.period / self._unit), np.vstack([one, one[:1]])
-            return scipy.interpolate.make_interp_spline(s, one, k=_DEGREE, bc_type="periodic")
+            return scipy.interpolate.make_interp_spline(
+                s, one, k=_SPLINE_DEGREE, bc_type="periodic"
+            )
         ends = [(order, np.zeros(len(s))) for order in (1, 2, 3)]
-        return scipy.interpolate.make_interp_spline(s, one, k=_DEGREE, bc_type=(ends, ends))
+        return scipy.interpolate.make_interp_spline(s, one, k=_SPLINE_DEGREE, bc_type=(ends, ends))

@@ -1,0 +1,651 @@
+"""Strains of a continuum beam as linear functions of the Gram matrix: points, strains, integrals.
+
+The energy is integrated over fibres of the section times points along the axis. Lengths are divided
+by the element length l, and the chord r_2 - r_1 with them, so that the length enters through the
+fibres only.
+
+**Strains of a section.** In node vectors with the chord divided by the length, and with section
+coordinates divided by it, the components B of the metric r_,alpha . r_,beta at a point (xi, y, z)
+are
+
+    B_xx = a.a + 2 y a.b_2 + 2 z a.b_3 + y^2 b_2.b_2 + 2 y z b_2.b_3 + z^2 b_3.b_3
+    B_xy = c_2.a + y c_2.b_2 + z c_2.b_3,     B_xz = c_3.a + y c_3.b_2 + z c_3.b_3
+    B_yy = c_2.c_2,     B_zz = c_3.c_3,     B_yz = c_2.c_3
+
+with a the coefficients of r_x on the axis, c_2 and c_3 those of the section slopes r_y and r_z, and
+b = dc/dxi; u.v stands for the coefficients of (sum u_i Y_i) . (sum v_j Y_j) in g. These scalar
+products are the strains s = beta(xi) g of the section, with beta independent of every parameter;
+What a fibre makes of them follows below.
+
+Assumed strains. The section slopes are linear in xi, r cubic: where the beam turns, c.c sags
+between the nodes, and the curvature a.b is constant along an element although the axis can bend
+linearly. So c.c is taken at the nodes and linear between them, and so are the shears S = c.a:
+the section of the axis then turns, for small strains, by r_x - S, not by the linear r_y, and its
+curvature is that of this rotation. With the chord X, the mean of a, with w = a'(0) - a'_m and with
+a'_m and c_m at mid-element it is
+
+    a.b  ->  X.b - (1 - 2 xi) w.c_m + ((1 - 2 xi)^2 - 1/3) w.b/2:
+
+the mean and a wave, what bending changes along the element. The wave has a factor of its own. What
+a twist changes, for it turns the curvature against the section,
+
+    (1 - 2 xi) a'_m.b/2,
+
+is a product of kinks as well, and fades where elements are shorter than the radius of gyration.
+In the thin limit the bending part is that of the cubic Hermite beam. c_2.b_2 is half the derivative
+of c_2.c_2 and becomes half the difference of its values at the nodes; c_2.b_3 + c_3.b_2 likewise,
+and c_2.b_3 - c_3.b_2, the twist, is constant anyway.
+
+Two terms in the squares of curvatures and twist, which are linear in g too (`_squares`), follow.
+Turns: what a finite turn of the element takes off curvature and twist is put back as further rows
+of strain, l kappa^2 times the radius of gyration, with a stiffness of their own. Stretch: the axial
+strain of a straight beam is lowered by 3/2 of the squared curvature times the squared radius of
+gyration, so that bending neither shortens the axis nor softens the beam. It fades likewise
+(`fibres`). Derivations: docs/theory/02-strain-energy.md.
+
+**Strains at the fibres** are linear functions of the strains s of the section. At a point (xi, y,
+z), with dr_o/dx = (r_ox + y b_o2 + z b_o3, r_oy, r_oz) in the axes of the reference section (its
+normal, r_oy over its length, and what is across both), let j be the normal component of the first
+column, p the two others of it, J_s those of r_oy and r_oz, and q = -J_s^-1 p/j. Green and
+Lagrange's strain E = J_o^-T (B - B_o)/2 J_o^-1 is then
+
+    E_xx = D(B_xx)/2j^2 + q.h - q.D(B_ss) q/2,    2 E_xs = J_s^-T h,
+    E_ss = J_s^-T D(B_ss)/2 J_s^-1,
+
+    h_i = (g_i + sum_j y_j G_ij)/j,    g_i = c_i.(a - a^k c_k),    G_ij = c_i.(b_j - b_j^k c_k),
+
+summed over k, with a^k and b_j^k the components of r_ox and b_oj along r_ok: the shears g_i of the
+axis and the slopes G_ij of the shears over the section vanish in the reference. Written so, each of
+them can bear a factor of its own. With the centroid y_c, the shear centre y_s and the factors f_i,
+that of twist f_t where i is not j and 1 where it is,
+
+    h_i = (f_i (g_i + sum_j y_sj G_ij) + sum_j f_ij (y_j - y_cj) G_ij)/j
+
+has the energy k G A/2 of the shear at the shear centre and G J/2 of the twist, f^2 = k or J/I_p. In
+E_xx, that is where the fibres of a pretwisted beam are oblique to its section, h is the shear of
+the material itself, and has the factors k and J/I_p in full (docs/theory/02-strain-energy.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.kernels import gram
+from ancfdae.model.elements.element import (
+    Batch,
+    ElementParameter,
+    Quantity,
+    curvature_weights,
+    end_weight_xi,
+    shape_weights,
+    slope_weights_xi,
+)
+from ancfdae.model.sections.section import central_moments
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.quadrature import box_rule
+
+# Poisson's effect on the axis couples stretch, quadratic in xi, with thickness strains, linear in
+# xi: two points ask it where both can follow.
+AXIS_POINTS = 2
+# Share of the compliance in shear between the chord of an element and the tangents of its nodes.
+_SHARE = 0.01
+
+
+def fibres(batch: Batch) -> Fibres:
+    """Return the quadrature points of the sections of elements, as fibres along them."""
+    l, kind, sizes = batch.lengths, batch.kind, batch.sizes
+    y, z, dA = kind.section.points(sizes, not kind.straight)
+    centroid, moments = central_moments(y, z, dA)
+    polar = moments.sum(axis=1)
+    factors = np.ones((len(l), 3), dtype=batch.parameters.dtype)
+    if kind.energy is not None and kind.energy.corrected:
+        k_y, k_z, J = kind.section.properties(sizes, batch.moduli[1])
+        factors = np.sqrt(np.stack([k_y, k_z, J / polar], axis=1))
+    twist = factors[:, 2] ** 2 * polar
+    squares = np.column_stack([moments, twist]) / np.sum(dA, axis=1)[:, None]
+    shear_centre = kind.section.twist_centre(sizes, centroid)
+    radii = np.sqrt(squares) / l[:, None]
+    factors = _shared(batch, factors, radii)
+    places = (x / l[:, None, None] for x in (np.stack([y, z], axis=-1), centroid, shear_centre))
+    offsets, centroid, shear_centre = places
+    ratio = radii[:, :2] ** 2
+    fade = 1 / (1 + ratio**2)
+    sizes_of_terms = radii, 1.5 * ratio * fade, fade
+    return Fibres(offsets, dA * l[:, None], factors, *sizes_of_terms, centroid, shear_centre)
+
+
+def _shared(batch: Batch, factors: Array, radii: Array) -> Array:
+    """Return the factors of shears, which leave a share to waves, of twist and of waves."""
+    waves = np.ones((len(factors), 2), dtype=factors.dtype)
+    if batch.kind.energy is not None and batch.kind.energy.assumed_strains:
+        nu = batch.moduli[1]
+        C = batch.energy.stiffness(batch.d, np.ones_like(nu), nu)[0]
+        ratio = (C[:, 0, 0] / C[:, -1, -1])[:, None] * (radii / factors)[:, :2] ** 2
+        waves = 1 / np.sqrt(1 + 12 * _SHARE * ratio)
+        factors = factors / np.sqrt([1 - _SHARE, 1 - _SHARE, 1.0])
+    return np.concatenate([factors, waves], axis=1)
+
+
+def fibres_partial(batch: Batch, which: ElementParameter) -> Fibres:
+    """Return the derivative of `fibres` in a parameter."""
+    at, moved, step = fibres(batch), fibres(batch.moved(which)), batch.step(which)
+    names = [each.name for each in fields(Fibres)]
+    return Fibres(*(change(getattr(moved, name), getattr(at, name), step) for name in names))
+
+
+def gauss_rule(count: int) -> tuple[Array, Array]:
+    """Gauss points along an element and their weights."""
+    corner, rule = box_rule((count,))
+    return corner[:, 0], rule
+
+
+def along(function: Callable[..., Array], at: Sequence[Array], b: Sequence[Array]) -> Array:
+    """Return the derivative of a function along changes of its arguments, by an imaginary step."""
+    moved = (x.real + 1j * STEP * x_b.real for x, x_b in zip(at, b, strict=True))
+    return np.asarray(function(*moved).imag / STEP)
+
+
+def change(moved: Array, at: Array, step: Array) -> Array:
+    """Return the derivative out of a value at `Batch.moved` parameters and at the parameters.
+
+    What is imaginary already, in a complex-step run, does not count.
+    """
+    return np.asarray((np.imag(moved) - np.imag(at)) / step.reshape(-1, *[1] * (at.ndim - 1)))
+
+
+@final
+class Region:
+    """Strains of sections, and what they cost, at the places where an energy is integrated.
+
+    These are places xi along the axis with their weights, (n_xi,) each. `beta`, (n_xi, n_s, n_g),
+    are strains of the section in the Gram matrix of the scaled node vectors; `R`, (n, n_xi or 1,
+    n_f, n_v, n_s), those at the fibres in these, one for all places of straight elements; `volume`
+    is (n, n_xi or 1, n_f). InvalidInputError names the owner of an element, (n,), whose reference
+    configuration folds (det dr_o/dx <= 0 somewhere).
+    """
+
+    def __init__(
+        self, batch: Batch, fibres: Fibres, along: tuple[Array, Array], owners: Array
+    ) -> None:
+        self._xi, self.rule = along
+        self._d, self._fibres = batch.d, fibres
+        assumed = batch.kind.energy is not None and batch.energy.assumed_strains
+        self._turns = turn_count(batch.d) if assumed else 0
+        self.beta = section_strains(batch.d, tuple(self._xi.tolist()), assumed)
+        straight = batch.kind.straight
+        self._frames = Frames.straight(batch.d) if straight else Frames.of(batch.Y_unit, self._xi)
+        self.volume = self._measure(fibres)
+        if not straight:
+            _refuse_folds(self._frames.stretch(fibres.offsets), owners)
+
+    @cached_property
+    def R(self) -> Array:
+        """Strains at the fibres per strain of the section, shape (n, n_xi or 1, n_f, n_v, n_s)."""
+        return self._strains(self._fibres)
+
+    def stiffness(self, C: Array) -> Array:
+        """Return the integral of R^T C R over the sections, shape (n, n_xi or 1, n_s, n_s)."""
+        return self._integral(self.R, C, self.volume, self.R)
+
+    def stiffness_partial(self, C: Array, fibres_b: Fibres) -> Array:
+        """Return the derivative of `stiffness` along that of the fibres."""
+        R_b, volume_b = (self._along(of, fibres_b) for of in (self._strains, self._measure))
+        cross = self._integral(R_b, C, self.volume, self.R)
+        return cross + cross.swapaxes(-1, -2) + self._integral(self.R, C, volume_b, self.R)
+
+    def total(self, K: Array) -> Array:
+        """Return the sum of beta^T K beta along the axis, shape (n, n_g, n_g)."""
+        right = self.rule[:, None, None] * (K @ self.beta)
+        n_g = self.beta.shape[-1]
+        return np.asarray(self.beta.reshape(-1, n_g).T @ right.reshape(len(K), -1, n_g))
+
+    def true_strains(self, twist: Array | None) -> Array:
+        """Return `R` with the shears of the material; `twist` as in `Frames.strains`."""
+        return self._frames.strains(self._fibres, self._turns, 2, twist)
+
+    def mass(self, rho: Array) -> Array:
+        """Return the integral of rho s s^T (eq. 10), shape (n, n_a, n_a)."""
+        s = self._shape(self._fibres.offsets)
+        return _product(rho, self.rule[:, None] * self.volume, s, s)
+
+    def mass_partial(self, rho: Array, fibres_b: Fibres) -> Array:
+        """Return the derivative of `mass` along that of the fibres."""
+        offsets, offsets_b = self._fibres.offsets, fibres_b.offsets
+        s, s_b = self._shape(offsets), along(self._shape, (offsets,), (offsets_b,))
+        volume_b = self._along(self._measure, fibres_b)
+        dV, dV_b = (self.rule[:, None] * x for x in (self.volume, volume_b))
+        cross = _product(rho, dV, s_b, s)
+        return cross + cross.swapaxes(-1, -2) + _product(rho, dV_b, s, s)
+
+    def _strains(self, fibres: Fibres) -> Array:
+        return self._frames.strains(fibres, self._turns, 1)
+
+    def _measure(self, fibres: Fibres) -> Array:
+        j = self._frames.stretch(fibres.offsets) * self._frames.det[..., None]
+        return np.asarray(fibres.volume[:, None] * j)
+
+    def _along(self, function: Callable[[Fibres], Array], fibres_b: Fibres) -> Array:
+        names = [each.name for each in fields(Fibres)]
+        parts = [[getattr(x, name) for name in names] for x in (self._fibres, fibres_b)]
+        return along(lambda *moved: function(Fibres(*moved)), *parts)
+
+    def _integral(self, R_1: Array, C: Array, volume: Array, R_2: Array) -> Array:
+        weighted = volume[..., None, None] * (C[:, None, None] @ R_2)
+        left, right = (x.reshape(*x.shape[:2], -1, x.shape[-1]) for x in (R_1, weighted))
+        return np.asarray(left.swapaxes(-1, -2) @ right)
+
+    def _shape(self, offsets: Array) -> Array:
+        """Scaled shape functions, shape (n, n_xi, n_f, n_a)."""
+        y, z = np.moveaxis(offsets[:, None], -1, 0)
+        weights = shape_weights(self._d, Quantity.POSITION, self._xi[:, None], y, z)
+        return weights
+
+
+def _product(rho: Array, dV: Array, s_1: Array, s_2: Array) -> Array:
+    weighted = (rho[:, None, None] * dV)[..., None] * s_2
+    left, right = (s.reshape(len(s), -1, s.shape[-1]) for s in (s_1, weighted))
+    return np.asarray(left.swapaxes(-1, -2) @ right)
+
+
+def section_stiffness(batch: Batch) -> tuple[Array, ...]:
+    """C of strains and turns, in the volume and where there is such a part on the axis."""
+    C = batch.stiffness
+    if not batch.energy.assumed_strains:
+        return C
+    turns = turn_stiffness(batch.d, *batch.moduli, batch.kind.straight)
+    return tuple(_with_diagonal(x, turns * k) for x, k in zip(C, (1.0, 0.0), strict=False))
+
+
+def _with_diagonal(C: Array, more: Array) -> Array:
+    """Add rows and columns with a diagonal, shape (n, n_more), to C."""
+    n_v, size = C.shape[1], C.shape[1] + more.shape[1]
+    whole = np.zeros((len(C), size, size), dtype=C.dtype)
+    whole[:, :n_v, :n_v] = C
+    rows = np.arange(n_v, size)
+    whole[:, rows, rows] = more
+    return whole
+
+
+def _refuse_folds(stretch: Array, owners: Array) -> None:
+    worst = np.min(stretch.real, axis=(1, 2))
+    if not np.all(worst > 0):
+        k = int(np.argmin(worst))
+        raise InvalidInputError(
+            str(owners[k]),
+            "dr_o/dx of the reference configuration must have a positive determinant everywhere",
+            f"{float(worst[k]):.3g} at the worst point",
+            "Use right-handed node frames, more elements along the curve or a thinner section.",
+        )
+
+
+@lru_cache(maxsize=8)
+def upper_triangle(n_y: int) -> tuple[Array, Array]:
+    """Row and column of each packed entry."""
+    rows, columns = np.triu_indices(n_y)
+    return rows, columns
+
+
+def packed_gram(Y: Array) -> Array:
+    """Packed Y Y^T; Y of shape (..., n_y, d), result (..., n_g)."""
+    return gram(Y, Y) / 2
+
+
+@final
+@dataclass(frozen=True)
+class StrainPlaces:
+    """Index of each strain of a section in the vector of strains; the first is a.a of the axis.
+
+    Indices i and j run over y and z. What stands behind `thickness` is of assumed strains only.
+    """
+
+    bending: Array  # a.b_i, the mean of assumed ones
+    squares: Array  # b_i.b_j
+    shears: Array  # c_i.a
+    slopes: Array  # c_i.b_j
+    thickness: Array  # c_i.c_j
+    turns: Array  # squares of curvatures and twist
+    waves: Array  # assumed curvatures less their means, as bending changes them
+    turned: Array  # and as a twist does
+
+    def count(self, assumed: bool) -> int:
+        """Return the number of strains of a section, with or without the assumed ones."""
+        return int(self.turned[-1] + 1 if assumed else self.turns[0])
+
+
+@lru_cache(maxsize=2)
+def strain_places(d: int) -> StrainPlaces:
+    """Return the places of the strains of sections in d dimensions."""
+    m = d - 1
+    pairs = np.zeros((m, m), dtype=int)
+    rows, columns = np.triu_indices(m)
+    pairs[rows, columns] = pairs[columns, rows] = np.arange(len(rows))
+    bending, slopes = 1 + np.arange(m), np.arange(m * m).reshape(m, m)
+    squares = np.max(bending) + 1 + pairs
+    shears = np.max(squares) + bending
+    slopes = np.max(shears) + 1 + slopes
+    thickness = np.max(slopes) + 1 + pairs
+    turns = np.max(thickness) + 1 + np.arange(turn_count(d))
+    waves = np.max(turns) + bending
+    turned = np.max(waves) + bending
+    return StrainPlaces(bending, squares, shears, slopes, thickness, turns, waves, turned)
+
+
+@lru_cache(maxsize=16)
+def section_strains(d: int, xi: tuple[float, ...], assumed: bool) -> Array:
+    """Return beta, shape (n_xi, n_s, n_g), with which strains of sections are beta g."""
+    place, axis, at = np.array(xi), Axis.of(d, np.array(xi)), strain_places(d)
+    beta = np.zeros((len(place), at.count(assumed), (2 * d + 1) * (d + 1)))
+    fields: _Exact | _Assumed = _Exact(axis)
+    if assumed:
+        fields = without_locking = _Assumed(d, place, axis)
+        beta[:, at.turns] = _squares(d)
+        for i in range(1, d):
+            beta[:, at.waves[i - 1]] = without_locking.wave(i)
+            beta[:, at.turned[i - 1]] = without_locking.turned(i)
+    beta[:, 0] = _gram(axis.a, axis.a)
+    for i in range(1, d):
+        beta[:, at.bending[i - 1]] = fields.curvature(i)
+        beta[:, at.shears[i - 1]] = fields.shear(i)
+        for j in range(1, d):
+            beta[:, at.squares[i - 1, j - 1]] = _gram(axis.b[i], axis.b[j])
+            beta[:, at.slopes[i - 1, j - 1]] = fields.slope(i, j)
+            beta[:, at.thickness[i - 1, j - 1]] = fields.thickness(i, j)
+    beta.setflags(write=False)
+    return beta
+
+
+def turn_count(d: int) -> int:
+    """Return how many rows of turns follow the components of strain."""
+    return 1 if d == 2 else 3
+
+
+def turn_stiffness(d: int, E: Array, nu: Array, straight: bool) -> Array:
+    """Stiffness of the turns: the diagonal of what follows C, shape (n, turn_count).
+
+    What is missing is (k - k_o)^2 (k^2 + k k_o + k_o^2) of a curvature or twist k, what is added
+    (k^2 - k_o^2)^2: the same for k_o = 0, and 4/3 of it near the reference of a curved beam, whose
+    volume is short by phi^2/12 of it, too: 1 - phi^2/12 - phi^2/2 + 2/3 share phi^2 = 1.
+    """
+    share, G = 1.0 if straight else 7 / 8, E / (2 * (1 + nu))
+    turns = [E / 6] if d == 2 else [E / 6, E / 6, G / 3]
+    return share * np.stack(turns, axis=-1)
+
+
+def components(d: int) -> tuple[tuple[int, int], ...]:
+    """Index pairs of the components of strain, normal ones first."""
+    return ((0, 0), (1, 1), (0, 1)) if d == 2 else ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+
+
+@final
+@dataclass(frozen=True)
+class Axis:
+    """Coefficients of r_x, its derivative, the section slopes and theirs, shape (n_xi, n_y) each.
+
+    Lists are by axis of the section; entry 0 is not used.
+    """
+
+    a: Array
+    a_xi: Array
+    c: tuple[Array, ...]
+    b: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, d: int, xi: Array) -> Axis:
+        """Return those of beams in d dimensions at places xi."""
+        shape, second = (len(xi), 2 * d + 1), d
+        a, a_xi = np.zeros(shape), np.zeros(shape)
+        a[:, 0] = end_weight_xi(xi)
+        a[:, 1], a[:, 1 + second] = slope_weights_xi(xi)
+        a_xi[:, 0], a_xi[:, 1], a_xi[:, 1 + second] = curvature_weights(xi)
+        c, b = [np.zeros(shape) for _ in range(d)], [np.zeros(shape) for _ in range(d)]
+        for i in range(1, d):
+            c[i][:, 1 + i], c[i][:, 1 + second + i] = 1 - xi, xi
+            b[i][:, 1 + i], b[i][:, 1 + second + i] = -1.0, 1.0
+        return cls(a, a_xi, tuple(c), tuple(b))
+
+
+@final
+@dataclass(frozen=True)
+class _Exact:
+    """Strains as the position field has them."""
+
+    axis: Axis
+
+    def curvature(self, i: int) -> Array:
+        return _gram(self.axis.a, self.axis.b[i])
+
+    def shear(self, i: int) -> Array:
+        return _gram(self.axis.c[i], self.axis.a)
+
+    def slope(self, i: int, j: int) -> Array:
+        return _gram(self.axis.c[i], self.axis.b[j])
+
+    def thickness(self, i: int, j: int) -> Array:
+        return _gram(self.axis.c[i], self.axis.c[j])
+
+
+@final
+class _Assumed:
+    """Strains that do not lock; see the module description."""
+
+    def __init__(self, d: int, xi: Array, axis: Axis) -> None:
+        self._axis, self._xi = axis, xi[:, None]
+        self._ends = _Exact(Axis.of(d, np.array([0.0, 1.0])))
+        self._middle = Axis.of(d, np.array([0.5]))
+
+    def curvature(self, i: int) -> Array:
+        """Return the mean of the assumed curvature: a . b_i at the middle of the element."""
+        return _gram(np.eye(1, self._middle.a.shape[-1]), self._middle.b[i])
+
+    def wave(self, i: int) -> Array:
+        """Return the part of the curvature that varies along the element with bending."""
+        middle, s = self._middle, 1 - 2 * self._xi
+        bent = self._ends.axis.a_xi[0] - middle.a_xi
+        wave = 0.5 * (s**2 - 1 / 3) * _gram(bent, middle.b[i]) - s * _gram(bent, middle.c[i])
+        return np.asarray(wave)
+
+    def turned(self, i: int) -> Array:
+        """Return the change of the curvature along the element by a twist."""
+        change = _gram(self._middle.a_xi, self._middle.b[i])
+        return np.asarray((0.5 - self._xi) * change)
+
+    def shear(self, i: int) -> Array:
+        return self._linear(self._ends.shear(i))
+
+    def slope(self, i: int, j: int) -> Array:
+        twist = _gram(self._axis.c[i], self._axis.b[j]) - _gram(self._axis.c[j], self._axis.b[i])
+        return np.asarray(0.5 * (np.diff(self._ends.thickness(i, j), axis=0) + twist))
+
+    def thickness(self, i: int, j: int) -> Array:
+        return self._linear(self._ends.thickness(i, j))
+
+    def _linear(self, ends: Array) -> Array:
+        return ends[0] * (1 - self._xi) + ends[1] * self._xi
+
+
+def _squares(d: int) -> Array:
+    """Coefficients of (l kappa)^2 about z, in space about y too and of the twist, in g.
+
+    At mid-element a'.a' = kappa_z^2 + kappa_y^2, b_2.b_2 = kappa_z^2 + tau^2 and
+    b_3.b_3 = kappa_y^2 + tau^2.
+    """
+    middle = Axis.of(d, np.array([0.5]))
+    bent = _gram(middle.a_xi, middle.a_xi)[0]
+    if d == 2:
+        return np.asarray(0.5 * (bent + _gram(middle.b[1], middle.b[1])[0]))[None]
+    first, second = (_gram(b, b)[0] for b in middle.b[1:])
+    squares = np.stack([bent + first - second, bent - first + second, first + second - bent])
+    return np.asarray(0.5 * squares)
+
+
+def _gram(u: Array, v: Array) -> Array:
+    """Coefficients of (sum u_i Y_i) . (sum v_j Y_j) in g."""
+    rows, columns = upper_triangle(u.shape[-1])
+    product = u[..., rows] * v[..., columns] + u[..., columns] * v[..., rows]
+    return product * np.where(rows == columns, 0.5, 1.0)
+
+
+@final
+@dataclass(frozen=True)
+class Fibres:
+    """Fibres of n elements, or their derivative with respect to a parameter."""
+
+    offsets: Array  # (n, n_s, 2): y and z over l
+    volume: Array  # (n, n_s): area that a fibre stands for, times l
+    # (n, 5): strains are multiplied by them: square roots of the shear factors along y and z, of
+    # what the torsion constant is to the polar moment about the centroid, and of what counts of the
+    # waves of curvature.
+    factors: Array
+    # (n, 3): radii of gyration about the centroid along y and z, and sqrt(J/A), over l.
+    radii: Array
+    stretch: Array  # (n, 2): axial strain that squares of curvatures take off
+    # (n, 2): what counts, about z and y, of terms that kinks of the axis would make stiff: one in
+    # slender elements, nothing in those that are shorter than the radii.
+    fade: Array
+    centroid: Array  # (n, 1, 2): y and z of them over l
+    shear_centre: Array  # (n, 1, 2)
+
+    def any(self) -> bool:
+        """Whether a number of the fibres is nonzero; radii and centroid follow from the others."""
+        parts = (self.offsets, self.volume, self.factors, self.shear_centre)
+        return any(bool(np.any(part)) for part in parts)
+
+    def axis(self) -> Fibres:
+        """All of the section in one fibre at the centroid."""
+        volume = self.volume.sum(axis=1, keepdims=True)
+        places = self.centroid, self.shear_centre
+        terms = self.factors, self.radii, self.stretch, self.fade
+        return Fibres(self.centroid, volume, *terms, *places)
+
+
+@final
+@dataclass(frozen=True)
+class Frames:
+    """Reference sections at places of n elements, or one for all where they are straight."""
+
+    is_straight: bool
+    normal: Array  # (n, n_xi, d): normal components of r_ox and b_oj
+    across: Array  # (n, n_xi, d, d - 1): components of these in the section
+    inverse: Array  # (n, n_xi, d - 1, d - 1): J_s^-1
+    det: Array  # (n, n_xi): determinant of J_s
+
+    @classmethod
+    def straight(cls, d: int) -> Frames:
+        """Return the frames of straight elements: unit vectors along the axes of the beam."""
+        normal, inverse = np.eye(d)[None, None, 0], np.eye(d - 1)[None, None]
+        return cls(True, normal, np.zeros((1, 1, d, d - 1)), inverse, np.ones((1, 1)))
+
+    @classmethod
+    def of(cls, Y: Array, xi: Array) -> Frames:
+        """Return those of reference vectors (n, n_y, d), which depend on no parameter."""
+        d = Y.shape[-1]
+        axis = Axis.of(d, xi)
+        slopes = np.stack([c @ Y for c in axis.c[1:]], axis=-1)
+        rest = np.stack([axis.a @ Y, *(b @ Y for b in axis.b[1:])], axis=-1)
+        axes = _section_axes(slopes)
+        J_s, along = (axes @ slopes)[..., 1:, :], np.swapaxes(axes @ rest, -1, -2)
+        return cls(False, along[..., 0], along[..., 1:], np.linalg.inv(J_s), np.linalg.det(J_s))
+
+    def stretch(self, offsets: Array) -> Array:
+        """Return j at fibres, shape (n, n_xi, n_f)."""
+        ones = self._ones(offsets, self.normal.shape[-1] - 1)
+        return np.asarray(np.einsum("...sk,...k->...s", ones, self.normal))
+
+    def strains(
+        self, at: Fibres, turns: int, shear_power: int, twist: Array | None = None
+    ) -> Array:
+        """Return strains and turns in s, shape (n, n_xi, n_f, n_v + turns, n_s).
+
+        `turns` says how many of them the energy has; `shear_power` is that of the factors in shears
+        and waves: 1 in those of the energy, 2 of the material. `twist`, (n, n_f, 2), has shears of
+        torsion over the rate of twist and l, where they are known; by default they are those of
+        sections that stay flat, with the factor.
+        """
+        d = self.normal.shape[-1]
+        places, pairs, m = strain_places(d), components(d), d - 1
+        y, j = self._ones(at.offsets, m), self.stretch(at.offsets)
+        q = -np.einsum("...sk,...kj,...ij->...si", y, self.across, self.inverse) / j[..., None]
+        shape = len(pairs) + turns, places.count(turns > 0)
+        R = np.zeros((*j.shape, *shape), dtype=q.dtype)
+        R[..., 0, 0] = 0.5 / j**2
+        inverse = self.inverse[:, :, None]
+        for i in range(m):
+            R[..., 0, places.bending[i]] = y[..., 1 + i] / j**2
+            for k in range(m):
+                square = 0.5 * y[..., 1 + i] * y[..., 1 + k] / j**2
+                R[..., 0, places.squares[i, k]] += square
+                at_ik = places.thickness[i, k]
+                R[..., 0, at_ik] -= 0.5 * q[..., i] * q[..., k]
+                for row, (a, b) in enumerate(pairs[1 : d * (d - 1) // 2 + 1], start=1):
+                    share = 0.5 if a == b else 1.0
+                    R[..., row, at_ik] += share * inverse[..., i, a - 1] * inverse[..., k, b - 1]
+        h = self._shears(at, shear_power, R.shape[-1], twist)
+        R[..., [pairs.index((0, a)) for a in range(1, d)], :] = np.swapaxes(inverse, -1, -2) @ h
+        true = h if shear_power == 2 else self._shears(at, 2, R.shape[-1], twist)
+        R[..., 0, :] += np.einsum("...i,...is->...s", q, true)
+        radii = at.radii[:, None, None, :turns]
+        R[..., len(pairs) + np.arange(turns), places.turns[:turns]] = radii
+        if turns and self.is_straight:
+            R[..., 0, places.turns[:m]] = -at.stretch[:, None, None, :m]
+        if turns:
+            R[..., 0, places.turned] = at.fade[:, None, None, :m] * R[..., 0, places.bending]
+            waves = at.factors[:, None, None, 3 : 3 + m] ** shear_power
+            R[..., 0, places.waves] = waves * R[..., 0, places.bending]
+        return R
+
+    def _shears(self, at: Fibres, power: int, count: int, given: Array | None) -> Array:
+        """Return h in s, shape (n, n_xi, n_f, d - 1, count)."""
+        m = self.normal.shape[-1] - 1
+        forms, factors = self._forms(count), at.factors**power
+        y, c, c_s = (x[:, None, :, :m] for x in (at.offsets, at.centroid, at.shear_centre))
+        twist = factors[:, 2] if given is None else np.zeros(1)
+        twist = np.where(np.eye(m) == 1, 1.0, twist[:, None, None])[:, None, None]
+        shear = factors[:, None, None, :m, None]
+        arms = shear * c_s[..., None, :] + twist * (y - c)[..., None, :]
+        arms = np.concatenate([np.broadcast_to(shear, (*arms.shape[:-1], 1)), arms], axis=-1)
+        h = np.einsum("...ij,...ijs->...is", arms, forms)
+        if given is not None and m == 2:
+            # r_y turns by G_zy and r_z by -G_yz: where they differ, the torque is that of their
+            # mean with the weights I_y and I_z.
+            squares = at.radii[:, :2] ** 2
+            w = (squares / np.sum(squares, axis=1, keepdims=True))[:, None, None, :, None]
+            rate = w[..., 0, :] * forms[..., 1, 1, :] - w[..., 1, :] * forms[..., 0, 2, :]
+            h = h + given[:, None, :, :, None] * rate[..., None, :]
+        return np.asarray(h / self.stretch(at.offsets)[..., None, None])
+
+    def _forms(self, count: int) -> Array:
+        """Return g_i, then G_ij, in s, shape (n, n_xi, 1, d - 1, d, count)."""
+        m = self.normal.shape[-1] - 1
+        places = strain_places(m + 1)
+        along = np.swapaxes(self.inverse @ np.swapaxes(self.across, -1, -2), -1, -2)
+        forms = np.zeros((*along.shape[:2], 1, m, m + 1, count))
+        for i in range(m):
+            forms[..., 0, i, 0, places.shears[i]] = 1.0
+            forms[..., 0, i, 1 + np.arange(m), places.slopes[i]] = 1.0
+            forms[..., 0, i, :, places.thickness[i]] = -np.moveaxis(along, -1, 0)
+        return forms
+
+    @staticmethod
+    def _ones(offsets: Array, m: int) -> Array:
+        """1, y(, z), shape (n, 1, n_f, d)."""
+        return np.concatenate([np.ones_like(offsets[..., :1]), offsets[..., :m]], axis=-1)[:, None]
+
+
+def _section_axes(slopes: Array) -> Array:
+    """Rows: the normal of the section, r_y over its length, and what is across both in space.
+
+    Shear factors, and C without Poisson's effect, belong to these axes.
+    """
+    r_y = slopes[..., 0] / np.sqrt(np.sum(slopes[..., 0] ** 2, axis=-1, keepdims=True))
+    if slopes.shape[-2] == 2:
+        normal = np.stack([r_y[..., 1], -r_y[..., 0]], axis=-1)
+        return np.stack([normal, r_y], axis=-2)
+    normal = np.cross(r_y, slopes[..., 1])
+    normal = normal / np.sqrt(np.sum(normal**2, axis=-1, keepdims=True))
+    return np.stack([normal, r_y, np.cross(normal, r_y)], axis=-2)
