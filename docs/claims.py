@@ -100,12 +100,30 @@ def _speeds() -> dict[str, str]:
         "step_crank": _shown(step / 1e3, 1),
         "step_ten_thousand": _shown(speed[f"{size}step_of_10000_elements"] / 1e3, 1),
         "chain_of_100": _shown(speed["start.chain_of_100_bodies_assembled"]),
-        "assembly_1000": _shown(speed[f"{size}1000_elements_assembled"]),
-        "assembly_1000_heights": _shown(speed[f"{size}1_000_elements_assembled_with_their_heights"]),
         "tolerance_price": _shown(tolerance["price"]),
         "tolerance_held": _shown(100 * tolerance["held"]),
     }
 
 
+def _elements() -> dict[str, str]:
+    """Return errors of meshes, in per cent unless they are of a quarter circle."""
+    figures = _figures("elements")
+    shapes = {
+        "helix": ("helix", (8, 16, 32, 64)),
+        "shaft_half": ("shaft-at-0.5-of-its", (16, 32, 64)),
+        "shaft_near": ("shaft-at-0.9-of-its", (32, 64)),
+        "column_below": ("column-at-0.9-of-its", (4, 8, 16)),
+        "column_near": ("column-at-1.02-times-its", (4, 8, 16)),
+        "column_beyond": ("column-at-1.5-times-its", (4, 8, 16)),
+    }
+    claims = {
+        f"{name}_{n}": _shown(100 * figures[f"shape.{shape}.n{n}"])
+        for name, (shape, counts) in shapes.items()
+        for n in counts
+    }
+    circles = {f"quarter_circle_{n}": _shown(figures[f"circle.enhanced.n{n}"]) for n in (2, 4, 8)}
+    return claims | circles
+
+
 #: What stands for each name.
-CLAIMS = _methods() | _integrators() | _speeds()
+CLAIMS = _methods() | _integrators() | _speeds() | _elements()
