@@ -23,13 +23,13 @@ def _figures(report: str) -> dict[str, float]:
 
 
 def _shown(value: float, digits: int = 2) -> str:
-    """Return a number with so many significant digits that it can be read aloud, never as 1e+03."""
+    """Return a number with the significant digits that a reader can say aloud, never as 1e+03."""
     text = f"{value:.{digits}g}"
     return f"{float(text):,.0f}" if "e+" in text else text
 
 
 def _range(values: Collection[float]) -> str:
-    """Return one number, or the least and the largest; "not reached" if there are none."""
+    """Return one number, or the least and the largest; "not reached" for an empty list."""
     if not values:
         return "not reached"
     low, high = _shown(min(values), 1), _shown(max(values), 1)
@@ -49,7 +49,7 @@ def _cheapest(scene: str, error: float, groups: tuple[str, ...]) -> dict[str, fl
 
 
 def _methods() -> dict[str, str]:
-    """Return what derivatives cost: pages on methods of differentiation."""
+    """Return costs of derivatives, for pages on methods of differentiation."""
     speed, crank = _figures("performance"), _figures("crank-slider")
     step = "a_step_and_its_derivatives."
     directly = speed[f"{step}six_variables_directly_against_the_motion"]
@@ -70,7 +70,7 @@ def _methods() -> dict[str, str]:
 
 
 def _integrators() -> dict[str, str]:
-    """Return what accuracy costs: pages on integrators and steps."""
+    """Return costs of accuracies, for pages on integrators and steps."""
     second, high = ("HHT_fixed", "HHT_controlled"), ("high_order",)
     claims = {}
     for scene in _SCENES:
