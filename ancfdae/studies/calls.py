@@ -33,7 +33,7 @@ from ancfdae.studies.remedies import with_remedies
 
 if TYPE_CHECKING:
     from ancfdae.events.kinds import Event, Mode
-    from ancfdae.studies.tolerance.observables import ObservableEstimates
+    from ancfdae.studies.accuracy.search import ObservableEstimates
 
 # States of a run, the end included, at which strains are looked at: all would cost half a run.
 _LOOKS = 9
@@ -140,7 +140,7 @@ def simulate(
         return phased
     if tolerance is not None:
         _require_alone("tolerance", integrator=integrator, after=after, keep=keep)
-        from ancfdae.studies.tolerance.observables import observed_within
+        from ancfdae.studies.accuracy.search import observed_within
 
         return observed_within(system, observables, at, t_end, tolerance, progress)
     if observables is not None or at is not None:
@@ -362,7 +362,7 @@ def gradients(
         return gradients_with_events(made, objectives, method)
     if tolerance is not None:
         _require_alone("tolerance", integrator=integrator, memory=memory, after=after)
-        from ancfdae.studies.tolerance.gradients import gradients_within
+        from ancfdae.studies.accuracy.search import gradients_within
 
         return gradients_within(system, objectives, t_end, tolerance, method, progress)
     if memory is not None:
