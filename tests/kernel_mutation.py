@@ -1,4 +1,4 @@
-"""Flips in the compiled kernels (.github/CONTRIBUTING.md): python tests/kernel_mutation.py NUMBER SEED.
+"""Flips in the compiled kernels (see CONTRIBUTING.md): python tests/kernel_mutation.py NUMBER SEED.
 
 Writes one wrong sign, number, comparison or index at a time into the C++ sources, compiles without
 optimisation, and tells which flips tests/test_kernels.py and tests/test_march.py let pass.

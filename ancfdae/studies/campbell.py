@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import scipy
 
 from ancfdae.assembly.system import assemble
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_array, require_count, require_kind
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.text import columns
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.model.turning_frame import RotatingFrame
@@ -32,8 +33,8 @@ _CIRCLES = 0.5
 
 
 @final
-@dataclass(frozen=True)
-class Campbell:
+@dataclass(frozen=True, repr=False)
+class Campbell(PrintedTable):
     """Modes of a scene at several rates of its frame, each followed over all of them.
 
     Attributes
@@ -85,11 +86,17 @@ class Campbell:
         turned = self.rates[:, None] + np.sign(self.whirl) * self.frequencies
         return np.where(circles, turned, self.frequencies)
 
-    def __repr__(self) -> str:
+    def to_dataframe(self) -> Any:
+        """Return `frequencies` as a table of pandas: a row for each rate, a column a mode."""
+        index = pandas().Index(self.rates, name="rate")
+        names = [f"mode {j}" for j in range(self.exponents.shape[1])]
+        return pandas().DataFrame(self.frequencies, index=index, columns=names)
+
+    def _printed(self) -> TableText:
         head = ["rate", *(f"mode {j}" for j in range(self.exponents.shape[1]))]
         values = np.column_stack([self.rates, self.frequencies])
         rows = [[f"{x:.6g}" for x in row] for row in values]
-        return f"Frequencies in the turning frame, rad/s\n{columns([head, *rows])}"
+        return "Frequencies in the rotating frame, rad/s", [head, *rows], ""
 
 
 def campbell(

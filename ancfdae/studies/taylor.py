@@ -2,15 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.derived import design_sizes
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_array
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.text import columns
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
@@ -23,8 +24,8 @@ from ancfdae.studies.calls import differentiable, gradient
 
 
 @final
-@dataclass(frozen=True)
-class TaylorTest:
+@dataclass(frozen=True, repr=False)
+class TaylorTest(PrintedTable):
     """Remainders of zeroth and first order along one direction db of the design space.
 
     Attributes
@@ -54,14 +55,20 @@ class TaylorTest:
             orders = np.diff(np.log(self.first)) / np.diff(np.log(self.sizes))
         return float(np.min(np.where(np.isnan(orders), np.inf, orders)))
 
-    def __repr__(self) -> str:
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas with a row for each size: ``change`` and ``remainder``."""
+        table = {"size": self.sizes, "change": self.zeroth, "remainder": self.first}
+        return pandas().DataFrame(table)
+
+    def _printed(self) -> TableText:
         numbers = zip(self.sizes, self.zeroth, self.first, strict=True)
         rows = [("size", "change", "remainder")]
         rows += [(f"{s:.3g}", f"{change:.3g}", f"{rest:.3g}") for s, change, rest in numbers]
-        return (
+        head = (
             f"Taylor test of {self.gradient.value:.9g} by {self.gradient.method}: order "
-            f"{self.order:.3g}, a right gradient has 2\n{columns(rows)}"
+            f"{self.order:.3g}, a right gradient has 2"
         )
+        return head, rows, ""
 
 
 def taylor_test(
