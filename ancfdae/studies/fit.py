@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Generic, TypeVar, final
@@ -10,10 +11,13 @@ from typing import Generic, TypeVar, final
 import numpy as np
 import scipy
 
+from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_array, require_kind, require_positive
 from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.design import DesignVariable
 from ancfdae.numerics.arrays import Array
+from ancfdae.studies.calls import design_bounds
 from ancfdae.studies.responses import Evaluations
 
 R = TypeVar("R")
@@ -38,7 +42,8 @@ class ResidualFunction(abc.ABC):
     start : array, shape (n_b,)
         Design values of the model, each in its own unit.
     bounds : pair of arrays, shape (n_b,)
-        Lower and upper bounds of the design values; infinite where there are none.
+        Lower and upper bounds of the design values: of `DesignVariable`, and those beyond which a
+        part of a scene cannot take a value, such as zero for a modulus; else infinite.
     """
 
     bounds: tuple[Array, Array]
@@ -123,6 +128,17 @@ class ResidualFunction(abc.ABC):
         half = scipy.special.ndtri(0.5 * (1 + level)) * np.sqrt(np.diag(self.covariance(b)))
         limits = zip((b - half).tolist(), (b + half).tolist(), strict=True)
         return dict(zip(self.design_names, limits, strict=True))
+
+
+def fit_bounds(
+    system: MechanicalSystem, design: Sequence[str | DesignVariable] | None
+) -> tuple[Array, Array]:
+    """Return bounds of the design values: declared ones, and limits that parts of a scene set."""
+    lower, upper = design_bounds(system, design)
+    if isinstance(system, AncfSystem):
+        least, largest = system.value_limits()
+        lower, upper = np.maximum(lower, least), np.minimum(upper, largest)
+    return lower, upper
 
 
 @final

@@ -30,8 +30,8 @@ from ancfdae.sensitivity.objectives import NonFiniteObjectiveError
 from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import States, states_of
 from ancfdae.statics.equilibrium import NoEquilibriumError, find_equilibrium
-from ancfdae.studies.calls import design_bounds, differentiable
-from ancfdae.studies.fit import MeasuredFit
+from ancfdae.studies.calls import differentiable
+from ancfdae.studies.fit import MeasuredFit, fit_bounds
 from ancfdae.studies.modes import modes
 
 
@@ -94,7 +94,7 @@ class Misfit:
             End time, not before the last measurement; s.
         integrator : Integrator
         design : sequence of str or DesignVariable
-            What is to be found, as in `differentiate`; bounds of variables are those of the fit.
+            What is to be found, as in `differentiate`; see `bounds` of the result.
         """
         require_positive("t_end", t_end)
         if max(self.times) > t_end * (1 + 1e-12):
@@ -104,7 +104,7 @@ class Misfit:
         for observable in self.observables:
             observable.check(system)
         run = Run(system, float(t_end), integrator)
-        return RunResidualFunction(system, design_bounds(system, design), self, run)
+        return RunResidualFunction(system, fit_bounds(system, design), self, run)
 
 
 @final
@@ -211,7 +211,7 @@ class StaticMisfit:
         for observable in self.observables:
             observable.check(system)
         run = Run(system, 0.0, Static())
-        return RunResidualFunction(system, design_bounds(system, design), misfit, run)
+        return RunResidualFunction(system, fit_bounds(system, design), misfit, run)
 
 
 @final
@@ -248,7 +248,7 @@ class FrequencyMisfit:
     ) -> FrequencyFit:
         """Return residuals and Jacobian as functions of the design values; as `Misfit.fit`."""
         system = differentiable(model, design)
-        return FrequencyFit(system, design_bounds(system, design), self)
+        return FrequencyFit(system, fit_bounds(system, design), self)
 
 
 @final
