@@ -11,7 +11,7 @@ import scipy
 
 from ancfdae.assembly.system import assemble
 from ancfdae.equations.solution_parts import pandas
-from ancfdae.errors.checks import require_array, require_count, require_kind
+from ancfdae.errors.checks import require_array, require_count, require_flag, require_kind
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.model.design import DesignVariable, as_design
@@ -20,6 +20,7 @@ from ancfdae.model.turning_frame import RotatingFrame
 from ancfdae.modes.linearised import EPS
 from ancfdae.modes.result import ModeKind, Modes
 from ancfdae.numerics.arrays import Array, Numbers
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.statics.equilibrium import Equilibrium, NoEquilibriumError
 from ancfdae.studies.modes import modes
 from ancfdae.studies.statics import equilibrium
@@ -105,6 +106,7 @@ def campbell(
     count: int = 6,
     *,
     design: Sequence[str | DesignVariable] = (),
+    progress: bool = False,
 ) -> Campbell:
     """Return the lowest modes about steady rotation at several rates: a Campbell diagram.
 
@@ -122,15 +124,18 @@ def campbell(
         there may be a few more.
     design : sequence of str or DesignVariable
         What to differentiate in beside the rate.
+    progress : bool
+        Whether to show a progress bar, which counts the rates.
     """
     frame = _frame_of(scene)
+    require_flag("progress", progress)
     require_count("count", count, "Ask for one or more modes.")
     rates = require_array("rates", rates)
     if rates.ndim != 1 or not len(rates) or not np.all(np.diff(rates) > 0):
         rule = "must be a sequence that ascends"
         raise InvalidInputError("rates", rule, rates.tolist(), "For example [0, 50, 100].")
     variables, equilibria, lines = (_RATE, *design), list[Equilibrium](), list[_Lines]()
-    for rate in rates.tolist():
+    for rate in progress_bar(progress, rates.tolist(), desc="campbell", unit="rate"):
         turned = replace(scene, frame=replace(frame, rate=rate))
         at = equilibrium(turned, start=equilibria[-1] if equilibria else None)
         if not at.outcome.success:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Generic, TypeVar, final
 
@@ -182,10 +182,13 @@ class MeasuredFit(ResidualFunction, Generic[R]):
     ----------
     system : MechanicalSystem
     bounds : pair of arrays
+    progress : bool
+        Whether a progress bar counts the designs that were computed.
     """
 
     system: MechanicalSystem
     bounds: tuple[Array, Array]
+    progress: bool = field(default=False, kw_only=True)
 
     @property
     @abc.abstractmethod
@@ -233,4 +236,5 @@ class MeasuredFit(ResidualFunction, Generic[R]):
 
     @cached_property
     def _designs(self) -> Evaluations[R]:
-        return Evaluations(self.design_names, self.count, self.computed)
+        names, shown = self.design_names, self.progress
+        return Evaluations(names, self.count, self.computed, progress=shown)

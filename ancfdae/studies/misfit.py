@@ -84,6 +84,7 @@ class Misfit:
         integrator: Integrator,
         *,
         design: Sequence[str | DesignVariable] | None = None,
+        progress: bool = False,
     ) -> RunResidualFunction:
         """Return residuals and Jacobian as functions of the design values.
 
@@ -95,8 +96,11 @@ class Misfit:
         integrator : Integrator
         design : sequence of str or DesignVariable
             What is to be found, as in `differentiate`; see `bounds` of the result.
+        progress : bool
+            Whether to show a progress bar, which counts the designs that were computed.
         """
         require_positive("t_end", t_end)
+        require_flag("progress", progress)
         if max(self.times) > t_end * (1 + 1e-12):
             rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
             raise InvalidInputError("Misfit.times", rule, max(self.times), repair)
@@ -104,7 +108,8 @@ class Misfit:
         for observable in self.observables:
             observable.check(system)
         run = Run(system, float(t_end), integrator)
-        return RunResidualFunction(system, fit_bounds(system, design), self, run)
+        bounds = fit_bounds(system, design)
+        return RunResidualFunction(system, bounds, self, run, progress=progress)
 
 
 @final
@@ -203,15 +208,18 @@ class StaticMisfit:
         model: Scene | MechanicalSystem,
         *,
         design: Sequence[str | DesignVariable] | None = None,
+        progress: bool = False,
     ) -> RunResidualFunction:
         """Return residuals and Jacobian as functions of the design values; as `Misfit.fit`."""
+        require_flag("progress", progress)
         data, weights = np.asarray(self.data), np.asarray(self.weights)
         misfit = Misfit(self.observables, (0.0,), data[:, None], weights[:, None])
         system = differentiable(model, design)
         for observable in self.observables:
             observable.check(system)
         run = Run(system, 0.0, Static())
-        return RunResidualFunction(system, fit_bounds(system, design), misfit, run)
+        bounds = fit_bounds(system, design)
+        return RunResidualFunction(system, bounds, misfit, run, progress=progress)
 
 
 @final
@@ -245,10 +253,12 @@ class FrequencyMisfit:
         model: Scene | MechanicalSystem,
         *,
         design: Sequence[str | DesignVariable] | None = None,
+        progress: bool = False,
     ) -> FrequencyFit:
         """Return residuals and Jacobian as functions of the design values; as `Misfit.fit`."""
+        require_flag("progress", progress)
         system = differentiable(model, design)
-        return FrequencyFit(system, fit_bounds(system, design), self)
+        return FrequencyFit(system, fit_bounds(system, design), self, progress=progress)
 
 
 @final

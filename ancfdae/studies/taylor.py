@@ -9,7 +9,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.derived import design_sizes
 from ancfdae.equations.solution_parts import pandas
-from ancfdae.errors.checks import require_array
+from ancfdae.errors.checks import require_array, require_flag
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import Integrator
@@ -17,6 +17,7 @@ from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.modes.periods import advised
 from ancfdae.numerics.arrays import Array, Numbers
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.sensitivity.method import Gradient, GradientMethod, finished
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.states import states_of
@@ -81,6 +82,7 @@ def taylor_test(
     method: GradientMethod | None = None,
     direction: Numbers | None = None,
     sizes: Numbers = (1e-3, 5e-4, 2.5e-4),
+    progress: bool = False,
 ) -> TaylorTest:
     """Check the gradient of an objective by runs at perturbed designs.
 
@@ -95,7 +97,10 @@ def taylor_test(
     sizes : sequence of float
         Perturbation sizes, falling. Too large ones meet terms of third order, too small ones
         round-off; both change the observed order.
+    progress : bool
+        Whether to show a progress bar, which counts the perturbed runs.
     """
+    require_flag("progress", progress)
     system, s = differentiable(model, design), require_array("sizes", sizes)
     if s.ndim != 1 or len(s) < 2 or np.any(np.diff(s) >= 0) or s[-1] <= 0:
         raise InvalidInputError(
@@ -110,7 +115,7 @@ def taylor_test(
     base = gradient(system, objective, t_end, integrator, method=method)
     frozen = integrator.frozen(base.solution)
     changes = []
-    for size in s:
+    for size in progress_bar(progress, s.tolist(), desc="taylor_test", unit="run"):
         moved = system.with_values(system.b + size * db)
         run = finished(advised(moved, frozen.integrate(moved, t_end)))
         changes.append(objective.value(moved, states_of(run)) - base.value)
