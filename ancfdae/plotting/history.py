@@ -10,7 +10,7 @@ from ancfdae.equations import MechanicalSystem, Sensitivities, Solution
 from ancfdae.errors.checks import require_kind, require_positive
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.numerics.arrays import Array
-from ancfdae.plotting.charts import require_unit, settings
+from ancfdae.plotting.charts import require_label, settings
 from ancfdae.plotting.looks import COLOURS
 from ancfdae.sensitivity.observables.observable import Observable
 from ancfdae.sensitivity.observables.states import states_of
@@ -36,7 +36,8 @@ def history(
     solution : Solution
         From `differentiate`.
     observables : mapping of str to Observable
-        By label with unit, ``{"tip [m]": position(rod.at_end, 1)}``; one panel each.
+        By label, with its unit if it has one, ``{"tip [m]": position(rod.at_end, 1)}``; a panel
+        each.
     percent : float
         Change of each variable that the bands show, relative to its value; per cent.
 
@@ -72,7 +73,7 @@ def _check_observables(system: MechanicalSystem, observables: Mapping[str, Obser
         rule, repair = "needs at least one observable", "For example {'tip [m]': ...}."
         raise InvalidInputError("history", rule, "none", repair)
     for label, observable in observables.items():
-        require_unit("history, observables", label)
+        require_label("history, observables", label)
         require_kind("history, observable", observable, (Observable,), "For example position(...).")
         observable.check(system)
 
