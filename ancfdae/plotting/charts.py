@@ -62,7 +62,7 @@ _SETTINGS: Final[dict[str, object]] = {
 }
 
 
-# What files tell of their making, by suffix: nothing that changes from run to run.
+# Metadata of files by suffix: nothing that changes from run to run.
 _METADATA: Final[dict[str, dict[str, str | None]]] = {
     ".svg": {"Date": None, "Creator": "ancfdae"},
     ".png": {"Software": "ancfdae"},

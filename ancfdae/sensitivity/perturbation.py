@@ -35,7 +35,7 @@ class Perturbation(Method):
 
     @abc.abstractmethod
     def sizes_of(self, system: MechanicalSystem) -> Array:
-        """Return what the changes of the design variables are relative to, shape (n_b,)."""
+        """Return sizes that changes of the design variables are relative to, shape (n_b,)."""
 
     @abc.abstractmethod
     def changes(self, size: float) -> Sequence[complex]:

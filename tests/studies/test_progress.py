@@ -73,7 +73,7 @@ def test_a_bar_counts_only_on_request(name, capsys):
     assert end in shown
     if name == "designs":
         assert shown.count("3design[") >= 4
-        assert "4design" not in shown
+        assert "\r4design" not in shown
 
 
 def test_the_bar_of_a_search_ends_at_the_part_of_the_way_to_the_critical_load(capsys):
