@@ -23,11 +23,16 @@ from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
-from ancfdae.sensitivity.along_runs import warn_near_singular
-from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRunError
+from ancfdae.sensitivity.method import (
+    Gradient,
+    GradientMethod,
+    Method,
+    Run,
+    UnfinishedRunError,
+    warn_near_singular,
+)
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import Observable, states_of
 from ancfdae.studies.parts import Keep, RunOfParts
 from ancfdae.studies.remedies import with_remedies
 

@@ -35,8 +35,7 @@ from ancfdae.modes.result import ModeKind, Modes
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.sensitivity.method import Run, finished
 from ancfdae.sensitivity.objectives import NonFiniteObjectiveError
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import States, states_of
+from ancfdae.sensitivity.observables.observable import Observable, States, states_of
 from ancfdae.statics.equilibrium import NoEquilibriumError, find_equilibrium
 from ancfdae.studies.calls import design_bounds, differentiable
 from ancfdae.studies.modes import modes

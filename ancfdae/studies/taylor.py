@@ -20,7 +20,7 @@ from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.sensitivity.method import Gradient, GradientMethod, finished
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
 from ancfdae.studies.accuracy.bars import observed_order
 from ancfdae.studies.calls import differentiable, gradient
 

@@ -72,13 +72,13 @@ from ancfdae.plotting import (
     snapshots,
     write_vtk,
 )
-from ancfdae.plotting.bars import bar_places
-from ancfdae.plotting.glyphs import Glyphs
+from ancfdae.plotting.derivatives import bar_places
 from ancfdae.plotting.mechanism import mechanism
-from ancfdae.plotting.page import page_data
+from ancfdae.plotting.painters import Glyphs
+from ancfdae.plotting.pictures import page_data
 from ancfdae.plotting.shapes import BeamMesh
 from ancfdae.sections import Circle, GeneralSection, ISection, Rectangle, Tube
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
 
 STEEL = Material(2700, 1e8, 0.3)
 DESIGN = ["rod.height", "rod.length"]

@@ -69,7 +69,7 @@ def test_the_names_of_a_first_program_load_no_study_of_another_kind() -> None:
     unused |= {"ancfdae.studies.accuracy", "ancfdae.integrators.radau", "ancfdae.statics"}
     unused |= {"ancfdae.integrators.explicit", "ancfdae.equations.conformance"}
     unused |= {"ancfdae.model.joints.drive", "ancfdae.model.loads.springs"}
-    unused |= {"ancfdae.sensitivity.observables.stress", "ancfdae.equations.solution_file"}
+    unused |= {"ancfdae.sensitivity.observables.sections", "ancfdae.equations.solution_file"}
     assert loaded & unused == set()
     packages = packages_after(program)
     assert third_party(packages) == {"numpy", "scipy"}

@@ -32,8 +32,8 @@ from ancfdae.errors import (
 from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.observables.mass import mass
 from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.points import position, slope_angle
 from ancfdae.sensitivity.observables.quantities import elapsed_time, reaction
-from ancfdae.sensitivity.observables.vectors import position, slope_angle
 
 RUBBER = Material(density=1100.0, youngs_modulus=2e6, poisson_ratio=0.3, damping_time=2e-3)
 STEP, END = 2**-7, 0.5

@@ -25,7 +25,7 @@ from ancfdae.equations import ErrorEstimates
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.observables import position, reaction, velocity
 from ancfdae.sections import Rectangle
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
 from ancfdae.studies.accuracy.features import RESOLVED, _smooth, features, passed_over
 from ancfdae.studies.accuracy.hht_runs import HHTRuns
 from ancfdae.studies.accuracy.places import Seen, Witness

@@ -46,7 +46,7 @@ from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import DirectDifferentiation
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
 from ancfdae.studies.accuracy.bars import (
     MESH_ORDER,
     ORDERLESS,

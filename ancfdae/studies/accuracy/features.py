@@ -28,8 +28,7 @@ from ancfdae.errors.kinds import AncfdaeError
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.pulses import SAMPLES, Pulses, find_pulses
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import Observable, States
 
 # Intervals of the samples of a system that is called once an instant; laws of scenes take arrays.
 _CALLS = 2**10

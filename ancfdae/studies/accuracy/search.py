@@ -43,11 +43,9 @@ from ancfdae.sensitivity.method import (
 )
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import ObjectivePartials
-from ancfdae.sensitivity.objectives.reductions import OverTime, SmoothUpperBound
-from ancfdae.sensitivity.objectives.totals import read_at_end
+from ancfdae.sensitivity.objectives.reductions import OverTime, SmoothUpperBound, read_at_end
 from ancfdae.sensitivity.observables.expression import leaves
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import States, states_of
+from ancfdae.sensitivity.observables.observable import Observable, States, states_of
 from ancfdae.studies.accuracy.bars import Estimate
 from ancfdae.studies.accuracy.features import features
 from ancfdae.studies.accuracy.hht_runs import HHTRuns

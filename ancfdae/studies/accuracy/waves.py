@@ -35,7 +35,7 @@ from ancfdae.errors.kinds import AncfdaeError
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.objectives.objective import ObjectivePartials
-from ancfdae.sensitivity.observables.states import States, states_of
+from ancfdae.sensitivity.observables.observable import States, states_of
 
 # Second differences in a row of which the least counts.
 _ROW = 4
