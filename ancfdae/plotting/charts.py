@@ -151,7 +151,8 @@ _LEGEND_CHARACTER: Final = 0.085  # inches, above the mean at the legend's font 
 _LEGEND_HANDLE: Final = 0.75  # inches: line sample and gaps beside each label
 _LEGEND_ROW: Final = 0.25  # inches
 _MARKERS_ON_LINE: Final = 15
-_UNIT: Final = re.compile(r"\S.*\[[^\[\]]+\]$")
+# A text without brackets, or one before a unit in brackets.
+_LABEL: Final = re.compile(r"[^\[\]]*[^\[\]\s][^\[\]]*(\[[^\[\]]+\])?")
 _SETTINGS: Final[dict[str, object]] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -165,6 +166,11 @@ _SETTINGS: Final[dict[str, object]] = {
 }
 
 
+# Metadata of files by suffix: nothing that changes from run to run.
+_METADATA: Final[dict[str, dict[str, str | None]]] = {
+    ".svg": {"Date": None, "Creator": "ancfdae"},
+    ".png": {"Software": "ancfdae"},
+}
 _SIZES: Final = {"font.size": 11.0, "axes.titlesize": 12.0, "legend.fontsize": 10.0}
 
 
@@ -227,7 +233,8 @@ class Panel:
     ----------
     title : str
     x_label, y_label : str
-        Quantity and unit, for example ``"t [s]"``; ``[-]`` for a number without unit.
+        Quantity and unit, for example ``"t [s]"``; a number without unit has its name alone,
+        ``"relative error"``.
     series : sequence of Series
         At least one, each label once.
     x_scale, y_scale : {"linear", "log"}
@@ -248,7 +255,7 @@ class Panel:
             )
         where = f"Panel {self.title!r}"
         for label in (self.x_label, self.y_label):
-            require_unit(where, label)
+            require_label(where, label)
         for scale in (self.x_scale, self.y_scale):
             if scale not in ("linear", "log"):
                 raise InvalidInputError(where, "a scale must be 'linear' or 'log'", repr(scale))
@@ -312,46 +319,50 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
     return figure
 
 
-def save(figure: Figure, path_without_suffix: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """Write a figure as SVG and PNG and return the two paths in that order.
+def save(figure: Figure, path: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """Write a figure to ``motion.png`` or ``motion.svg``, or to both if the name has no suffix.
 
-    The same figure gives the same bytes: the SVG carries no date and no random identifiers. Missing
-    folders are created; a path that ends with .svg or .png is refused. SaveError is raised as on a
-    full disk, and files that were there before are kept.
+    The same figure gives the same bytes: an SVG carries no date and no random identifiers. Missing
+    folders are created. SaveError is raised as on a full disk, and files that were there before are
+    kept.
+
+    Returns
+    -------
+    tuple of Path
+        The files that were written, of two the SVG first.
     """
-    require_kind("save, path", path_without_suffix, (str, os.PathLike), "Give the name of a file.")
-    path = Path(path_without_suffix)
-    if not path.name or path.suffix in (".svg", ".png"):
+    require_kind("save, path", path, (str, os.PathLike), "Give the name of a file.")
+    path = Path(path)
+    if not path.name:
         raise InvalidInputError(
-            "save",
-            "the path must be a name without suffix, as both .svg and .png are written",
-            repr(str(path)),
-            "For example 'figures/motion'.",
+            "save, path", "must name a file", repr(str(path)), "For example 'figures/motion.png'."
         )
     with saving("folder", path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-    svg, png = path.with_name(path.name + ".svg"), path.with_name(path.name + ".png")
+    if path.suffix in _METADATA:
+        files: tuple[Path, ...] = (path,)
+    else:
+        files = tuple(path.with_name(path.name + suffix) for suffix in _METADATA)
     layout = figure.get_layout_engine()
     with settings():
         # Laid out once for both: it takes as long as drawing.
         figure.draw_without_rendering()
         figure.set_layout_engine(None)
-        with replacing("figure", svg) as written:
-            figure.savefig(written, format="svg", metadata={"Date": None, "Creator": "ancfdae"})
-        with replacing("figure", png) as written:
-            figure.savefig(written, format="png", metadata={"Software": "ancfdae"})
+        for file in files:
+            with replacing("figure", file) as written:
+                figure.savefig(written, format=file.suffix[1:], metadata=_METADATA[file.suffix])
     figure.set_layout_engine(layout)
-    return svg, png
+    return files
 
 
-def require_unit(where: str, label: object) -> None:
-    """Refuse a label of an axis without a unit."""
-    if not isinstance(label, str) or not _UNIT.match(label):
+def require_label(where: str, label: object) -> None:
+    """Raise InvalidInputError unless a label of an axis names a quantity, and then its unit."""
+    if not isinstance(label, str) or not _LABEL.fullmatch(label):
         raise InvalidInputError(
             where,
-            "an axis label must end with its unit in brackets",
+            "an axis label must name a quantity and end with its unit in brackets if it has one",
             repr(label),
-            "Write 't [s]', or 'n [-]' for a number without unit.",
+            "Write 't [s]', or 'relative error' for a number without unit.",
         )
 
 

@@ -15,7 +15,7 @@ from ancfdae.errors.checks import require_kind, require_positive, require_text
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.plotting.charts import COLOURS, require_unit, settings
+from ancfdae.plotting.charts import COLOURS, require_label, settings
 from ancfdae.plotting.mechanism import Mechanism, mechanism
 from ancfdae.plotting.painters import canvas
 from ancfdae.plotting.shapes import BeamMesh
@@ -43,7 +43,8 @@ def history(
     solution : Solution
         From `differentiate`.
     observables : mapping of str to Observable
-        By label with unit, ``{"tip [m]": position(rod.at_end, 1)}``; one panel each.
+        By label, with its unit if it has one, ``{"tip [m]": position(rod.at_end, 1)}``; a panel
+        each.
     percent : float
         Change of each variable that the bands show, relative to its value; per cent.
 
@@ -79,7 +80,7 @@ def _check_observables(system: MechanicalSystem, observables: Mapping[str, Obser
         rule, repair = "needs at least one observable", "For example {'tip [m]': ...}."
         raise InvalidInputError("history", rule, "none", repair)
     for label, observable in observables.items():
-        require_unit("history, observables", label)
+        require_label("history, observables", label)
         require_kind("history, observable", observable, (Observable,), "For example position(...).")
         observable.check(system)
 

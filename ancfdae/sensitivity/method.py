@@ -23,7 +23,7 @@ from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_flag, require_kind
 from ancfdae.errors.kinds import AncfdaeError, InvalidInputError, SingularMatrix, StabilityWarning
 from ancfdae.errors.outcomes import PassFailed, Verdict, uninterrupted
-from ancfdae.errors.text import columns, page
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import Integrator, QuadratureIntegrator
 from ancfdae.integrators.prescribed_motion import nearest_to_singular, singular_position
 from ancfdae.integrators.recorder import Rows
@@ -126,8 +126,8 @@ class Trial:
     error: float
 
 
-@dataclass(frozen=True)
-class ToleranceSearch(abc.ABC):
+@dataclass(frozen=True, repr=False)
+class ToleranceSearch(PrintedTable):
     """Results that every call to a tolerance returns: the tolerance, the choice and all runs.
 
     Attributes
@@ -155,14 +155,14 @@ class ToleranceSearch(abc.ABC):
         """Processor time of all runs, s."""
         return sum(each.seconds for each in self.trials)
 
-    def __repr__(self) -> str:
+    def _runs(self) -> TableText:
         verdict = "reached" if self.reached else "NOT reached"
         rows = [("run", "steps", "seconds", "error")]
         for each in self.trials:
             numbers = str(each.steps or "not ended"), f"{each.seconds:.2g}", f"{each.error:.1g}"
             rows.append((type(each.integrator).__name__, *numbers))
         head = f"tolerance {self.tolerance:g} {verdict}, {self.seconds:.2g} s. {self.why}"
-        return f"{head}\n{columns(rows, shorten=False)}"
+        return head, rows, ""
 
 
 @final
@@ -196,6 +196,14 @@ class Accuracy(ToleranceSearch):
     value_bar: float
     gradient_bar: Array
 
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas with a row for each run, in their order."""
+        rows = [(repr(run.integrator), run.steps, run.seconds, run.error) for run in self.trials]
+        return pandas().DataFrame(rows, columns=["run", "steps", "seconds", "error"])
+
+    def _printed(self) -> TableText:
+        return self._runs()
+
 
 @final
 class UnfinishedRunError(AncfdaeError):
@@ -210,8 +218,8 @@ class UnfinishedRunError(AncfdaeError):
 
 
 @final
-@dataclass(frozen=True)
-class Gradient:
+@dataclass(frozen=True, repr=False)
+class Gradient(PrintedTable):
     """Value and gradient of an objective.
 
     Attributes
@@ -262,14 +270,7 @@ class Gradient:
         table.attrs["objective"] = self.value
         return table
 
-    def __repr__(self) -> str:
-        head, rows, tail = self._table()
-        return f"{head}\n{columns(rows)}\n{tail}"
-
-    def _repr_html_(self) -> str:
-        return page(*self._table())
-
-    def _table(self) -> tuple[str, list[tuple[str, str]], str]:
+    def _printed(self) -> TableText:
         slopes = [f"{slope:.6g}" for slope in self.gradient]
         value, end = f"{self.value:.9g}", str(self.solution.outcome)
         if self.accuracy is not None:

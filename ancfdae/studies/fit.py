@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Generic, TypeVar, final
 
 import numpy as np
 import scipy
 
+from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import (
@@ -62,7 +63,8 @@ class ResidualFunction(abc.ABC):
     start : array, shape (n_b,)
         Design values of the model, each in its own unit.
     bounds : pair of arrays, shape (n_b,)
-        Lower and upper bounds of the design values; infinite where there are none.
+        Lower and upper bounds of the design values: of `DesignVariable`, and those beyond which a
+        part of a scene cannot take a value, such as zero for a modulus; else infinite.
     """
 
     bounds: tuple[Array, Array]
@@ -149,6 +151,17 @@ class ResidualFunction(abc.ABC):
         return dict(zip(self.design_names, limits, strict=True))
 
 
+def fit_bounds(
+    system: MechanicalSystem, design: Sequence[str | DesignVariable] | None
+) -> tuple[Array, Array]:
+    """Return bounds of the design values: declared ones, and limits that parts of a scene set."""
+    lower, upper = design_bounds(system, design)
+    if isinstance(system, AncfSystem):
+        least, largest = system.value_limits()
+        lower, upper = np.maximum(lower, least), np.minimum(upper, largest)
+    return lower, upper
+
+
 @final
 class JointFit(ResidualFunction):
     """Residuals of two fits of the same design variables, one after the other."""
@@ -190,10 +203,13 @@ class MeasuredFit(ResidualFunction, Generic[R]):
     ----------
     system : MechanicalSystem
     bounds : pair of arrays
+    progress : bool
+        Whether a progress bar counts the designs that were computed.
     """
 
     system: MechanicalSystem
     bounds: tuple[Array, Array]
+    progress: bool = field(default=False, kw_only=True)
 
     @property
     @abc.abstractmethod
@@ -241,7 +257,8 @@ class MeasuredFit(ResidualFunction, Generic[R]):
 
     @cached_property
     def _designs(self) -> Evaluations[R]:
-        return Evaluations(self.design_names, self.count, self.computed)
+        names, shown = self.design_names, self.progress
+        return Evaluations(names, self.count, self.computed, progress=shown)
 
 
 @final
@@ -293,6 +310,7 @@ class Misfit:
         integrator: Integrator,
         *,
         design: Sequence[str | DesignVariable] | None = None,
+        progress: bool = False,
     ) -> RunResidualFunction:
         """Return residuals and Jacobian as functions of the design values.
 
@@ -303,9 +321,12 @@ class Misfit:
             End time, not before the last measurement; s.
         integrator : Integrator
         design : sequence of str or DesignVariable
-            What is to be found, as in `differentiate`; bounds of variables are those of the fit.
+            What is to be found, as in `differentiate`; see `bounds` of the result.
+        progress : bool
+            Whether to show a progress bar, which counts the designs that were computed.
         """
         require_positive("t_end", t_end)
+        require_flag("progress", progress)
         if max(self.times) > t_end * (1 + 1e-12):
             rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
             raise InvalidInputError("Misfit.times", rule, max(self.times), repair)
@@ -313,7 +334,8 @@ class Misfit:
         for observable in self.observables:
             observable.check(system)
         run = Run(system, float(t_end), integrator)
-        return RunResidualFunction(system, design_bounds(system, design), self, run)
+        bounds = fit_bounds(system, design)
+        return RunResidualFunction(system, bounds, self, run, progress=progress)
 
 
 @final
@@ -412,15 +434,18 @@ class StaticMisfit:
         model: Scene | MechanicalSystem,
         *,
         design: Sequence[str | DesignVariable] | None = None,
+        progress: bool = False,
     ) -> RunResidualFunction:
         """Return residuals and Jacobian as functions of the design values; as `Misfit.fit`."""
+        require_flag("progress", progress)
         data, weights = np.asarray(self.data), np.asarray(self.weights)
         misfit = Misfit(self.observables, (0.0,), data[:, None], weights[:, None])
         system = differentiable(model, design)
         for observable in self.observables:
             observable.check(system)
         run = Run(system, 0.0, Static())
-        return RunResidualFunction(system, design_bounds(system, design), misfit, run)
+        bounds = fit_bounds(system, design)
+        return RunResidualFunction(system, bounds, misfit, run, progress=progress)
 
 
 @final
@@ -454,10 +479,12 @@ class FrequencyMisfit:
         model: Scene | MechanicalSystem,
         *,
         design: Sequence[str | DesignVariable] | None = None,
+        progress: bool = False,
     ) -> FrequencyFit:
         """Return residuals and Jacobian as functions of the design values; as `Misfit.fit`."""
+        require_flag("progress", progress)
         system = differentiable(model, design)
-        return FrequencyFit(system, design_bounds(system, design), self)
+        return FrequencyFit(system, fit_bounds(system, design), self, progress=progress)
 
 
 @final

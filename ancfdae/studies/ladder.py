@@ -11,15 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final, Literal, final
+from typing import Any, Final, Literal, final
 
 import numpy as np
 
 from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_count, require_flag, require_kind, require_positive
 from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
-from ancfdae.errors.text import columns
+from ancfdae.errors.text import PrintedTable, TableText, columns
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
@@ -149,8 +150,8 @@ class NoAccurateModelError(AncfdaeError):
 
 
 @final
-@dataclass(frozen=True)
-class ModelComparison:
+@dataclass(frozen=True, repr=False)
+class ModelComparison(PrintedTable):
     """Rungs of a ladder of models, the richest one last.
 
     Attributes
@@ -171,9 +172,27 @@ class ModelComparison:
     mesh_bar: Array
     mesh_orders: Array
 
-    def __repr__(self) -> str:
-        """Return the table of all models, runs and errors."""
-        return self.table()
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas with a row for each run: model, step, cost, error and parts.
+
+        The error is that in the value or the gradient, whichever is larger (``of``).
+        """
+        rows = [
+            {
+                "model": each.rung.name,
+                "elements": each.rung.elements,
+                "step": each.run.step,
+                "seconds": each.run.seconds,
+                "of": each.of,
+                "error": each.error,
+                **each.parts,
+            }
+            for each in self.choices()
+        ]
+        return pandas().DataFrame(rows)
+
+    def _printed(self) -> TableText:
+        return "", self._table(), self._foot()
 
     @property
     def richest(self) -> ModelVariant:
@@ -227,13 +246,18 @@ class ModelComparison:
         The step shown is the longest one with which the rung is within the tolerance in both value
         and gradient, or, for a rung that never is, the step with the smallest error.
         """
+        return f"{columns(self._table(), shorten=False)}\n{self._foot()}"
+
+    def _table(self) -> list[list[str]]:
         head = ["model", "elements", *(f"{of}: {part}" for of in KINDS for part in _PARTS[:2])]
         rows = [[*head, "step", "steps err", "seconds", "no influence / outcome"]]
-        rows += [self._cells(rung) for rung in self.rungs]
+        return rows + [self._cells(rung) for rung in self.rungs]
+
+    def _foot(self) -> str:
         orders = ", ".join(f"{x:.2g}" for x in self.mesh_orders if np.isfinite(x)) or "not seen"
         exact = self.richest.numbers
         bars = ", ".join(f"{of} {error(self.mesh_bar, exact, of):.2g}" for of in KINDS)
-        return f"{columns(rows, shorten=False)}\nmesh of the last: {bars}; orders {orders}"
+        return f"mesh of the last: {bars}; orders {orders}"
 
     def choice(self, rung: ModelVariant, run: VariantRun, of: ErrorOf | None = None) -> ModelChoice:
         """Return a run of a rung with the parts of its error; `of` as in `recommend`."""

@@ -6,7 +6,7 @@ import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 import scipy
@@ -15,6 +15,7 @@ from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import force_total, held_pull_back, held_q, held_total
 from ancfdae.equations.saddle_points import saddle_point, solve, solve_transposed
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import (
     require_array,
     require_count,
@@ -23,7 +24,7 @@ from ancfdae.errors.checks import (
     require_positive,
 )
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.text import columns
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.start import (
     Covectors,
     consistent_start,
@@ -40,6 +41,7 @@ from ancfdae.modes.periods import StepSuggestion, suggestion
 from ancfdae.modes.result import ModeKind, Modes
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.statics.derivatives import Tangent
@@ -264,8 +266,8 @@ _CIRCLES = 0.5
 
 
 @final
-@dataclass(frozen=True)
-class Campbell:
+@dataclass(frozen=True, repr=False)
+class Campbell(PrintedTable):
     """Modes of a scene at several rates of its frame, each followed over all of them.
 
     Attributes
@@ -317,11 +319,17 @@ class Campbell:
         turned = self.rates[:, None] + np.sign(self.whirl) * self.frequencies
         return np.where(circles, turned, self.frequencies)
 
-    def __repr__(self) -> str:
+    def to_dataframe(self) -> Any:
+        """Return `frequencies` as a table of pandas: a row for each rate, a column a mode."""
+        index = pandas().Index(self.rates, name="rate")
+        names = [f"mode {j}" for j in range(self.exponents.shape[1])]
+        return pandas().DataFrame(self.frequencies, index=index, columns=names)
+
+    def _printed(self) -> TableText:
         head = ["rate", *(f"mode {j}" for j in range(self.exponents.shape[1]))]
         values = np.column_stack([self.rates, self.frequencies])
         rows = [[f"{x:.6g}" for x in row] for row in values]
-        return f"Frequencies in the turning frame, rad/s\n{columns([head, *rows])}"
+        return "Frequencies in the rotating frame, rad/s", [head, *rows], ""
 
 
 def campbell(
@@ -330,6 +338,7 @@ def campbell(
     count: int = 6,
     *,
     design: Sequence[str | DesignVariable] = (),
+    progress: bool = False,
 ) -> Campbell:
     """Return the lowest modes about steady rotation at several rates: a Campbell diagram.
 
@@ -347,15 +356,18 @@ def campbell(
         there may be a few more.
     design : sequence of str or DesignVariable
         What to differentiate in beside the rate.
+    progress : bool
+        Whether to show a progress bar, which counts the rates.
     """
     frame = _frame_of(scene)
+    require_flag("progress", progress)
     require_count("count", count, "Ask for one or more modes.")
     rates = require_array("rates", rates)
     if rates.ndim != 1 or not len(rates) or not np.all(np.diff(rates) > 0):
         rule = "must be a sequence that ascends"
         raise InvalidInputError("rates", rule, rates.tolist(), "For example [0, 50, 100].")
     variables, equilibria, lines = (_RATE, *design), list[Equilibrium](), list[_Lines]()
-    for rate in rates.tolist():
+    for rate in progress_bar(progress, rates.tolist(), desc="campbell", unit="rate"):
         turned = replace(scene, frame=replace(frame, rate=rate))
         at = equilibrium(turned, start=equilibria[-1] if equilibria else None)
         if not at.outcome.success:

@@ -28,7 +28,7 @@ import numpy as np
 from ancfdae.equations.files import saving
 from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.text import columns, listed, page
+from ancfdae.errors.text import PrintedTable, TableText, listed
 from ancfdae.sensitivity.method import Gradient
 
 _PLAIN = (str, int, float, complex, bytes, np.generic, type(None), type(...))
@@ -198,8 +198,8 @@ class SweepRow:
 
 
 @final
-@dataclass(frozen=True)
-class Sweep:
+@dataclass(frozen=True, repr=False)
+class Sweep(PrintedTable):
     """Results at many designs, in the order of the designs.
 
     Attributes
@@ -229,17 +229,7 @@ class Sweep:
         rows = [dict(row.values) | _cells(row.result) | {"error": row.error} for row in self.rows]
         return pandas().DataFrame(rows)
 
-    def __repr__(self) -> str:
-        return f"{self._head}\n{columns(self._cells())}"
-
-    def _repr_html_(self) -> str:
-        return page(self._head, self._cells())
-
-    @property
-    def _head(self) -> str:
-        return f"Sweep: {len(self.rows)} designs, {len(self.failed)} without result"
-
-    def _cells(self) -> list[tuple[str, str, str]]:
+    def _printed(self) -> TableText:
         cells = [
             (
                 str(k),
@@ -248,7 +238,8 @@ class Sweep:
             )
             for k, row in enumerate(self.rows)
         ]
-        return [("row", "design", "result"), *cells]
+        head = f"Sweep: {len(self.rows)} designs, {len(self.failed)} without result"
+        return head, [("row", "design", "result"), *cells], ""
 
 
 def _cells(result: Any) -> dict[str, Any]:

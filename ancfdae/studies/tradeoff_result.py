@@ -24,7 +24,7 @@ from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_positive
 from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
 from ancfdae.errors.outcomes import Verdict
-from ancfdae.errors.text import columns
+from ancfdae.errors.text import PrintedTable, TableText, columns
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.step_control import StepControl
 from ancfdae.numerics.arrays import Array
@@ -247,8 +247,8 @@ class TargetNotReachedError(AncfdaeError):
 
 
 @final
-@dataclass(frozen=True)
-class WorkPrecision:
+@dataclass(frozen=True, repr=False)
+class WorkPrecision(PrintedTable):
     """Cost against accuracy on one scene: settings in the order they were asked for.
 
     The error of the reference, which errors are measured against, is not known; errors below that
@@ -302,10 +302,9 @@ class WorkPrecision:
         ]
         return pandas().DataFrame(rows)
 
-    def __repr__(self) -> str:
-        """Return the reference and the first settings as a table."""
+    def _printed(self) -> TableText:
         header, *lines, reference = self._lines()
-        return columns([header, reference, *lines])
+        return "", [header, reference, *lines], ""
 
     def _lines(self) -> list[list[str]]:
         header = ["integrator", "setting", "CPU [s]", *_KINDS, "drift", "energy", "outcome"]
@@ -313,13 +312,15 @@ class WorkPrecision:
         lines[-1][0] += " (reference)"
         return lines
 
-    def plot(self, path: str | os.PathLike[str]) -> tuple[Path, Path]:
-        """Draw errors of states and gradient over processor time; return the SVG and the PNG.
+    def plot(self, path: str | os.PathLike[str]) -> tuple[Path, ...]:
+        """Draw errors of states and gradient over processor time, and save them.
+
+        Returns the files written: ``trade.png`` or ``trade.svg`` if the path ends so, else both.
 
         Raises
         ------
         InvalidInputError
-            If the path has a suffix, or no setting has an error that can be shown.
+            If no setting has an error that can be shown.
         """
         from ancfdae import plotting
 
@@ -333,7 +334,7 @@ class WorkPrecision:
             Panel(
                 f"Error of the {of}",
                 "processor time [s]",
-                "relative error [-]",
+                "relative error",
                 self._series(of),
                 x_scale="log",
                 y_scale="log",

@@ -26,16 +26,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.derived import design_sizes
 from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.text import columns
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import DefectIntegrator, Integrator, Seeds
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
@@ -65,8 +66,8 @@ _Mesh: TypeAlias = tuple[Scene | MechanicalSystem, _Design]
 
 
 @final
-@dataclass(frozen=True)
-class ErrorBars:
+@dataclass(frozen=True, repr=False)
+class ErrorBars(PrintedTable):
     """An objective and its gradient with estimates of their discretisation error.
 
     Attributes
@@ -120,8 +121,18 @@ class ErrorBars:
         bar: Array = np.sum([part[1:] for part in self.parts.values()], axis=0)
         return bar
 
-    def __repr__(self) -> str:
-        """Return value and derivatives with their bars, and how the finest run ended."""
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas: the objective and its derivatives, with values and bars."""
+        table: dict[str, object] = {
+            "value": [self.value, *self.gradient],
+            "extrapolated": [self.extrapolated_value, *self.extrapolated_gradient],
+            "bar": [self.value_bar, *self.gradient_bar],
+            **{f"bar of {name}": part for name, part in self.parts.items()},
+            "order": self.orders,
+        }
+        return pandas().DataFrame(table, index=["objective", *self.names])
+
+    def _printed(self) -> TableText:
         small: dict[str, Sequence[float] | Array]
         small = {"bar": (self.value_bar, *self.gradient_bar), "order": self.orders}
         if "mesh" in self.parts:
@@ -142,7 +153,7 @@ class ErrorBars:
         }
         finest = self.runs[-1].solution.outcome
         end = f"waves resolved: {known[self.resolved]}\nfinest run: {finest}"
-        return f"{columns(rows)}\n{end}"
+        return "", rows, end
 
 
 def error_bars(

@@ -9,13 +9,14 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.equations.derived import design_sizes
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_each, require_flag, require_positive
 from ancfdae.errors.kinds import (
     InvalidInputError,
@@ -24,7 +25,7 @@ from ancfdae.errors.kinds import (
     ToleranceWarning,
 )
 from ancfdae.errors.outcomes import uninterrupted
-from ancfdae.errors.text import columns
+from ancfdae.errors.text import TableText, plain
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.numerics.arrays import Array
@@ -381,12 +382,19 @@ class ObservableEstimates(ToleranceSearch):
     bars: Array
     solution: Solution
 
-    def __repr__(self) -> str:
+    def to_dataframe(self) -> Any:
+        """Return values and bars over time as a table of pandas, with t as its index."""
+        names = range(self.values.shape[1])
+        table = dict(zip(map(str, names), self.values.T, strict=True))
+        table |= {f"bar of {k}": bar for k, bar in zip(names, self.bars.T, strict=True)}
+        return pandas().DataFrame(table, index=pandas().Index(self.t, name="t"))
+
+    def _printed(self) -> TableText:
         rows = [["observable", "last value"]]
         last = zip(self.values[-1], self.bars[-1], strict=True)
         rows += [[str(k), f"{x:.9g} +- {bar:.1g}"] for k, (x, bar) in enumerate(last)]
         head = f"ObservableEstimates: {len(self.t)} instants to t = {self.t[-1]:.6g}"
-        return f"{head}\n{columns(rows)}\n{super().__repr__()}"
+        return head, rows, plain(*self._runs())
 
 
 def observed_within(
