@@ -262,7 +262,8 @@ class ModelComparison(PrintedTable):
     def choice(self, rung: ModelVariant, run: VariantRun, of: ErrorOf | None = None) -> ModelChoice:
         """Return a run of a rung with the parts of its error; `of` as in `recommend`."""
         exact, numbers = self.richest.numbers, rung.numbers
-        finest = max((x for x in self.rungs if x.name == rung.name and x.runs), key=_level)
+        alike = [x for x in self.rungs if x.name == rung.name and x.runs]
+        finest = max(alike, key=lambda x: x.level)
         sizes = (
             np.abs(finest.numbers - exact),
             np.abs(numbers - finest.numbers),
@@ -313,10 +314,6 @@ def error(difference: Array, exact: Array, of: ErrorOf) -> float:
     rows = slice(1) if of == "objective" else slice(1, None)
     size, whole = (float(np.linalg.norm(x[rows])) for x in (difference, exact))
     return ratio(size, whole)
-
-
-def _level(rung: ModelVariant) -> int:
-    return rung.level
 
 
 # Share of the tolerance that the step of the finest run may take, or the last doubled mesh.

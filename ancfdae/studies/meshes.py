@@ -122,7 +122,8 @@ def model_kinds(scene: Scene, alternatives: Mapping[str, Scene]) -> Iterator[Kin
         others = [beam for beam in soft if beam is not only]
         yield Kind(f"only {only.name} deforms", partial(_exchanged, scene, others, _rigid))
     for element in ALL_ELEMENTS:
-        richer = [beam for beam in soft if _simplifies(element, beam)]
+        fitting = [beam for beam in soft if beam.dimension == element.d]
+        richer = [beam for beam in fitting if beam.element.n_s > element.n_s]
         if richer:
             modelled = partial(_with_element, element=element)
             yield Kind(f"all {element.name}", partial(_exchanged, scene, richer, modelled))
@@ -143,10 +144,6 @@ def _exchanged(
 
 def _rigid(beam: BeamBody) -> BeamBody:
     return replace(beam, rigid=True, initial_strain=0.0)  # type: ignore[type-var]
-
-
-def _simplifies(element: BeamElement, beam: BeamBody) -> bool:
-    return element.d == beam.dimension and element.n_s < beam.element.n_s
 
 
 def _with_element(beam: BeamBody, element: BeamElement) -> BeamBody:

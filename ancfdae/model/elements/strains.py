@@ -338,24 +338,41 @@ def strain_places(d: int) -> StrainPlaces:
 
 @lru_cache(maxsize=16)
 def section_strains(d: int, xi: tuple[float, ...], assumed: bool) -> Array:
-    """Return beta, shape (n_xi, n_s, n_g), with which strains of sections are beta g."""
-    place, axis, at = np.array(xi), Axis.of(d, np.array(xi)), strain_places(d)
-    beta = np.zeros((len(place), at.count(assumed), (2 * d + 1) * (d + 1)))
-    fields: _Exact | _Assumed = _Exact(axis)
-    if assumed:
-        fields = without_locking = _Assumed(d, place, axis)
-        beta[:, at.turns] = _squares(d)
-        for i in range(1, d):
-            beta[:, at.waves[i - 1]] = without_locking.wave(i)
-            beta[:, at.turned[i - 1]] = without_locking.turned(i)
+    """Return beta, shape (n_xi, n_s, n_g), with which strains of sections are beta g.
+
+    Assumed strains do not lock; see the module description.
+    """
+    x, axis, at = np.array(xi)[:, None], Axis.of(d, np.array(xi)), strain_places(d)
+    ends, middle = Axis.of(d, np.array([0.0, 1.0])), Axis.of(d, np.array([0.5]))
+    chord, bent = np.eye(1, axis.a.shape[-1]), ends.a_xi[0] - middle.a_xi
+    beta = np.zeros((len(x), at.count(assumed), (2 * d + 1) * (d + 1)))
+
+    def linear(at_ends: Array) -> Array:
+        return at_ends[0] * (1 - x) + at_ends[1] * x
+
     beta[:, 0] = _gram(axis.a, axis.a)
     for i in range(1, d):
-        beta[:, at.bending[i - 1]] = fields.curvature(i)
-        beta[:, at.shears[i - 1]] = fields.shear(i)
+        c, b, k = axis.c[i], axis.b[i], i - 1
+        if assumed:
+            beta[:, at.bending[k]] = _gram(chord, middle.b[i])
+            beta[:, at.shears[k]] = linear(_gram(ends.c[i], ends.a))
+            # What varies along the element with bending, and by a twist.
+            s, wave = 1 - 2 * x, _gram(bent, middle.b[i])
+            beta[:, at.waves[k]] = 0.5 * (s**2 - 1 / 3) * wave - s * _gram(bent, middle.c[i])
+            beta[:, at.turned[k]] = (0.5 - x) * _gram(middle.a_xi, middle.b[i])
+        else:
+            beta[:, at.bending[k]], beta[:, at.shears[k]] = _gram(axis.a, b), _gram(c, axis.a)
         for j in range(1, d):
-            beta[:, at.squares[i - 1, j - 1]] = _gram(axis.b[i], axis.b[j])
-            beta[:, at.slopes[i - 1, j - 1]] = fields.slope(i, j)
-            beta[:, at.thickness[i - 1, j - 1]] = fields.thickness(i, j)
+            beta[:, at.squares[k, j - 1]] = _gram(b, axis.b[j])
+            slope, thickness = _gram(c, axis.b[j]), _gram(c, axis.c[j])
+            if assumed:
+                at_ends = _gram(ends.c[i], ends.c[j])
+                twist = slope - _gram(axis.c[j], b)
+                slope = 0.5 * (np.diff(at_ends, axis=0) + twist)
+                thickness = linear(at_ends)
+            beta[:, at.slopes[k, j - 1]], beta[:, at.thickness[k, j - 1]] = slope, thickness
+    if assumed:
+        beta[:, at.turns] = _squares(d)
     beta.setflags(write=False)
     return beta
 
@@ -408,65 +425,6 @@ class Axis:
             c[i][:, 1 + i], c[i][:, 1 + second + i] = 1 - xi, xi
             b[i][:, 1 + i], b[i][:, 1 + second + i] = -1.0, 1.0
         return cls(a, a_xi, tuple(c), tuple(b))
-
-
-@final
-@dataclass(frozen=True)
-class _Exact:
-    """Strains as the position field has them."""
-
-    axis: Axis
-
-    def curvature(self, i: int) -> Array:
-        return _gram(self.axis.a, self.axis.b[i])
-
-    def shear(self, i: int) -> Array:
-        return _gram(self.axis.c[i], self.axis.a)
-
-    def slope(self, i: int, j: int) -> Array:
-        return _gram(self.axis.c[i], self.axis.b[j])
-
-    def thickness(self, i: int, j: int) -> Array:
-        return _gram(self.axis.c[i], self.axis.c[j])
-
-
-@final
-class _Assumed:
-    """Strains that do not lock; see the module description."""
-
-    def __init__(self, d: int, xi: Array, axis: Axis) -> None:
-        self._axis, self._xi = axis, xi[:, None]
-        self._ends = _Exact(Axis.of(d, np.array([0.0, 1.0])))
-        self._middle = Axis.of(d, np.array([0.5]))
-
-    def curvature(self, i: int) -> Array:
-        """Return the mean of the assumed curvature: a . b_i at the middle of the element."""
-        return _gram(np.eye(1, self._middle.a.shape[-1]), self._middle.b[i])
-
-    def wave(self, i: int) -> Array:
-        """Return the part of the curvature that varies along the element with bending."""
-        middle, s = self._middle, 1 - 2 * self._xi
-        bent = self._ends.axis.a_xi[0] - middle.a_xi
-        wave = 0.5 * (s**2 - 1 / 3) * _gram(bent, middle.b[i]) - s * _gram(bent, middle.c[i])
-        return np.asarray(wave)
-
-    def turned(self, i: int) -> Array:
-        """Return the change of the curvature along the element by a twist."""
-        change = _gram(self._middle.a_xi, self._middle.b[i])
-        return np.asarray((0.5 - self._xi) * change)
-
-    def shear(self, i: int) -> Array:
-        return self._linear(self._ends.shear(i))
-
-    def slope(self, i: int, j: int) -> Array:
-        twist = _gram(self._axis.c[i], self._axis.b[j]) - _gram(self._axis.c[j], self._axis.b[i])
-        return np.asarray(0.5 * (np.diff(self._ends.thickness(i, j), axis=0) + twist))
-
-    def thickness(self, i: int, j: int) -> Array:
-        return self._linear(self._ends.thickness(i, j))
-
-    def _linear(self, ends: Array) -> Array:
-        return ends[0] * (1 - self._xi) + ends[1] * self._xi
 
 
 def _squares(d: int) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, cast, final
+from typing import TYPE_CHECKING, Any, TypeAlias, cast, final
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from ancfdae.sensitivity.observables.expression import (
     leaves,
 )
 from ancfdae.sensitivity.observables.observable import States
+
+if TYPE_CHECKING:
+    from ancfdae.sensitivity.objectives.reductions import Total
 
 
 @final
@@ -64,19 +67,8 @@ class ObjectivePartials:
     densities: tuple[tuple[float, Density], ...] = ()
 
 
-class Integrated(abc.ABC):
-    """An objective whose integral the integrator took beside the motion."""
-
-    @abc.abstractmethod
-    def value(self) -> float:
-        """Return the value of the integral over the run; see `Objective.value`."""
-
-    @abc.abstractmethod
-    def partials(self) -> ObjectivePartials:
-        """Return the partials; b is the total derivative if sensitivities were integrated."""
-
-
-Totals = Mapping[object, Integrated]
+#: Objectives whose integrals the integrator took beside the motion.
+Totals: TypeAlias = "Mapping[object, Total]"
 NO_TOTALS: Totals = {}
 
 

@@ -22,7 +22,6 @@ from ancfdae.numerics.arrays import STEP, Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.objectives.objective import (
     NO_TOTALS,
-    Integrated,
     NonFiniteObjectiveError,
     Objective,
     ObjectivePartials,
@@ -334,7 +333,7 @@ _SMALL = 1e-2
 
 
 @final
-class Total(Integrand, Integrated):
+class Total(Integrand):
     """Collects one objective over time part by part.
 
     A part adds its reduction m, that of the values as a mean, and, if `differentiated`, dm/db: the
@@ -381,7 +380,7 @@ class Total(Integrand, Integrated):
         return float(self._reduction.reduce(*self._means()))
 
     def partials(self) -> ObjectivePartials:
-        """Value and derivative of the reduced parts."""
+        """Return value and partials; b is the total derivative if sensitivities were integrated."""
         value, (x, w) = self.value(), self._means()
         b = self._reduction.slopes(x, w) @ np.array([part.slopes for part in self._parts])
         duration = sum(part.duration for part in self._parts)

@@ -26,7 +26,7 @@ from ancfdae.studies.accuracy.bars import (
 )
 from ancfdae.studies.accuracy.features import RESOLVED, Transition, passed_over
 from ancfdae.studies.accuracy.runs import AIM, PERCENT, FixedStepRuns, Sample, Wanted
-from ancfdae.studies.accuracy.waves import Missed, Wave, fades, followed, missed, unresolved
+from ancfdae.studies.accuracy.waves import Wave, fades, followed, missed, unresolved
 
 # Order at which the estimated errors of derivatives fall where steps resolve their waves: from two
 # runs, and, lower, from the second and third of three.
@@ -109,7 +109,9 @@ class HHTRuns(FixedStepRuns):
         lost = missed(
             wanted.problem, sample.run, waves, (wanted.numbers, wanted.integrated, wanted.partials)
         )
-        self._lost, self.whole = map(self._parts, lost)
+        # Of each number its value, and its derivatives if they are wanted.
+        kinds = 1 + wanted.slopes
+        self._lost, self.whole = ([x for each in kind for x in each[:kinds]] for kind in lost)
         # Waves of derivatives are seen where the run has them.
         if wanted.slopes and sample.run.sensitivities is not None:
             self._whole = self.relative(self.whole, sample.vectors)
@@ -206,10 +208,6 @@ class HHTRuns(FixedStepRuns):
         if self._fades is None:
             self._fades = self.smooth and fades(self._system, self.samples[-1].run)
         return self._fades
-
-    def _parts(self, parts: Sequence[Missed]) -> list[Array]:
-        """Return what is lost of each vector."""
-        return [x for each in parts for x in each[: 1 + self._wanted.slopes]]
 
     @property
     def damps(self) -> bool:
