@@ -585,5 +585,5 @@ def test_indices_of_a_formula_that_do_not_fit_are_no_plan(change):
             with pytest.raises((ValueError, TypeError)):
                 kind((*indices[:k], wrong, *indices[k + 1 :]), *others, lists)
     for some in ((), lists[:-1], lists[::-1]):
-        with pytest.raises(ValueError, match="list|indices"):
+        with pytest.raises(ValueError, match=r"list|indices"):
             kind(indices, *others, some)

@@ -81,14 +81,14 @@ class _Trace:
         return made
 
     def _by(self, values: Array, inputs: Array) -> Array:
-        """Return partials by inputs, (len(values), len(inputs))."""
+        """Return partials by inputs, shape (len(values), len(inputs))."""
         zero = self._operations.constant(0.0)
         each = (self._operations.partials(x) for x in values.tolist())
         rows = [[partials.get(x, zero) for x in inputs.tolist()] for partials in each]
         return np.array(rows, dtype=np.int64).reshape(len(values), len(inputs))
 
     def _numbers(self, joint: FormulaJoint) -> Array:
-        """Return numbers of the equations of a joint, in symbols."""
+        """Return numbers of the equations of a joint, in symbols, shape (equation_count,)."""
         reference, (U, z) = self._item.reference, self._parts(self._traced(self._states[0]))
         n_p, where = len(self._item.p), f"equations of joint {joint.name!r}"
         parts = z[:n_p], z[n_p : n_p + self._n_u].reshape(reference.shape), z[n_p + self._n_u :]
@@ -124,7 +124,7 @@ class _Trace:
         try:
             other = joint.with_parameters(moved)
         except InvalidInputError:
-            return  # Values that its rules refuse tell nothing.
+            return  # Its rules refuse these values.
         if not np.array_equal(self._numbers(other), Phi):
             raise InvalidInputError(
                 f"equations of joint {joint.name!r}",
@@ -143,7 +143,7 @@ class _Trace:
         listed, called = list_values(Phi, state), np.ravel(np.asarray(called, dtype=float))
         beside = list_values(Phi, state * (1 + _OTHER))
         known = np.isfinite(called) & np.isfinite(beside)
-        # Equations that hold leave round-off; what a change of the state does tells their size.
+        # Equations that hold leave round-off; their size is their change with the state.
         gap, size = np.abs(listed - called)[known], np.abs(called)[known]
         size = np.max(np.maximum(size, np.abs(beside[known] - listed[known]) / _OTHER), initial=0.0)
         if np.any(gap > _SAME * size):

@@ -29,8 +29,8 @@ class Slot:
     """A joint among all, its vectors in U and its parts but the first.
 
     `linear` and `products` are indices of its coefficients that do not vanish, those of one half of
-    the symmetric matrix, and `at` are the places of all, offsets and inputs last, among those of
-    all joints. `lists` are those of its formulas, if it has any.
+    the symmetric matrix, and `at` are the places of all, offsets and inputs last, in the numbers
+    of all joints. `lists` belong to its formulas, if it has any.
     """
 
     item: JointInput

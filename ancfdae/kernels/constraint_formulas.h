@@ -24,7 +24,7 @@ INLINE const Formula *formula_of(const ConstraintTable *p, const int32_t *joint)
 INLINE Size vectors_room(const ConstraintTable *p, int n) { return (n + 1) * p->most + p->room; }
 
 /* Evaluates a list of which the orders up to n are inputs; U has rows up to `rows`. Returns numbers,
- * of which the list's outputs tell the results. */
+ * in which the outputs of the list are places. */
 template <class T>
 const T *formula_values(const ConstraintTable *p, const int32_t *joint, const Formula *of, int which,
                         int n, int rows, const T *const *c, T *U, const T *lam)
@@ -96,7 +96,7 @@ const int32_t *formula_curvature(const ConstraintTable *p, const T *l, const int
     return place;
 }
 
-/* Partials of w . Phi of order n in l, and in the inputs of each order: those of order k have the
+/* Partials of w . Phi of order n in l, and in the inputs of each order: inputs of order k have the
  * factor by Leibniz' rule times Phi_U or Phi_z of order n - k. */
 template <class T>
 void formula_gradient(const ConstraintTable *p, const int32_t *joint, const Formula *of, int n,

@@ -38,9 +38,9 @@ struct Formula {
  * go to places among n_values values of Phi_q, pairs of entries of L to two places each among
  * n_curved of (Phi_q^T lam)_q. A joint has at most `most` components of vectors.
  *
- * Joint k has the formula formula[k] of `formulas`, -1 without one. Entries of Phi_U times those of
- * L go to place_formula, row by row; curved has the places of pairs of entries of L behind those of
- * products. `room` numbers are written to when lists are evaluated. */
+ * Joint k has the formula formula[k] of `formulas`, -1 without one. Entries of Phi_U times entries
+ * of L go to place_formula, row by row; curved has the places of pairs of entries of L behind the
+ * places of products. `room` numbers are written to when lists are evaluated. */
 struct ConstraintTable {
     Size n_joints, n_q, n_lam, n_parts, n_a, n_s, n_z, n_c, n_l, n_moving, n_values, n_curved;
     Size most, n_formulas, room;

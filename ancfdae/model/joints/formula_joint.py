@@ -49,7 +49,7 @@ class FormulaJoint(Joint):
 
     @property
     def laws(self) -> list[tuple[Law, slice]]:
-        """Fields of the design that hold a law, with places of their numbers among all of them."""
+        """Fields of the design that hold a law, with places of their numbers in p."""
         values, (places, _) = self._design_values(), self.design_places
         pairs = zip(values, places, strict=True)
         return [(x, at) for (_, x), at in pairs if isinstance(x, Law) and isinstance(at, slice)]
