@@ -98,7 +98,7 @@ class Closing:
 
     @cached_property
     def weights(self) -> Array:
-        """One over the size for equations of lengths, which displacements change, else one; (rows,).
+        """One over the size for equations of lengths, which displacements change, else 1; (rows,).
 
         Formulas have any unit: one over their change by a motion of the size of the mechanism.
         """
