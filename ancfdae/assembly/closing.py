@@ -98,14 +98,21 @@ class Closing:
 
     @cached_property
     def weights(self) -> Array:
-        """One over the size for equations of lengths, which displacements change; else one."""
+        """One over the size for equations of lengths, which displacements change, else 1; (rows,).
+
+        Formulas have any unit: one over their change by a motion of the size of the mechanism.
+        """
         Z, constraints = self.declared.Z.real, self.declared.constraints
         B = constraints.constraint_q(0.0, Z.ravel()).real
         T = self.motions.tangent(Z, self.motions.none)
-        by_shifts, by_any = self.motions.reach(constraints.structure.pattern, B, T).T
+        by_shifts, by_turns = self.motions.reach(constraints.structure.pattern, B, T).T
         # Shifts of a body change equations in slopes by round-off only, whatever their length.
-        is_length = by_shifts > 1e-9 * by_any
-        return np.where(is_length, 1.0 / self.size, 1.0)
+        is_length = by_shifts > 1e-9 * by_turns
+        weights = np.where(is_length, 1.0 / self.size, 1.0)
+        change = np.maximum(self.size * by_shifts, by_turns)
+        formulas = constraints.structure.by_formulas & (change > 0)
+        weights[formulas] = 0.5 ** np.round(np.log2(change[formulas]))
+        return weights
 
     def start(self, soft: bool) -> Unknowns:
         """Return the unknowns at zero motion; if `soft`, without multipliers: joints may open."""
@@ -179,7 +186,7 @@ class Closing:
         def bend(multipliers: Array) -> Matrix:
             """(J^T s)_x with s held: curvature of the joints, and of the turns."""
             lam = self._spread(multipliers)
-            values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
+            values = only(constraints.constraint_force_q(q[None], lam[None], np.zeros(1))).real
             force = constraints.reaction(0.0, q, lam).real
             turns, units = self.motions.curvature(Z, motion, force), self._units
             if self._small:

@@ -1,6 +1,7 @@
 """Constraints of all joints at once, from the coefficients that the joints state.
 
-With the point vectors U = L q of all joints they are polynomials in U, which kernels evaluate.
+With the point vectors U = L q of all joints they are polynomials in U, or formulas that became
+lists of operations (`assembly/joint_formulas.py`); kernels evaluate both.
 docs/theory/03-joints-and-loads.md lists the quantities that follow.
 """
 
@@ -66,7 +67,7 @@ class JointConstraints:
 
     @property
     def linear(self) -> bool:
-        """Whether no equation has a product."""
+        """Whether no equation has a product or a formula."""
         return len(self.structure.couplings[0]) == 0
 
     @cached_property
@@ -124,7 +125,8 @@ class JointConstraints:
 
     def by_turn(self, q: Array, t: Array) -> Array:
         """Return the derivatives of Phi in prescribed angles at many instants, (k, n_lam)."""
-        return constraints(self.plan, Constraints.RATE, self.factors.by_turn(t), None, q)
+        factors = np.concatenate([self.factors.over(t), self.factors.by_turn(t)])
+        return constraints(self.plan, Constraints.RATE, factors, None, q, np.zeros_like(q))
 
     # -- values, one instant -------------------------------------------------------------------
 
@@ -144,15 +146,19 @@ class JointConstraints:
         """Return Phi_q^T lam, the forces of the joints times -1, shape (n_q,)."""
         return constraints(self.plan, Constraints.FORCE, self.factors.at(t), lam, q)
 
-    def constraint_force_t_q(self, lam: Array, t: float) -> Array:
-        """Values of (Phi_qt^T lam)_q; only driven products depend on time."""
-        return constraint_curvature(self.plan, self.factors.at(t, 2)[1], lam)
+    def force_q_along(self, t: float, states: tuple[Array, Array, Array], share: float) -> Array:
+        """Values of the derivative of (Phi_q^T lam)_q along (share, dq); states are q, dq, lam."""
+        (q, dq, lam), factors = states, self.factors.at(t, 2)
+        total = constraint_curvature(self.plan, factors, lam, q, dq)
+        if share == 1 or not self.factors.driven:
+            return total
+        return total - (1 - share) * constraint_curvature(self.plan, factors, lam, q, 0 * dq)
 
     # -- values, many instants -----------------------------------------------------------------
 
-    def constraint_force_q(self, lam: Array, t: Array) -> Array:
-        """Values of (Phi_q^T lam)_q for rows of lam, shape (k, nnz); independent of q."""
-        return constraint_curvature(self.plan, self.factors.over(t)[0], lam)
+    def constraint_force_q(self, q: Array, lam: Array, t: Array) -> Array:
+        """Values of (Phi_q^T lam)_q for rows of q and lam, shape (k, nnz)."""
+        return constraint_curvature(self.plan, self.factors.over(t), lam, q)
 
     def constraints_q(self, q: Array, t: Array) -> Array:
         """Values of Phi_q, shape (k, nnz)."""
@@ -173,18 +179,18 @@ class JointConstraints:
 
     def works_partials(self, q: Array, lam: Array, t: Array) -> tuple[Array, Array, Array]:
         """Return partials of `works` in q, lam and b; shape (k, n) each."""
-        factors = self.factors.over(t, 2)[1:]
-        on_q = constraints(self.plan, Constraints.FORCE, factors, lam, q)
+        factors, at_rest = self.factors.over(t, 2), (q, np.zeros_like(q))
+        on_q = constraints(self.plan, Constraints.FORCE, factors, lam, *at_rest)
         factors_b = self.factors.partials(t, 2, self.n_b)
-        moving = None if factors_b is None else factors_b[:, 1:]
         rows = constraint_totals(
-            self.plan, self._partials.arrays, factors, moving, None, None, (q,), None
+            self.plan, self._partials.arrays, factors, factors_b, None, None, at_rest, None
         )
         return on_q, self._by_time(q, t), np.einsum("kbn,kn->kb", rows, lam)
 
     def _by_time(self, q: Array, t: Array) -> Array:
-        factors = self.factors.over(t, 2)[1:]
-        return constraints(self.plan, Constraints.RATE, factors, None, q)
+        """Return Phi_t, (k, n_lam): the rate of Phi at rest."""
+        factors = self.factors.over(t, 2)
+        return constraints(self.plan, Constraints.RATE, factors, None, q, np.zeros_like(q))
 
     # -- rates and their total derivatives, one instant ------------------------------------------
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ancfdae.assembly.layout import Layout
 from ancfdae.model.elements import Quantity
+from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.model.joints.joint import Joint, JointEquations, RightAngle
 from ancfdae.numerics.arrays import STEP, Array
 
@@ -99,6 +100,22 @@ class JointInput:
             parts = [joint.checked_coefficients(p, reference), *joint.moving(p, reference)]
         self.alike[self.kind] = joint, parts
         return parts
+
+    @property
+    def input_count(self) -> int:
+        """Number of inputs of the formulas: parameters, vectors of the reference, and laws."""
+        if not isinstance(self.joint, FormulaJoint):
+            return 0
+        return len(self.p) + self.reference.size + len(self.joint.laws)
+
+    def inputs(self) -> Array:
+        """Return the inputs of all parts, (n_parts, input_count): a law is one in its own part."""
+        laws, count = len(self.parts) - 1, self.input_count
+        inputs = np.zeros((1 + laws, count), np.result_type(self.p, self.reference))
+        if count:
+            inputs[0, : count - laws] = np.concatenate([self.p, self.reference.ravel()])
+            inputs[1:, count - laws :] = np.eye(laws)
+        return inputs
 
     def factors(self, t: Array, order: int) -> Array:
         """Return the time derivative of the factors, shape (n_factors, k)."""

@@ -1,8 +1,8 @@
 """Where coefficients of all joints do not vanish, and their numbers, as kernels take them.
 
 Numbers of all joints stand joint by joint: entries of L, and coefficients c = (linear, products,
-offsets). Those of driven joints are sums over parts that factors of time multiply; the first part
-is that of all joints that stays.
+offsets, inputs of formulas). Those of driven joints are sums over parts that factors of time
+multiply; the first part is that of all joints that stays.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from ancfdae.assembly.joint_formulas import formula_lists
 from ancfdae.assembly.joint_input import JointInput
 from ancfdae.assembly.layout import JointLayout
 from ancfdae.assembly.vectors import Vectors
-from ancfdae.kernels import ConstraintPlan
+from ancfdae.kernels import ConstraintPlan, OperationList
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import SparsityPattern
 
@@ -28,7 +29,8 @@ class Slot:
     """A joint among all, its vectors in U and its parts but the first.
 
     `linear` and `products` are indices of its coefficients that do not vanish, those of one half of
-    the symmetric matrix, and `at` are the places of all, offsets last, among those of all joints.
+    the symmetric matrix, and `at` are the places of all, offsets and inputs last, in the numbers
+    of all joints. `lists` belong to its formulas, if it has any.
     """
 
     item: JointInput
@@ -37,6 +39,7 @@ class Slot:
     linear: tuple[Array, ...]
     products: tuple[Array, ...]
     at: Array
+    lists: tuple[OperationList, ...]
 
     def coefficients(self, item: JointInput) -> Array:
         """Return the coefficients of all parts, (n_parts, n), of the joint as it is or moved."""
@@ -44,7 +47,8 @@ class Slot:
         # Both halves of the symmetric matrix in one entry, 1/2 on the diagonal.
         half = np.where(i == j, 0.5, 1.0)
         rows = (
-            (c.linear[self.linear], c.bilinear[self.products] * half, c.offset) for c in item.parts
+            (c.linear[self.linear], c.bilinear[self.products] * half, c.offset, inputs)
+            for c, inputs in zip(item.parts, item.inputs(), strict=True)
         )
         return np.array([np.concatenate(row) for row in rows])
 
@@ -92,23 +96,32 @@ class JointStructure:
             shapes.append(same or _shape(item))
             known[item.kind] = shapes[-1]
         # The first part is that of all joints.
-        begin = np.cumsum([(0, 0, 0, 0, 1), *(shape.sizes for shape in shapes)], axis=0)
-        _, n_linear, n_products, n_rows, _ = begin[-1].tolist()
-        at = np.arange(n_linear + n_products + n_rows)
-        ahead = 0, n_linear, n_linear + n_products
+        begin = np.cumsum([(0, 0, 0, 0, 1, 0), *(shape.sizes for shape in shapes)], axis=0)
+        # Linear entries, products, rows, and inputs of formulas.
+        columns = [1, 2, 3, 5]
+        *ahead, size = np.cumsum([0, *begin[-1, columns]]).tolist()
+        at = np.arange(size)
         firsts = begin.tolist()
         for item, shape, first, last in zip(inputs, shapes, firsts, firsts[1:], strict=False):
             name, row = item.joint.name, first[3]
             layouts.append(JointLayout(name, row, last[3] - row, item.joint.holds_position))
-            places = [at[x + first[k] : x + last[k]] for k, x in enumerate(ahead, start=1)]
+            pairs = zip(columns, ahead, strict=True)
+            places = np.concatenate([at[x + first[k] : x + last[k]] for k, x in pairs])
             where = slice(first[0], last[0]), slice(first[4], last[4])
-            slots.append(Slot(item, *where, shape.linear, shape.products, np.concatenate(places)))
+            slots.append(Slot(item, *where, shape.linear, shape.products, places, shape.lists))
         return _placed(slots, vectors, layouts, begin)
 
     @property
     def n_lam(self) -> int:
         """Number of constraint equations of all joints."""
         return self.pattern.shape[0]
+
+    @cached_property
+    def by_formulas(self) -> Array:
+        """Whether formulas give each equation, (n_lam,)."""
+        pairs = zip(self.slots, self.joints, strict=True)
+        rows = [np.full(layout.rows, len(slot.lists) > 0) for slot, layout in pairs]
+        return np.concatenate([np.zeros(0, dtype=bool), *rows])
 
     @cached_property
     def parts(self) -> list[Array]:
@@ -141,7 +154,8 @@ class JointStructure:
     def plan(self, curved: Array, n_curved: int) -> ConstraintPlan:
         """Return the kernel's plan; `curved` are the places of the couplings among values."""
         counts, entries, parts, values = self.moving()
-        still = np.zeros(len(self.indices[3]) + len(self.indices[5]) + self.n_lam)
+        inputs = int(self.indices[0][-1, 5])
+        still = np.zeros(len(self.indices[3]) + len(self.indices[5]) + self.n_lam + inputs)
         still = still.astype(np.result_type(still, *self.parts))
         for slot, c in zip(self.slots, self.parts, strict=True):
             still[slot.at] = c[0]
@@ -150,22 +164,28 @@ class JointStructure:
         indices = tuple(np.asarray(x, np.int32) for x in (table, *others, curved, entries, parts))
         vectors = self.vectors
         sizes = vectors.d, vectors.n_q, self.pattern.size, n_curved
-        return ConstraintPlan(indices, (vectors.value, still, values), *sizes)
+        lists = tuple(x for slot in self.slots for x in slot.lists)
+        return ConstraintPlan(indices, (vectors.value, still, values), *sizes, lists)
 
 
 class _Shape(NamedTuple):
-    """Indices of coefficients; numbers of vectors, linear entries, products, rows and factors."""
+    """Indices of coefficients, lists of formulas, and how many there are of what a joint has.
+
+    `sizes` count vectors, linear entries, products, rows, factors and inputs of formulas.
+    """
 
     linear: tuple[Array, ...]
     products: tuple[Array, ...]
-    sizes: tuple[int, int, int, int, int]
+    lists: tuple[OperationList, ...]
+    sizes: tuple[int, int, int, int, int, int]
 
 
 def _shape(item: JointInput) -> _Shape:
     c = item.structure()
     linear, products = np.nonzero(c.linear), np.nonzero(np.triu(c.bilinear))
-    sizes = len(item.reference), len(linear[0]), len(products[0]), len(c.offset)
-    return _Shape(linear, products, (*sizes, len(item.parts) - 1))
+    of_coefficients = len(item.reference), len(linear[0]), len(products[0]), len(c.offset)
+    sizes = *of_coefficients, len(item.parts) - 1, item.input_count
+    return _Shape(linear, products, formula_lists(item) if item.input_count else (), sizes)
 
 
 def _placed(
@@ -174,26 +194,53 @@ def _placed(
     layouts: list[JointLayout],
     begin: Array,
 ) -> JointStructure:
-    """Find the places of products of raw entries of Phi_q with entries of L."""
+    """Find the places of products of entries of Phi_U with entries of L."""
     d, first, column = vectors.d, vectors.first, vectors.column
     linear_row, at, axis = _counted([slot.linear for slot in slots], begin, 1)
     row, i, j = _counted([slot.products for slot in slots], begin, 2)
     linear_at, i, j = at * d + axis, i * d, j * d
     where, axes = (linear_row, linear_at, row, i, j), np.arange(d)
     raw_at = np.concatenate([i[:, None] + axes, j[:, None] + axes], axis=1).ravel()
+    ahead, formula_row, formula_at = _formula_entries(slots, layouts, d)
     of_linear, of_products = _entries(first, linear_at), _entries(first, raw_at)
-    rows = linear_row[of_linear[0]], np.repeat(row, 2 * d)[of_products[0]]
-    columns = column[of_linear[1]], column[of_products[1]]
+    of_formulas = _entries(first, formula_at)
+    rows = (
+        linear_row[of_linear[0]],
+        np.repeat(row, 2 * d)[of_products[0]],
+        formula_row[of_formulas[0]],
+    )
+    columns = tuple(column[x[1]] for x in (of_linear, of_products, of_formulas))
     pattern = SparsityPattern(
         (int(begin[-1][3]), vectors.n_q), *map(np.concatenate, (rows, columns))
     )
     places = tuple(pattern.index(*x) for x in zip(rows, columns, strict=True))
     linear = np.searchsorted(of_linear[0], begin[:, 1])
     products = np.searchsorted(of_products[0], begin[:, 2] * 2 * d)
-    table = np.concatenate([begin, np.stack([linear, products], axis=1)], axis=1)
-    indices = (table, first, column, *where, *places)
-    couplings = _couplings(vectors, i, j)
+    formulas = np.searchsorted(of_formulas[0], ahead)
+    table = np.concatenate([begin, np.stack([linear, products, formulas], axis=1)], axis=1)
+    has = np.array([len(slot.lists) > 0 for slot in slots], dtype=bool)
+    indices = (table, first, column, *where, *places, np.where(has, np.cumsum(has) - 1, -1))
+    coupled = [vectors.couplings(slot.vectors) for slot in slots if slot.lists]
+    left, right = zip(_couplings(vectors, i, j), *coupled, strict=True)
+    couplings = np.concatenate(left), np.concatenate(right)
     return JointStructure(tuple(slots), vectors, tuple(layouts), indices, pattern, couplings)
+
+
+def _formula_entries(
+    slots: list[Slot], layouts: list[JointLayout], d: int
+) -> tuple[Array, Array, Array]:
+    """Return rows of Phi and components of U for all entries of Phi_U of formulas, row by row.
+
+    Before them the number of entries ahead of each joint, and of all.
+    """
+    ahead, rows, at = [0], [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for slot, layout in zip(slots, layouts, strict=True):
+        if slot.lists:
+            own = np.arange(slot.vectors.start * d, slot.vectors.stop * d)
+            rows.append(np.repeat(layout.first_row + np.arange(layout.rows), len(own)))
+            at.append(np.tile(own, layout.rows))
+        ahead.append(sum(map(len, at)))
+    return np.array(ahead), np.concatenate(rows), np.concatenate(at)
 
 
 def _counted(

@@ -56,11 +56,7 @@ class LoadInput:
     @property
     def couplings(self) -> tuple[Array, Array]:
         """Rows and columns of what tangents have, by pairs of rows of L and of their entries."""
-        first, column = self.vectors.first, self.vectors.column
-        row = np.repeat(np.arange(len(first) - 1), np.diff(first))
-        i, j = (x.ravel() for x in np.indices((len(row), len(row))))
-        order = np.lexsort((j, i, row[j], row[i]))
-        return column[i[order]], column[j[order]]
+        return self.vectors.couplings(slice(0, self.vectors.count))
 
     def plan(self, pattern: SparsityPattern) -> LoadPlan:
         """Return the force as operations, with tangents on a pattern that holds the couplings.

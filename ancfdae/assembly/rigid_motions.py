@@ -72,13 +72,13 @@ class RigidMotions:
         return np.asarray(np.einsum("vix,vx->vi", T, x[self._owner]).ravel())
 
     def reach(self, pattern: SparsityPattern, B: Array, T: Array) -> Array:
-        """Return how far rows of B go with displacements, and with any motion, (n_rows, 2)."""
+        """Return how far rows of B go with displacements, and with turns, (n_rows, 2)."""
         vector, axis = np.divmod(pattern.columns, self._d)
         pair = pattern.rows.astype(np.int64) * self._count + self._owner[vector]
         order = np.argsort(pair, kind="stable")
         begins = np.flatnonzero(np.diff(pair[order], prepend=-1))
         moved = np.abs(np.add.reduceat((B[:, None] * T[vector, axis])[order], begins))
-        sizes = np.stack([moved[:, : self._d].max(axis=1), moved.max(axis=1)], axis=1)
+        sizes = np.stack([x.max(axis=1) for x in np.split(moved, [self._d], axis=1)], axis=1)
         reach = np.zeros((pattern.shape[0], 2))
         np.maximum.at(reach, pair[order][begins] // self._count, sizes)
         return reach

@@ -385,7 +385,7 @@ class AncfSystem(PlannedSystem):
         if v is not None:
             f_q, f_v = self._tangents(q, v, t)
         if not self.traits.linear_constraints:
-            f_q = f_q + self._constraints.constraint_force_q(lam, t)
+            f_q = f_q + self._constraints.constraint_force_q(q, lam, t)
         M = self._inertia.values[None]
         return Linearisation(M, f_q, f_v, self._constraints.constraints_q(q, t))
 
@@ -449,7 +449,7 @@ class AncfSystem(PlannedSystem):
         """Transposes of tangents along the direction; pair by pair for the design."""
         q, v, _, lam = states
         dt, *rates = direction
-        moving, time = (rates[0], rates[1]), np.array([t])
+        moving, time, joints = (rates[0], rates[1]), np.array([t]), (q, rates[0], lam)
         Q_q, Q_v = self._elastic.tangent_rates(q, v, moving)
         on_b = -self._elastic.pull_back_rate(q, v, moving, mu)
         if self._turning is not None:
@@ -460,8 +460,7 @@ class AncfSystem(PlannedSystem):
             on_b = on_b - self._loads.force_along_pull_back((q, v), moving, time, dt, mu)
         f_q = -only(Q_q)
         if not self.traits.linear_constraints:
-            f_q = f_q + dt * self._constraints.constraint_force_t_q(lam, t)
-        joints = q, rates[0], lam
+            f_q = f_q + self._constraints.force_q_along(t, joints, dt)
         on_b = on_b + self._constraints.force_along_pull_back(t, joints, dt, mu)
         dot = self.pattern.dot_transposed
         on_v = np.zeros_like(mu) if Q_v is None else -dot(only(Q_v), mu)

@@ -61,6 +61,18 @@ class Vectors:
         first = np.concatenate([[0], np.cumsum(sizes)])
         return Vectors(d, n_q, n_b, first, column, value, at, variable, value_b[at, variable])
 
+    def couplings(self, which: slice) -> tuple[Array, Array]:
+        """Return rows and columns of L_i^T L_j for all pairs of rows of L of some vectors.
+
+        By pairs of rows, and of each by pairs of their entries.
+        """
+        first = self.first[which.start * self.d : which.stop * self.d + 1]
+        row = np.repeat(np.arange(len(first) - 1), np.diff(first))
+        column = self.column[first[0] : first[-1]]
+        i, j = (x.ravel() for x in np.indices((len(row), len(row))))
+        order = np.lexsort((j, i, row[j], row[i]))
+        return column[i[order]], column[j[order]]
+
     def is_like(self, other: Vectors) -> bool:
         """Whether L has its entries where that of the other has them."""
         places = (self.first, other.first), (self.column, other.column)

@@ -20,7 +20,8 @@ from ancfdae.assembly.part_inputs import PartInputs
 from ancfdae.assembly.vectors import Vectors
 from ancfdae.errors.checks import named, require_index
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.model.joints.joint import DrivenJoint
+from ancfdae.model.joints.formula_joint import FormulaJoint
+from ancfdae.model.joints.joint import Joint
 from ancfdae.model.laws.law import Law, require_law
 from ancfdae.model.loads.controller import Controller
 from ancfdae.model.scene import Scene
@@ -66,7 +67,7 @@ class _UnitRate(Law):
         return x if order == 0 else np.full_like(x, float(order == 1))
 
 
-def at_unit_rate(joint: DrivenJoint) -> DrivenJoint:
+def at_unit_rate(joint: Joint) -> Joint:
     """Return the joint with its law at a rate of one."""
     values = {each.name: getattr(joint, each.name) for each in fields(joint)}
     laws = {name: _UnitRate(law) for name, law in values.items() if isinstance(law, Law)}
@@ -131,13 +132,20 @@ class Works:
         if key not in self._joints:
             place = self._layout.joint(name)
             joints = [joint for joint in self._scene.joints if joint.name == name]
-            if not joints or not isinstance(joints[0], DrivenJoint):
+            if not joints or not joints[0].driven:
                 rule, repair = (
                     "must be driven: others do no work",
-                    "Name a RotationDriver or a TranslationDriver.",
+                    "Name a RotationDriver, a TranslationDriver or a FormulaJoint with a law.",
                 )
                 raise InvalidInputError(f"work of joint {name!r}", rule, "one that is not", repair)
-            item = self._inputs.joint(at_unit_rate(joints[0]) if unit_rate else joints[0])
+            joint = at_unit_rate(joints[0]) if unit_rate else joints[0]
+            if unit_rate and isinstance(joint, FormulaJoint) and len(joint.laws) > 1:
+                rule, repair = (
+                    "must have one law, on which it works",
+                    "Use joint_power, which is the power of all laws.",
+                )
+                raise InvalidInputError(f"force of joint {name!r}", rule, len(joint.laws), repair)
+            item = self._inputs.joint(joint)
             self._joints[key] = JointWork(*item, place.first_row)
         return self._joints[key]
 

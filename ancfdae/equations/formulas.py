@@ -17,13 +17,11 @@ Phi that cannot be traced is one operation, a call (`ancfdae.numerics.external`)
 from __future__ import annotations
 
 import copy
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
@@ -33,15 +31,12 @@ from ancfdae.equations.system import SystemProperties
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import OperationList, list_values
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.complex_step import FAILURES
 from ancfdae.numerics.external import Called
-from ancfdae.numerics.operations import NotTraceable, Operations, Traced
+from ancfdae.numerics.operations import TRACE_FAILURES, NotTraceable, Operations, Traced, told
 from ancfdae.numerics.patterns import SparsityPattern
 
 # A method of `Formulas` that returns numbers of the list of operations.
 Value: TypeAlias = Callable[..., tuple[Array, ...]]
-# What ends a trace.
-_FAILURES = (NotTraceable, *FAILURES)
 # Matrices of at most _FULL unknowns are full.
 _FULL = 64
 # What a motion consists of: each is the rate of the one before.
@@ -141,7 +136,7 @@ class Formulas:
             moved, why = system.with_values(b), ""
         except InvalidInputError:
             raise
-        except _FAILURES as error:
+        except TRACE_FAILURES as error:
             moved, why = None, told(error)
         if not (why or np.array_equal(Traced.numbers(operations, moved.b), self._at["b"])):
             raise InvalidInputError(f"{self.kind.__name__}.with_values", *FORGOTTEN)
@@ -164,7 +159,7 @@ class Formulas:
             numbers = Traced.numbers(operations, getattr(moved, name)(*given))
         except InvalidInputError:
             raise
-        except _FAILURES as error:
+        except TRACE_FAILURES as error:
             if not shape[0]:
                 return np.zeros(shape, np.int64)
             self.called[name] = why or told(error)
@@ -394,16 +389,3 @@ class Formulas:
             for x, dx in zip(self._at[name].tolist(), by.tolist(), strict=True)
         ]
         return self._operations.along(values, dict(pairs))
-
-
-def told(error: Exception) -> str:
-    """Return the line of a user's code at which tracing ended, and why."""
-    own = str(Path(np.__file__).parent), str(Path(__file__).parents[1])
-    frames = traceback.extract_tb(error.__traceback__)
-    lines = [x for x in frames if not x.filename.startswith(own)]
-    known = isinstance(error, NotTraceable)
-    why = f"asks for {error}" if known else f"fails on symbols ({type(error).__name__}: {error})"
-    if not lines:
-        return why
-    last = lines[-1]
-    return f"line {last.lineno} of {Path(last.filename).name}, `{last.line}`, {why}."

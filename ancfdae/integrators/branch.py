@@ -6,8 +6,9 @@ motion, W the diagonal of the weights and P = W^-1 B^T (B W^-1 B^T)^-1, so that 
 
     X(t, q) = (Phi_q(t, q) - B) P,      Phi_q(t, q) P = I + X,
 
-and Phi_q has full rank wherever norm(X) < 1. Constraints are quadratic in q. Halfway between two
-solutions of one time Phi_q has not full rank, for
+and Phi_q has full rank wherever norm(X) < 1. Let constraints be quadratic in q; for formulas what
+follows is a rule without proof. Halfway between two solutions of one time Phi_q has not full
+rank, for
 
     0 = Phi(t, q_1) - Phi(t, q_2) = Phi_q(t, (q_1 + q_2)/2) (q_1 - q_2),
 

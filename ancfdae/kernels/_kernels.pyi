@@ -93,8 +93,9 @@ def stressed(p: Array, Y: Array, /) -> Array:
 class ConstraintPlan:
     """Constraints of joints; `constraint_plan.h` says what the indices are, in its order.
 
-    Numbers are entries of L, coefficients (linear, products, offsets), and those that factors of
-    time multiply. Factors have the shape (orders, k, n_parts) or (orders, 1, n_parts).
+    Numbers are entries of L, coefficients (linear, products, offsets, inputs of formulas), and
+    those that factors of time multiply. A formula has twelve lists. Factors have the shape
+    (orders, k, n_parts) or (orders, 1, n_parts).
     """
 
     def __init__(
@@ -105,6 +106,7 @@ class ConstraintPlan:
         n_q: int,
         n_values: int,
         n_curved: int,
+        lists: tuple[OperationList, ...],
         /,
     ) -> None: ...
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]: ...
@@ -117,8 +119,10 @@ def constraints(
     `what` is a `Constraints`; states have a leading axis of k instants, or are those of one.
     """
 
-def constraint_curvature(plan: ConstraintPlan, factors: Array, lam: Array, /) -> Array:
-    """Return values of (Phi_q^T lam)_q, from factors of one order, (k or 1, n_parts)."""
+def constraint_curvature(
+    plan: ConstraintPlan, factors: Array, lam: Array, /, *motion: Array
+) -> Array:
+    """Return values of (Phi_q^T lam)_q, or its derivative along the motion with lam held."""
 
 def constraint_gradient(
     plan: ConstraintPlan, factors: Array, lam: Array, /, *motion: Array

@@ -215,6 +215,18 @@ template <class V> class Kept
 
 /* ---- conversions ---------------------------------------------------------------------------- */
 
+/* Numbers that are used as complex ones, and as real ones where they are. */
+struct Numbers {
+    Array<Complex, 1> in_complex;
+    Maybe<double, 1> in_real;
+
+    explicit Numbers(PyObject *x) : in_complex(x)
+    {
+        if (!is_complex(x))
+            in_real.emplace(x);
+    }
+};
+
 /* Further arguments, as many as there are. */
 template <class A> struct Rest : std::vector<A> {
 };

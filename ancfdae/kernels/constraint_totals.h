@@ -99,7 +99,7 @@ void constraint_totals(const ConstraintTable *p, const ConstraintNumbers<double>
     MovedConstraints m = {p, partials, n, 0, x->instants, x->factors, of->moving, work, nullptr};
     m.c = m.l + p->n_l;
     Complex *z = m.c + (n + 1) * p->n_c, *lam = z + (n + 1) * p->n_q, *U = lam + p->n_lam;
-    Complex *own = U + (n + 1) * p->most;
+    Complex *own = U + vectors_room(p, n);
     moved_row(m.l, of->l, nullptr, p->n_l);
     for (; m.k < x->instants; m.k++) {
         still_coefficients(&m, of, c);
@@ -137,5 +137,5 @@ void constraint_totals(const ConstraintTable *p, const ConstraintNumbers<double>
 Size totals_work(const ConstraintTable *p, int n)
 {
     Size size = p->n_lam > p->n_q ? p->n_lam : p->n_q;
-    return p->n_l + (n + 1) * (p->n_c + p->n_q + p->most) + p->n_lam + size;
+    return p->n_l + (n + 1) * (p->n_c + p->n_q) + vectors_room(p, n) + p->n_lam + size;
 }

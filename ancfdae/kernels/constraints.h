@@ -2,7 +2,9 @@
  *
  *     Phi = sum of a (e . U) + sum of s U_i . U_j - offset
  *
- * Numbers of all joints stand joint by joint: l are the entries of L, and c = (a, s, offset) the
+ * and a formula Phi(U, z) of some joints (`constraint_formulas.h`).
+ *
+ * Numbers of all joints stand joint by joint: l are the entries of L, and c = (a, s, offset, z) the
  * coefficients. Those that depend on time are sums over parts, c = sum of factor_p(t) part_p; part 0
  * has an entry for every coefficient, the others are lists. A time derivative of order n takes those
  * of the coefficients, c[k], and of the coordinates, X[k], by Leibniz' rule; c[k] is nullptr where it
@@ -123,14 +125,15 @@ INLINE void joint_tangent(const ConstraintTable *p, const T *l, const int32_t *j
         }
 }
 
-/* (Phi_q^T lam)_q of all joints, from the coefficients c of one order, added to values at places. */
+/* The time derivative of order n of (Phi_q^T lam)_q of all joints with lam held, added to values at
+ * places. */
 template <class T>
-INLINE void constraint_curvature(const ConstraintTable *p, const T *l, const T *c, const T *lam,
-                                 T *out)
+INLINE void constraint_curvature(const ConstraintTable *p, const T *l, int n, const T *const *c,
+                                 const T *const *X, const T *lam, T *U, T *out)
 {
-    const int32_t *place = p->curved;
-    for (Size e = 0; c && e < p->n_s; e++) {
-        T own = lam[p->row[e]] * c[p->n_a + e];
+    const int32_t *place = p->curved, *joint = p->joints;
+    for (Size e = 0; c[n] && e < p->n_s; e++) {
+        T own = lam[p->row[e]] * c[n][p->n_a + e];
         for (int x = 0; x < p->d; x++)
             for (int32_t m = p->first[p->i[e] + x]; m < p->first[p->i[e] + x + 1]; m++)
                 for (int32_t o = p->first[p->j[e] + x]; o < p->first[p->j[e] + x + 1]; o++) {
@@ -138,6 +141,14 @@ INLINE void constraint_curvature(const ConstraintTable *p, const T *l, const T *
                     out[*place++] += own * l[m] * l[o];
                 }
     }
+    if (!p->n_formulas)
+        return;
+    place = p->curved_formula;
+    for (; joint < p->joints + p->n_joints * JOINT_ITEMS; joint += JOINT_ITEMS)
+        if (const Formula *of = formula_of(p, joint)) {
+            joint_vectors<T>(p, l, joint, n, X, U);
+            place = formula_curvature<T>(p, l, joint, of, n, c, U, lam, place, out);
+        }
 }
 
 /* Partials of w . Phi, or of its time derivative of order n, of one joint in l, and in c[k]. */
@@ -175,7 +186,7 @@ INLINE void joint_gradient(const ConstraintTable *p, const int32_t *joint, int n
 }
 
 /* Phi (n_lam), Phi_q (values on its pattern) or Phi_q^T lam (n_q) of one joint, or their time
- * derivatives of order n, added to out. `U` has room for n + 1 rows of p->most. */
+ * derivatives of order n, added to out. `U` has `vectors_room`. */
 template <class T>
 INLINE void one_constraint(const ConstraintTable *p, const T *l, const int32_t *joint, int what,
                            int n, const T *const *c, const T *const *X, const T *lam, T *U, T *out)
@@ -185,6 +196,12 @@ INLINE void one_constraint(const ConstraintTable *p, const T *l, const int32_t *
         joint_rate<T>(p, joint, n, c, U, out);
     else
         joint_tangent<T>(p, l, joint, n, c, U, what == FORCE ? lam : nullptr, out);
+    if (const Formula *of = formula_of(p, joint)) {
+        if (what == RATE)
+            formula_rate<T>(p, joint, of, n, c, U, out);
+        else
+            formula_tangent<T>(p, l, joint, of, n, c, U, what == FORCE ? lam : nullptr, out);
+    }
 }
 
 /* The same of all joints. */
@@ -213,5 +230,7 @@ void constraint_gradient(const ConstraintTable *p, const T *l, int n, const T *c
     for (; joint < end; joint += JOINT_ITEMS) {
         joint_vectors<T>(p, l, joint, n, X, U);
         joint_gradient<T>(p, joint, n, c, X, U, lam, on_l, on_c);
+        if (const Formula *of = formula_of(p, joint))
+            formula_gradient<T>(p, joint, of, n, c, X, U, lam, on_l, on_c);
     }
 }

@@ -54,8 +54,8 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
 #include "scalar.h"
 
-#include "constraint_plan.h"
 #include "load_plan.h"
+#include "constraint_plan.h"
 
 #include "elimination.h"
 #include "fronts.h"
@@ -66,11 +66,13 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "blocks.h"
 #include "totals.h"
 
+#include "loads.h"
+#include "lists.h"
+
+#include "constraint_formulas.h"
 #include "constraints.h"
 #include "constraint_totals.h"
-#include "loads.h"
 
-#include "lists.h"
 #include "index_1.h"
 #include "explicit.h"
 #include "sparse.h"

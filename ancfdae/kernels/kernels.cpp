@@ -31,8 +31,8 @@ namespace
 #include "binding.h"
 
 #include "element_calls.h"
-#include "plan_calls.h"
 #include "list_calls.h"
+#include "plan_calls.h"
 #include "matrix_calls.h"
 #include "model_calls.h"
 

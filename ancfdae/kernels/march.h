@@ -172,7 +172,7 @@ template <class T> void jacobian_at(const Plan<T> *p, Room<T> *r, const T *const
         return;
     memset(r->B, 0, (size_t)p->constraints->n_values * sizeof(T));
     constraints<T>(p->constraints, p->numbers.l, VALUES, 0, c, X, nullptr, r->U, r->B);
-    r->B_known = p->still && p->constraints->n_s == 0;
+    r->B_known = p->still && p->constraints->n_s + p->constraints->n_formulas == 0;
 }
 
 /* Phi, or its first time derivative along v. */
@@ -405,6 +405,13 @@ void load_tangents(const Plan<double> *p, Room<double> *r, const double *factors
                             values);
 }
 
+/* Add (Phi_q^T lam)_q of a scene at the state as it stands to f_q. */
+void curvature_at(const Plan<double> *p, Room<double> *r)
+{
+    const double *X[] = {r->q};
+    constraint_curvature<double>(p->constraints, p->numbers.l, 0, r->c, X, r->lam, r->U, r->f_q);
+}
+
 /* Values of f_q and f_v at the state as it stands, from a row of factors of loads. */
 void linearised(const Plan<double> *p, Room<double> *r, const double *factors)
 {
@@ -415,7 +422,7 @@ void linearised(const Plan<double> *p, Room<double> *r, const double *factors)
     }
     memset(r->f_q, 0, (size_t)p->nnz * sizeof(double));
     tangents<double>(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->f_q);
-    constraint_curvature<double>(p->constraints, p->numbers.l, r->c[0], r->lam, r->f_q);
+    curvature_at(p, r);
     load_tangents(p, r, factors, 0, r->f_q);
     if (!p->velocity)
         return;

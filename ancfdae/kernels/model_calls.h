@@ -290,7 +290,7 @@ template <class T> struct Planned {
             of_load = std::max(of_load, load_work<T>(load.plan, load.plan->n_U));
         return {
                 {&r->q_p, n_q}, {&r->dq_p, n_q}, {&r->v_p, n_q}, {&r->q, n_q}, {&r->v, n_q},
-                {&r->A, n_q}, {&r->a, n_q}, {&r->lam, n_lam}, {&r->U, 2 * c->most},
+                {&r->A, n_q}, {&r->a, n_q}, {&r->lam, n_lam}, {&r->U, vectors_room(c, 1)},
                 {&r->B, c->n_values}, {&r->Q, n_q}, {&r->inner, n_q}, {&r->reaction, n_q},
                 {&r->ahead, n_q}, {&r->start, n_q}, {&r->Phi, n_lam}, {&r->rate, n_lam},
                 {&r->defect, n_lam}, {&r->R, n}, {&r->x, n}, {&r->force, n_q},

@@ -1,25 +1,14 @@
-/* What Python calls of constraints, loads and lists of operations: plans, made once, and functions
- * of them. */
-
-/* Numbers that are used as complex ones, and as real ones where they are. */
-struct Numbers {
-    Array<Complex, 1> in_complex;
-    Maybe<double, 1> in_real;
-
-    explicit Numbers(PyObject *x) : in_complex(x)
-    {
-        if (!is_complex(x))
-            in_real.emplace(x);
-    }
-};
+/* What Python calls of constraints and loads: plans, made once, and functions of them. */
 
 /* Indices and numbers in the order of `ConstraintTable` and `ConstraintNumbers`. */
 struct ConstraintPlan {
     static constexpr const char *NAME = "ancfdae.kernels._kernels.ConstraintPlan";
     static constexpr const char *MISSING = "constraints must be a plan of theirs";
     using Arguments = std::tuple<std::vector<Array<int32_t, 1>>,
-                                 std::tuple<Numbers, Numbers, Numbers>, Size, Size, Size, Size>;
+                                 std::tuple<Numbers, Numbers, Numbers>, Size, Size, Size, Size,
+                                 std::vector<Kept<OperationList>>>;
     Arguments of;
+    std::vector<Formula> formulas;
     ConstraintTable plan = {};
     ConstraintNumbers<double> in_real;
     ConstraintNumbers<Complex> in_complex;
@@ -27,14 +16,15 @@ struct ConstraintPlan {
 
     explicit ConstraintPlan(Arguments arguments) : of(std::move(arguments))
     {
-        auto &[x, numbers, d, n_q, n_values, n_curved] = of;
+        auto &[x, numbers, d, n_q, n_values, n_curved, lists] = of;
         auto &[l, part_0, moving] = numbers;
         ConstraintTable *p = &plan;
         const int32_t **to[] = {&p->joints,       &p->first,         &p->columns, &p->linear_row,
                                 &p->linear_at,    &p->row,           &p->i,       &p->j,
-                                &p->place_linear, &p->place_product, &p->curved,  &p->moving_at,
+                                &p->place_linear, &p->place_product, &p->place_formula,
+                                &p->formula,      &p->curved,        &p->moving_at,
                                 &p->moving_part};
-        must(x.size() == std::size(to), "a plan is made of 13 arrays of indices and 3 of numbers");
+        must(x.size() == std::size(to), "a plan is made of 15 arrays of indices and 3 of numbers");
         for (size_t i = 0; i < x.size(); i++)
             *to[i] = x[i].data;
         complex_ = !l.in_real || !part_0.in_real || !moving.in_real;
@@ -46,12 +36,48 @@ struct ConstraintPlan {
         p->d = (int)d, p->n_q = n_q, p->n_values = n_values, p->n_curved = n_curved;
         p->n_lam = p->joints[p->n_joints * JOINT_ITEMS + ROW];
         p->n_parts = p->joints[p->n_joints * JOINT_ITEMS + PART];
-        p->n_a = x[3].size, p->n_s = x[5].size, p->n_c = p->n_a + p->n_s + p->n_lam;
+        p->n_a = x[3].size, p->n_s = x[5].size, p->n_z = p->joints[p->n_joints * JOINT_ITEMS + INPUT];
+        p->n_c = p->n_a + p->n_s + p->n_lam + p->n_z;
         p->n_l = l.in_complex.size, p->n_moving = moving.in_complex.size;
-        must(part_0.in_complex.size == p->n_c && x[12].size == p->n_moving &&
-                 x[11].size == p->n_moving && within(x[11], 0, p->n_c - 1),
+        must(part_0.in_complex.size == p->n_c && x[14].size == p->n_moving &&
+                 x[13].size == p->n_moving && within(x[13], 0, p->n_c - 1),
              "there must be a number for every entry of constraints");
+        take_formulas(lists);
         must(fits(x), "these are not the indices of constraints");
+    }
+
+    void take_formulas(const std::vector<Kept<OperationList>> &lists)
+    {
+        must(lists.size() % FORMULA_LISTS == 0, "a formula must have twelve lists of operations");
+        formulas.resize(lists.size() / FORMULA_LISTS);
+        for (size_t i = 0; i < lists.size(); i++) {
+            Formula &own = formulas[i / FORMULA_LISTS];
+            size_t which = i % FORMULA_LISTS;
+            own.lists[which] = &lists[i]->list;
+            own.in_real[which] = lists[i]->constants<double>();
+            own.in_complex[which] = lists[i]->constants<Complex>();
+            plan.room = std::max(plan.room, own.lists[which]->n_numbers);
+        }
+        plan.formulas = formulas.data(), plan.n_formulas = (Size)formulas.size();
+    }
+
+    /* Whether the lists of a joint with a formula take its numbers, and return as many as they must,
+     * and there are places for them. */
+    bool formula_fits(const int32_t *joint, const Formula *of) const
+    {
+        const int32_t *next = joint + JOINT_ITEMS;
+        Size n_u = (next[VECTOR] - joint[VECTOR]) * plan.d, n_z = next[INPUT] - joint[INPUT];
+        Size rows = next[ROW] - joint[ROW], all = n_u + n_z;
+        Size of_l = entries(joint[VECTOR] * plan.d, (int)n_u);
+        bool good = next[PLACE_FORMULA] - joint[PLACE_FORMULA] == rows * of_l;
+        for (int which = 0; good && which < FORMULA_LISTS; which++) {
+            int curved = which >= OF_CURVATURE, by_inputs = which >= OF_INPUTS && !curved;
+            int order = curved ? which - OF_CURVATURE : which % ORDERS;
+            Size size = curved ? n_u * n_u : by_inputs ? rows * n_z : which < ORDERS ? rows : rows * n_u;
+            good = of->lists[which]->n_inputs == (order + 1) * all + curved * rows &&
+                   of->lists[which]->n_outputs == size;
+        }
+        return good;
     }
 
     /* How many entries of L stand in the rows of a vector at a component. */
@@ -78,16 +104,19 @@ struct ConstraintPlan {
         }
         for (int32_t e = joint[MOVING]; good && e < next[MOVING]; e++)
             good = p->moving_part[e] >= joint[PART] && p->moving_part[e] < next[PART];
+        const Formula *own = formula_of(p, joint);
         return good && linear == next[PLACE_LINEAR] - joint[PLACE_LINEAR] &&
-               products == next[PLACE_PRODUCT] - joint[PLACE_PRODUCT];
+               products == next[PLACE_PRODUCT] - joint[PLACE_PRODUCT] &&
+               (own ? formula_fits(joint, own)
+                    : next[INPUT] == joint[INPUT] && next[PLACE_FORMULA] == joint[PLACE_FORMULA]);
     }
 
     bool fits(const std::vector<Array<int32_t, 1>> &x)
     {
         ConstraintTable *p = &plan;
         Size n_U = x[1].size - 1, curved = 0;
-        const Size ends[JOINT_ITEMS] = {n_U / p->d, p->n_a,      p->n_s,    p->n_lam,
-                                        p->n_parts, p->n_moving, x[8].size, x[9].size};
+        const Size ends[JOINT_ITEMS] = {n_U / p->d, p->n_a, p->n_s,    p->n_lam,   p->n_parts,
+                                        p->n_moving, p->n_z, x[8].size, x[9].size, x[10].size};
         bool good = n_U % p->d == 0 && p->n_parts > 0 && x[2].size == p->n_l &&
                     x[0].size == (p->n_joints + 1) * JOINT_ITEMS;
         for (int i = 0; good && i < JOINT_ITEMS; i++)
@@ -99,7 +128,9 @@ struct ConstraintPlan {
         good = good && ascending(p->first, n_U + 1, 1, p->n_l) && within(x[2], 0, p->n_q - 1) &&
                x[4].size == p->n_a && x[6].size == p->n_s && x[7].size == p->n_s &&
                within(x[3], 0, p->n_lam - 1) && within(x[5], 0, p->n_lam - 1) &&
-               within(x[8], 0, p->n_values - 1) && within(x[9], 0, p->n_values - 1);
+               within(x[8], 0, p->n_values - 1) && within(x[9], 0, p->n_values - 1) &&
+               within(x[10], 0, p->n_values - 1) && x[11].size == p->n_joints &&
+               within(x[11], -1, p->n_formulas - 1);
         for (Size k = 0; good && k < p->n_joints; k++) {
             const int32_t *joint = p->joints + k * JOINT_ITEMS;
             p->most = std::max(p->most, (Size)(joint[JOINT_ITEMS + VECTOR] - joint[VECTOR]) * p->d);
@@ -108,7 +139,14 @@ struct ConstraintPlan {
         for (Size e = 0; good && e < p->n_s; e++)
             for (int axis = 0; axis < p->d; axis++)
                 curved += 2 * entries(p->i[e] + axis, 1) * entries(p->j[e] + axis, 1);
-        return good && curved == x[10].size && within(x[10], 0, p->n_curved - 1);
+        p->curved_formula = p->curved + std::min(curved, x[12].size);
+        for (Size k = 0; good && k < p->n_joints; k++) {
+            const int32_t *joint = p->joints + k * JOINT_ITEMS;
+            Size n_u = (joint[JOINT_ITEMS + VECTOR] - joint[VECTOR]) * p->d;
+            Size of_l = entries(joint[VECTOR] * p->d, (int)n_u);
+            curved += p->formula[k] < 0 ? 0 : of_l * of_l;
+        }
+        return good && curved == x[12].size && within(x[12], 0, p->n_curved - 1);
     }
 
     template <class T> const ConstraintNumbers<T> &in() const
@@ -148,7 +186,7 @@ template <class T> struct ConstraintStates {
              "factors must be (orders, instants, n_parts)");
         must(!lam || (lam->ends({p->n_lam}) && lam->rows(1) == k),
              "there must be n_lam multipliers for each state");
-        work = room_for<T>((n + 1) * (p->n_c + p->most));
+        work = room_for<T>((n + 1) * p->n_c + vectors_room(p, n));
         U = work.get() + (n + 1) * p->n_c;
     }
 
@@ -181,20 +219,17 @@ Array<T> py_constraints(Kept<ConstraintPlan> plan, Size what, Array<T, 3> factor
 }
 
 template <class T>
-Array<T> py_constraint_curvature(Kept<ConstraintPlan> plan, Array<T, 2> factors, Array<T, 1> lam)
+Array<T> py_constraint_curvature(Kept<ConstraintPlan> plan, Array<T, 3> factors, Array<T, 1> w,
+                                 Rest<Array<T, 1>> motion)
 {
-    const ConstraintTable *p = &plan->plan;
-    Size k = lam.rows(1), instants = factors.length(0);
-    must(lam.ends({p->n_lam}) && factors.has({-1, p->n_parts}) && (instants == 1 || instants == k),
-         "there must be n_parts factors and n_lam multipliers for each instant");
-    auto out = zeros_like<T>(lam, 1, {p->n_curved});
-    auto work = room_for<T>(p->n_c);
-    for (Size i = 0; i < k; i++) {
-        const T *c;
-        coefficients<T>(p, &plan->in<T>(), 0, instants > 1 ? i : 0, instants, factors.data,
-                        work.get(), &c);
-        constraint_curvature<T>(p, plan->in<T>().l, c, lam.data + i * p->n_lam,
-                                out.data + i * p->n_curved);
+    Maybe<T, 1> lam(std::move(w));
+    ConstraintStates<T> x(*plan, factors, lam, motion);
+    must(!x.p->n_formulas || x.n < FORMULA_ORDERS, "formulas have first rates of curvatures only");
+    auto out = zeros_like<T>(motion[0], 1, {x.p->n_curved});
+    for (Size k = 0; k < x.k; k++) {
+        x.at(k);
+        constraint_curvature<T>(x.p, x.numbers->l, x.n, x.c, x.X, x.lam, x.U,
+                                out.data + k * x.p->n_curved);
     }
     return out;
 }
@@ -206,6 +241,7 @@ std::tuple<Array<T>, Array<T>> py_constraint_gradient(Kept<ConstraintPlan> plan,
 {
     Maybe<T, 1> lam(std::move(w));
     ConstraintStates<T> x(*plan, factors, lam, motion);
+    must(!x.p->n_formulas || x.n < FORMULA_ORDERS, "formulas have gradients of first rates only");
     Size n_l = x.p->n_l, rows = (x.n + 1) * x.p->n_c;
     auto on_l = zeros_like<T>(motion[0], 1, {n_l});
     auto on_c = zeros_like<T>(motion[0], 1, {x.n + 1, x.p->n_c});

@@ -90,7 +90,7 @@ RealState rest_tangent(const Plan<T> *of, Room<T> *from, const RestProblem<T> *x
     } else {
         memset(r->f_q, 0, (size_t)p->nnz * sizeof(double));
         tangents<double>(p->n_y, p->d, &p->block, r->q, nullptr, 0, p->index, p->nnz, r->f_q);
-        constraint_curvature<double>(p->constraints, p->numbers.l, r->c[0], r->lam, r->f_q);
+        curvature_at(p, r);
         load_tangents(p, r, of_loads, 0, r->f_q);
     }
     for (Size i = 0; i < p->n_q; i++)

@@ -75,8 +75,8 @@ class ExternalFunction:
         if any(isinstance(y, Carried) for y in x):
             raise InvalidInputError(
                 f"ExternalFunction({_name(self.function)})",
-                "must be called in a formula of a FormulaSystem or an observable",
-                "a formula of a load, a joint or a law",
+                "must be called in a formula of a FormulaSystem, a FormulaJoint or an observable",
+                "a formula of a load, a law or another joint",
                 "Write it out with functions of NumPy there.",
             )
         arrays = np.broadcast_arrays(*(np.asarray(y) for y in x))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import linecache
 import sys
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -22,6 +23,7 @@ import numpy as np
 
 from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.complex_step import FAILURES
 from ancfdae.numerics.jets import DERIVATIVES, Carried, without_derivatives
 
 #: The function that is no function of NumPy: the angle of two numbers.
@@ -544,6 +546,22 @@ class Traced:
 
     __le__ = __gt__ = __ge__ = __eq__ = __ne__ = __lt__
     __hash__ = None  # type: ignore[assignment]
+
+
+#: What ends a trace.
+TRACE_FAILURES = (NotTraceable, *FAILURES)
+
+
+def told(error: Exception) -> str:
+    """Return the line of a user's code at which tracing ended, and why."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [x for x in frames if not x.filename.startswith(_OWN)]
+    known = isinstance(error, NotTraceable)
+    why = f"asks for {error}" if known else f"fails on symbols ({type(error).__name__}: {error})"
+    if not lines:
+        return why
+    last = lines[-1]
+    return f"line {last.lineno} of {Path(last.filename).name}, `{last.line}`, {why}."
 
 
 class Symbols(np.ndarray):

@@ -75,7 +75,7 @@ def test_constraints_are_what_the_joint_declares(case):
     Phi_q = np.array([(phi(q + e) - phi(q - e)) / 2 for e in unit]).T
     close(constraints.structure.pattern.dense(constraints.constraint_q(t, q)), Phi_q)
     close(constraints.reaction(t, q, lam), Phi_q.T @ lam)
-    bent = constraints.constraint_force_q(lam[None], np.array([t]))[0]
+    bent = constraints.constraint_force_q(q[None], lam[None], np.array([t]))[0]
     ahead, behind = (constraints.reaction(t, q + s * unit[0], lam) for s in (1, -1))
     close(system.pattern.dense(bent)[:, 0], (ahead - behind) / 2)
 

@@ -122,6 +122,11 @@ class Joint(Part):
         return (*positions, *slopes)
 
     @property
+    def driven(self) -> bool:
+        """Whether laws of time move it."""
+        return False
+
+    @property
     def by_slopes(self) -> bool:
         """Whether equations follow from the class, `p` and the slopes of the reference alone.
 
@@ -182,6 +187,11 @@ class Joint(Part):
 
 class DrivenJoint(Joint):
     """A joint whose coefficients depend on time: `coefficients` + sum_k factor_k(t) moving_k."""
+
+    @property
+    def driven(self) -> bool:
+        """Return true."""
+        return True
 
     @abc.abstractmethod
     def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:

@@ -1,0 +1,155 @@
+"""Equations of a `FormulaJoint` as lists of operations, with the derivatives that kernels evaluate.
+
+The equations run once, on symbols of the vectors U and of inputs z: parameters, vectors of the
+reference and values of laws. `kernels/constraint_plan.h` says which lists follow from Phi(U, z).
+"""
+
+from itertools import pairwise
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.joint_input import JointInput
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.kernels import OperationList, list_values
+from ancfdae.model.joints.formula_joint import FormulaJoint
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.operations import TRACE_FAILURES, Operations, Traced, told
+
+# Orders of time derivatives of Phi and Phi_U, and of Phi_z and the curvature.
+_ORDERS, _FIRST_ORDERS = 4, 2
+# Changes of design values under which a formula must stay the same, relative or of zeros.
+_OTHER = 2.0**-20
+# Largest difference between a list and the formula, relative to the largest term.
+_SAME = 1e-9
+
+
+def formula_lists(item: JointInput) -> tuple[OperationList, ...]:
+    """Return the lists of the equations of a joint that is given by formulas."""
+    assert isinstance(item.joint, FormulaJoint)
+    return _Trace(item.joint, item).lists()
+
+
+@final
+class _Trace:
+    """Numbers of inputs of all lists, order by order: U with z, and then lam."""
+
+    def __init__(self, joint: FormulaJoint, item: JointInput) -> None:
+        self._joint, self._item, self._n_u = joint, item, item.reference.size
+        self._size, self._rows = self._n_u + item.input_count, joint.equation_count
+        ahead = _ORDERS * self._size
+        self._operations = Operations(ahead + self._rows)
+        self._states = np.arange(ahead).reshape(_ORDERS, self._size)
+        self._lam = ahead + np.arange(self._rows)
+        # Parameters and vectors of the reference have no rates.
+        moving = np.r_[: self._n_u, self._size - len(joint.laws) : self._size]
+        self._motion = {
+            int(x): int(rate)
+            for before, after in pairwise(self._states[:, moving])
+            for x, rate in zip(before, after, strict=True)
+        }
+
+    def lists(self) -> tuple[OperationList, ...]:
+        """Return Phi, Phi_U, Phi_z and (Phi_U^T lam)_U with their rates."""
+        n, Phi = self._n_u, self._numbers(self._joint)
+        self._require_parameters(Phi)
+        by_all = self._by(Phi, self._states[0])
+        gradient = Traced.numbers(
+            self._operations, self._traced(self._lam) @ self._traced(by_all[:, :n])
+        )
+        curvature = self._by(gradient, self._states[0, :n])
+        # Symmetric to the last bit.
+        lower = np.tril_indices(n)
+        curvature[lower] = curvature.T[lower]
+        made = [
+            *self._rates(Phi, _ORDERS),
+            *self._rates(by_all[:, :n], _ORDERS),
+            *self._rates(by_all[:, n:], _FIRST_ORDERS),
+            *self._rates(curvature, _FIRST_ORDERS, lam=True),
+        ]
+        self._require_the_same(made[0])
+        return tuple(made)
+
+    def _rates(self, values: Array, orders: int, lam: bool = False) -> list[OperationList]:
+        """Return lists of values and of their time derivatives."""
+        made, more = list[OperationList](), self._lam.tolist() if lam else []
+        for order in range(orders):
+            inputs = self._states[: order + 1].ravel().tolist() + more
+            made.append(self._operations.compiled(values.ravel(), inputs))
+            if order + 1 < orders:
+                values = self._operations.along(values, self._motion)[0]
+        return made
+
+    def _by(self, values: Array, inputs: Array) -> Array:
+        """Return partials by inputs, shape (len(values), len(inputs))."""
+        zero = self._operations.constant(0.0)
+        each = (self._operations.partials(x) for x in values.tolist())
+        rows = [[partials.get(x, zero) for x in inputs.tolist()] for partials in each]
+        return np.array(rows, dtype=np.int64).reshape(len(values), len(inputs))
+
+    def _numbers(self, joint: FormulaJoint) -> Array:
+        """Return numbers of the equations of a joint, in symbols, shape (equation_count,)."""
+        reference, (U, z) = self._item.reference, self._parts(self._traced(self._states[0]))
+        n_p, where = len(self._item.p), f"equations of joint {joint.name!r}"
+        parts = z[:n_p], z[n_p : n_p + self._n_u].reshape(reference.shape), z[n_p + self._n_u :]
+        try:
+            found = joint.equations(U, *parts)
+            numbers = Traced.numbers(self._operations, found).ravel()
+        except InvalidInputError:
+            raise
+        except TRACE_FAILURES as error:
+            raise InvalidInputError(
+                where,
+                "must be smooth functions of NumPy, which are called with symbols",
+                f"code that cannot be: {told(error)}",
+                "Call what needs numbers as an ExternalFunction.",
+            ) from error
+        if len(numbers) != self._rows:
+            rule = f"must be as many as `equation_count`, {self._rows}"
+            repair = "Set `equation_count` of the class."
+            raise InvalidInputError(where, rule, len(numbers), repair)
+        return numbers
+
+    def _parts(self, state: Array) -> tuple[Array, Array]:
+        """Return the vectors, (n_vectors, d), and the inputs z of a state."""
+        return state[: self._n_u].reshape(self._item.reference.shape), state[self._n_u :]
+
+    def _traced(self, numbers: Array) -> Array:
+        return Traced.array(self._operations, numbers)
+
+    def _require_parameters(self, Phi: Array) -> None:
+        """Refuse equations that read design fields of the joint itself, whose values then stay."""
+        joint = self._joint
+        moved = {x: y + _OTHER * (abs(y) or 1.0) for x, y in joint.parameters().items()}
+        try:
+            other = joint.with_parameters(moved)
+        except InvalidInputError:
+            return  # Its rules refuse these values.
+        if not np.array_equal(self._numbers(other), Phi):
+            raise InvalidInputError(
+                f"equations of joint {joint.name!r}",
+                "must take the values of design fields from p and `laws`",
+                "equations that change with fields of the joint at the same p",
+                "Write, for example, `radius, _ = self.split(p)`.",
+            )
+
+    def _require_the_same(self, Phi: OperationList) -> None:
+        """Refuse equations that have other values for numbers than for symbols."""
+        item, joint = self._item, self._joint
+        p, reference, laws = item.p.real, item.reference.real, item.factors(np.zeros(1), 0).real
+        with np.errstate(all="ignore"):
+            called = joint.equations(reference.copy(), p.copy(), reference.copy(), laws[:, 0])
+        state = np.concatenate([reference.ravel(), p, reference.ravel(), laws[:, 0]])
+        listed, called = list_values(Phi, state), np.ravel(np.asarray(called, dtype=float))
+        beside = list_values(Phi, state * (1 + _OTHER))
+        known = np.isfinite(called) & np.isfinite(beside)
+        # Equations that hold leave round-off; their size is their change with the state.
+        gap, size = np.abs(listed - called)[known], np.abs(called)[known]
+        size = np.max(np.maximum(size, np.abs(beside[known] - listed[known]) / _OTHER), initial=0.0)
+        if np.any(gap > _SAME * size):
+            raise InvalidInputError(
+                f"equations of joint {joint.name!r}",
+                "must follow from U, p, reference and laws alone",
+                f"other values for numbers than for symbols, by {np.max(gap):.1e}",
+                "Keep no state in the joint, and convert no arguments.",
+            )
