@@ -20,7 +20,7 @@ from ancfdae.events.derivatives import (
     pulled_back,
     require_one_time,
 )
-from ancfdae.events.kinds import Impact, Mode, require_events
+from ancfdae.events.kinds import Event, Mode, ModeSystem, require_events
 from ancfdae.events.objectives import (
     PhasePartials,
     PhaseStates,
@@ -29,7 +29,7 @@ from ancfdae.events.objectives import (
     value_of,
 )
 from ancfdae.events.perturbed import at_complex
-from ancfdae.events.run import Jump, ModeSystem, PhasedRun, PhaseMarch
+from ancfdae.events.run import Jump, PhasedRun, PhaseMarch
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.step_control import PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
@@ -194,36 +194,32 @@ def solution(run: PhasedRun, derivatives: Sequence[PhaseDerivatives] = ()) -> Ev
     """Return the solution of a run as a user sees it."""
     phases, records = [], []
     if run.before is not None:
-        records += _records(run.before, 0.0, None, None)
+        records += _records(run.before, 0.0, None)
     for k, phase in enumerate(run.phases):
         known = derivatives[k] if derivatives else None
         if known is None:
             phases.append(replace(phase.run, t=phase.times))
         else:
             phases.append(at_held_times(phase.run, phase.times, known.states, known.t_b))
-        time_b = None if known is None else known.t_b[-1]
-        impulses_b = None if known is None else known.impulses_b
         if phase.jump is not None:
-            records += _records(phase.jump, phase.t_end, time_b, impulses_b)
+            records += _records(phase.jump, phase.t_end, known)
         elif phase.event is not None:
             records.append(EventRecord(phase.event.name, phase.t_end, phase.mode.name))
     return EventSolution(tuple(phases), tuple(records), run.outcome)
 
 
-def _records(
-    jump: Jump, time: float, time_b: Array | None, impulses_b: Array | None
-) -> list[EventRecord]:
+def _records(jump: Jump, time: float, known: PhaseDerivatives | None) -> list[EventRecord]:
     """Return the records of all events that happen at one time."""
-    records, row = [], 0
-    others = [x for x in jump.events if not isinstance(x, Impact)]
-    for each in jump.struck:
-        for impact, impulse in zip(each.impacts, each.after.impulses, strict=True):
-            impulse_b = None if impulses_b is None else impulses_b[row]
-            row += 1
-            name, mode = impact.name, jump.mode.name
-            records.append(EventRecord(name, time, mode, float(impulse), time_b, impulse_b))
-    pushing = {x for each in jump.struck for x in each.impacts}
-    others += [x for x in jump.events if isinstance(x, Impact) and x not in pushing]
+    records, pushing, time_b = [], set[Event](), None if known is None else known.t_b[-1]
+    for k, strike in enumerate(jump.strikes):
+        impulses, name = strike.struck.impulses.items(), jump.mode.name
+        pushing |= set(strike.struck.impacts)
+        for row, (impact, impulse) in enumerate(impulses):
+            slopes: tuple[Array | None, Array | None] = (None, None)
+            if known is not None:
+                slopes = known.strikes_b[k][0], known.strikes_b[k][1][row]
+            records.append(EventRecord(impact, time, name, float(np.real(impulse)), *slopes))
+    others = [x for x in jump.events if x not in pushing]
     records += [EventRecord(x.name, time, jump.mode.name, None, time_b) for x in others]
     return records
 
