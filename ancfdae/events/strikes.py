@@ -96,14 +96,10 @@ class Strike:
     def at_complex(self, system: MechanicalSystem, state: State) -> State:
         """Return the state after the impacts from a state with small imaginary parts."""
         if self.wait is not None:
-            t, q, v = state
-            parts = (np.imag(x)[..., None] for x in (np.asarray(t), q, v, system.b))
-            moved = self.wait.along(Directions(*parts))
-            t, q, v = (
-                x.real + 1j * part[..., 0]
-                for x, part in zip((np.asarray(t), q, v), moved[:3], strict=True)
-            )
-            state = complex(t), q, v
+            parts = (np.imag(x)[..., None] for x in (np.asarray(state[0]), *state[1:], system.b))
+            t, q, v, _ = self.wait.along(Directions(*parts))
+            late = complex(np.real(state[0]), t[0])
+            state = late, state[1].real + 1j * q[:, 0], state[2].real + 1j * v[:, 0]
         again = struck(system, self.struck.impacts, self.struck.plastic, state)
         return state[0], state[1], again.after.value
 

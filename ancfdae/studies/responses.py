@@ -18,12 +18,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, TypeAlias, TypeVar, final
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, final
 
 import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.event_solution import EventSolution
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import (
     require_array,
@@ -48,8 +49,14 @@ from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import cheapest, design_bounds, differentiable, require_objectives
 from ancfdae.studies.sweep_file import Sweep, SweepRow
 
+if TYPE_CHECKING:
+    from ancfdae.events.calls import EventRun
+    from ancfdae.events.kinds import Event, Mode
+
 # What values come from at a design: a run, modes.
 R = TypeVar("R")
+# A run at a design, and what it computed.
+_Ran: TypeAlias = "tuple[Run | EventRun, Solution | EventSolution]"
 # Takes the design values, whether derivatives are wanted, and the result there if it is kept.
 Compute: TypeAlias = Callable[[Array, bool, R | None], tuple[Array, Array | None, R]]
 
@@ -168,6 +175,9 @@ class Responses:
         As in `gradient`.
     method : GradientMethod, optional
         As in `gradients`.
+    events : sequence of Event, optional
+    modes : mapping of str to Mode, optional
+        Events of every run, and the models that it continues with, as in `simulate`.
     scale : float or array, shape (n_b,)
         Functions take x = b / scale, relative design values. Optimisers require variables of
         similar size: the values at the start are a good scale.
@@ -194,6 +204,8 @@ class Responses:
         *,
         design: Sequence[str | DesignVariable] | None = None,
         method: GradientMethod | None = None,
+        events: Sequence[Event] | None = None,
+        modes: Mapping[str, Mode] | None = None,
         scale: float | Sequence[float] | Array = 1.0,
         strict: bool = False,
     ) -> None:
@@ -213,12 +225,18 @@ class Responses:
         require_kind(
             "method", method, (GradientMethod,), "For example Adjoint() or DirectDifferentiation()."
         )
-        self._run, self._method = Run(system, t_end, integrator), method
+        self._run: Run | EventRun = Run(system, t_end, integrator)
+        if events is not None or modes is not None:
+            from ancfdae.events.calls import EventRun
+
+            self._run = EventRun.of(system, t_end, integrator, events or (), modes, design, False)
+        self._method = method
         self._functions, self._scale = dict(functions), _scale(scale, system.n_b)
         self._limits = design_bounds(system, design)
         # Whether a run that is there can be differentiated: then values go without derivatives.
         self._asked = False
         self._resumes = method.takes_runs and integrator.differentiates_runs
+        self._resumes = self._resumes and isinstance(self._run, Run)
         self.names, self.design_names = tuple(functions), tuple(system.design_names)
         self._designs = Evaluations(
             self.design_names,
@@ -281,7 +299,7 @@ class Responses:
         assert matrix is not None  # asked for
         return matrix.copy()
 
-    def solution(self, x: Array) -> Solution:
+    def solution(self, x: Array) -> Solution | EventSolution:
         """Return the run at x; raises the error of a design that has none."""
         return self._designs.result(x)[1]
 
@@ -295,12 +313,15 @@ class Responses:
         return self._designs.at(x, derivatives=derivatives)
 
     def _computed(
-        self, b: Array, derivatives: bool, ran: tuple[Run, Solution] | None
-    ) -> tuple[Array, Array | None, tuple[Run, Solution]]:
+        self, b: Array, derivatives: bool, ran: _Ran | None
+    ) -> tuple[Array, Array | None, _Ran]:
         """Return values and derivatives at a design, by a new run or by the given one."""
         self._asked = self._asked or derivatives
         run, solution = ran or (self._run.at(b), None)
         functions = list(self._functions.values())
+        if not isinstance(run, Run):
+            return self._with_events(run, functions, derivatives)
+        assert solution is None or isinstance(solution, Solution)
         if not derivatives and (self._resumes or not self._asked):
             solution, values = run.values(functions)
             return values, None, (run, solution)
@@ -309,6 +330,21 @@ class Responses:
         values = np.array([each.value for each in answers])
         jacobian = np.array([each.gradient for each in answers])
         return values, jacobian, (run, answers[0].solution)
+
+    def _with_events(
+        self, run: EventRun, functions: list[Objective], derivatives: bool
+    ) -> tuple[Array, Array | None, _Ran]:
+        """Return values and derivatives at a design by a run with events."""
+        from ancfdae.studies import events
+
+        if not derivatives and not self._asked:
+            found, values = events.values(run, functions)
+            return values, None, (run, found)
+        answers = events.gradients(run, functions, self._method)
+        ended = answers[0].event_solution
+        assert ended is not None  # of a run with events
+        values = np.array([each.value for each in answers])
+        return values, np.array([each.gradient for each in answers]), (run, ended)
 
 
 @final
