@@ -48,6 +48,7 @@ class PhaseDerivatives:
 
     The time points move with the design, by t_b of shape (k, n_b). `strikes_b` are derivatives of
     the time, (n_b,), and of the impulses, (m, n_b), of each of the strikes at the end of the phase.
+    `in_duration` are derivatives of q, v and lam in D, of a phase that ends at a given time.
     """
 
     phase: Phase
@@ -56,6 +57,7 @@ class PhaseDerivatives:
     states: Sensitivities
     t_b: Array
     strikes_b: tuple[tuple[Array, Array], ...] = ()
+    in_duration: tuple[Array, Array, Array] | None = None
 
 
 class _Start(NamedTuple):
@@ -102,7 +104,8 @@ def _through(phase: Phase, start: _Start) -> tuple[PhaseDerivatives, _Start]:
     q_b, v_b, a_b, lam_b = (x[..., :n] + x[..., n:] * D_b for x in states)
     t_b = start.t_b + np.outer(run.t / D, D_b)
     sensitivities = Sensitivities(base.design_names, base.b, q_b, v_b, a_b, lam_b)
-    done = PhaseDerivatives(phase, start.t_b, D_b, sensitivities, t_b)
+    in_D = (states[0][..., n], states[1][..., n], states[3][..., n])
+    done = PhaseDerivatives(phase, start.t_b, D_b, sensitivities, t_b, in_duration=None if phase.event else in_D)
     return done, _Start(start.t_b + D_b, q_b[-1], v_b[-1])
 
 
@@ -247,8 +250,12 @@ class _Covectors(NamedTuple):
     v: Array
 
 
-def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> Array:
-    """Return the gradient of an objective from its partials in all phases, (n_b,) (adjoint)."""
+def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> tuple[Array, float]:
+    """Return the gradient of an objective from its partials in all phases, (n_b,) (adjoint).
+
+    The derivative in the end of the run comes beside; zero where an event ends the run.
+    """
+    in_end = 0.0
     system = run.phases[0].mode.system
     gradient, n_q = np.zeros(system.n_b), system.n_q
     on = _Covectors(0.0, np.zeros(n_q), np.zeros(n_q))
@@ -256,13 +263,15 @@ def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> Array:
         if phase.jump is not None:
             on, on_b = _before(phase.jump, on)
             gradient += on_b
-        on, on_b = _back_through(phase, p, on)
+        on, on_b, in_D = _back_through(phase, p, on)
         gradient += on_b
+        if phase.event is None:
+            in_end = in_D
     if run.before is not None:
         require_closed_start(system, run.before)
         on, on_b = _before(run.before, on)
         gradient += on_b
-    return gradient + system.start_pull_back(on.q, on.v)
+    return gradient + system.start_pull_back(on.q, on.v), in_end
 
 
 def _before(jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
@@ -276,13 +285,16 @@ def _before(jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
     return on, gradient
 
 
-def _back_through(phase: Phase, p: PhasePartials, on: _Covectors) -> tuple[_Covectors, Array]:
-    """Pull covectors on the end of a phase, and partials along it, back to its start."""
+def _back_through(
+    phase: Phase, p: PhasePartials, on: _Covectors
+) -> tuple[_Covectors, Array, float]:
+    """Pull covectors on the end of a phase, and partials along it, back to its start, b and D."""
     base, n = phase.mode.system, phase.mode.system.n_b
     total = _pulled_back(phase, p.q, p.v, p.lam, on)
     # D is variable n, t_0 the next one.
     total[:n] += p.b
     total[n : n + 2] += p.duration + on.t, p.start + on.t
+    in_D = float(total[n])
     if phase.event is None:
         total[n + 1] -= total[n]
     else:
@@ -295,7 +307,7 @@ def _back_through(phase: Phase, p: PhasePartials, on: _Covectors) -> tuple[_Cove
         require_crossing(phase, float(crossing[n]))
         total -= total[n] / crossing[n] * crossing
     q, v = np.split(total[n + 2 :], 2)
-    return _Covectors(float(total[n + 1]), q, v), total[:n]
+    return _Covectors(float(total[n + 1]), q, v), total[:n], in_D
 
 
 def _pulled_back(

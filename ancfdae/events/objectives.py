@@ -73,6 +73,14 @@ class PhasePartials:
             q, v, lam, factor * self.b, factor * self.start, factor * self.duration
         )
 
+    def along(self, states: tuple[Array, Array, Array] | None) -> float:
+        """Return the derivative along changes of q, v and lam, and of D by one; 0 without any."""
+        if states is None:
+            return 0.0
+        pairs = zip((self.q, self.v, self.lam), states, strict=True)
+        through = sum(float(np.sum(p * x)) for p, x in pairs if p is not None)
+        return self.duration + through
+
     def plus(self, other: PhasePartials) -> PhasePartials:
         """Return the sum with other partials in the same phase."""
         pairs = zip((self.q, self.v, self.lam), (other.q, other.v, other.lam), strict=True)

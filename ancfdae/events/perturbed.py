@@ -27,8 +27,11 @@ from ancfdae.sensitivity.observables.states import States
 State = tuple[complex, Array, Array]
 
 
-def at_complex(run: PhasedRun, b: Array) -> list[PhaseStates]:
-    """Return the states of all phases of a run at a complex design near its own."""
+def at_complex(run: PhasedRun, b: Array, late: float = 0.0) -> list[PhaseStates]:
+    """Return the states of all phases of a run at a complex design near its own.
+
+    The end of the run has the imaginary part `late`.
+    """
     systems: dict[str, MechanicalSystem] = {}
 
     def moved(mode: ModeSystem) -> MechanicalSystem:
@@ -44,17 +47,17 @@ def at_complex(run: PhasedRun, b: Array) -> list[PhaseStates]:
     found = []
     for phase in run.phases:
         system = moved(phase.mode)
-        D = _duration(phase, system, state)
+        D = _duration(phase, system, state, late)
         complete, last = _states(phase, system, state, D)
         found.append(complete)
         state = last if phase.jump is None else _jumped(moved, phase.jump, last)
     return found
 
 
-def _duration(phase: Phase, system: MechanicalSystem, state: State) -> complex:
+def _duration(phase: Phase, system: MechanicalSystem, state: State, late: float) -> complex:
     """Return the duration of a phase at the complex design."""
     if phase.event is None:
-        return phase.t_end - state[0]
+        return phase.t_end + 1j * late - state[0]
     D, function = phase.duration, phase.event.crossing[0]
     off = _at_end(phase, system, function, state, D)
     stretched = _at_end(phase, phase.mode.system, function, phase.state, D * (1 + 1j * STEP))

@@ -84,13 +84,13 @@ def gradients(
     """Return value and gradient of each objective of a run with events."""
     if method is None:
         # The adjoint takes two passes over each phase for every objective.
-        few = run.system.n_b <= 4 * len(objectives)
+        few = len(run.b) <= 4 * len(objectives)
         adjoint = isinstance(run.integrator, SteppedIntegrator) and not few
         method = Adjoint() if adjoint else DirectDifferentiation()
     phased = run.phased()
     found = _reached(phased)
     last = replace(found.phases[-1], outcome=found.outcome)
-    names = run.system.design_names
+    names = run.design_names
     return [
         Gradient(value, slope, names, method, last, event_solution=found)
         for value, slope in run.gradients(phased, objectives, method)

@@ -46,7 +46,14 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.adjoint import DirectDifferentiation
 from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.studies.calls import cheapest, design_bounds, differentiable, require_objectives
+from ancfdae.studies.calls import (
+    as_system,
+    cheapest,
+    design_bounds,
+    differentiable,
+    require_objectives,
+    without_end,
+)
 from ancfdae.studies.sweep_file import Sweep, SweepRow
 
 if TYPE_CHECKING:
@@ -172,7 +179,7 @@ class Responses:
         End time; s.
     integrator : Integrator
     design : sequence of str or DesignVariable, optional
-        As in `gradient`.
+        As in `gradient`; it may contain ``"t_end"``, the end time.
     method : GradientMethod, optional
         As in `gradients`.
     events : sequence of Event, optional
@@ -217,27 +224,36 @@ class Responses:
             require_text("functions", name)
         require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
         require_flag("strict", strict)
-        system = differentiable(model, design)
+        design, free_end = without_end(design)
+        system = as_system(model, design) if free_end else differentiable(model, design)
+        n_b = system.n_b + free_end
         require_objectives(system, list(functions.values()), t_end)
         if method is None:
             adjoint = isinstance(integrator, AdjointIntegrator)
-            method = cheapest(system.n_b, len(functions)) if adjoint else DirectDifferentiation()
+            method = cheapest(n_b, len(functions)) if adjoint else DirectDifferentiation()
         require_kind(
             "method", method, (GradientMethod,), "For example Adjoint() or DirectDifferentiation()."
         )
         self._run: Run | EventRun = Run(system, t_end, integrator)
-        if events is not None or modes is not None:
+        self._start, self._limits = system.b, design_bounds(system, design)
+        self.design_names = tuple(system.design_names)
+        if events is not None or modes is not None or free_end:
             from ancfdae.events.calls import EventRun
 
-            self._run = EventRun.of(system, t_end, integrator, events or (), modes, design, False)
+            self._run = run = EventRun.of(
+                system, t_end, integrator, events or (), modes, design, False, free_end
+            )
+            self._start, self.design_names = run.b, run.design_names
+            lower, upper = self._limits
+            if free_end:
+                self._limits = np.append(lower, 0.0), np.append(upper, np.inf)
         self._method = method
-        self._functions, self._scale = dict(functions), _scale(scale, system.n_b)
-        self._limits = design_bounds(system, design)
+        self._functions, self._scale = dict(functions), _scale(scale, n_b)
         # Whether a run that is there can be differentiated: then values go without derivatives.
         self._asked = False
         self._resumes = method.takes_runs and integrator.differentiates_runs
         self._resumes = self._resumes and isinstance(self._run, Run)
-        self.names, self.design_names = tuple(functions), tuple(system.design_names)
+        self.names = tuple(functions)
         self._designs = Evaluations(
             self.design_names,
             len(functions),
@@ -250,7 +266,7 @@ class Responses:
     @property
     def start(self) -> Array:
         """The model as it stands, in x, shape (n_b,)."""
-        return np.asarray(self._run.system.b / self._scale, dtype=float)
+        return np.asarray(self._start / self._scale, dtype=float)
 
     @property
     def bounds(self) -> scipy.optimize.Bounds:
