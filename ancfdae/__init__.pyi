@@ -1,6 +1,6 @@
 """First-order design sensitivities of flexible multibody systems in ANCF."""
 
-from ancfdae.assembly.saved import load_solution
+from ancfdae.assembly.saved import load_event_solution, load_solution
 from ancfdae.assembly.system import assemble
 from ancfdae.equations.conformance import check_system
 from ancfdae.events.kinds import EndEvent, Impact, Mode, Switch
@@ -174,6 +174,7 @@ __all__ = [
     "evaluate",
     "gradient",
     "gradients",
+    "load_event_solution",
     "load_solution",
     "mass_properties",
     "modes",

@@ -15,7 +15,8 @@ from ancfdae.assembly.layout import (
     StatesLayout,
 )
 from ancfdae.assembly.naming import SceneNaming
-from ancfdae.equations import Solution, solution_file
+from ancfdae.equations import Solution, event_solution_file, solution_file
+from ancfdae.equations.event_solution import EventRecord, EventSolution
 from ancfdae.errors.checks import named, require_each, require_path
 from ancfdae.model.elements import ALL_ELEMENTS, BeamElement
 from ancfdae.numerics.arrays import Array
@@ -30,15 +31,37 @@ def load_solution(
 
     A file knows its elements by name; give `elements` of your own.
     """
-    file, repair = require_path("path of a solution", path), "For example elements=[MY_ELEMENT]."
-    known = require_each("load_solution, elements", elements, (BeamElement,), repair)
+    file = require_path("path of a solution", path)
+    return Solution(**solution_file.read(file, _naming("load_solution", elements)))
+
+
+def load_event_solution(
+    path: str | os.PathLike[str], *, elements: Sequence[BeamElement] = ()
+) -> EventSolution:
+    """Read what `EventSolution.save` wrote; InvalidInputError if the file holds no run with events.
+
+    A file knows its elements by name; give `elements` of your own.
+    """
+    file, naming = (
+        require_path("path of a solution", path),
+        _naming("load_event_solution", elements),
+    )
+    phases, records, outcome = event_solution_file.read(file, naming)
+    events = tuple(EventRecord(**record) for record in records)
+    return EventSolution(tuple(Solution(**fields) for fields in phases), events, outcome)
+
+
+def _naming(call: str, elements: Sequence[BeamElement]) -> solution_file.Unpack:
+    """Return how names of a scene are made of what a file holds, with elements of a user."""
+    repair = "For example elements=[MY_ELEMENT]."
+    known = require_each(f"{call}, elements", elements, (BeamElement,), repair)
 
     def naming(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> SceneNaming:
         layout = _layout(meta, (*known, *ALL_ELEMENTS))
         _require_fits(layout, arrays)
         return SceneNaming(layout, arrays["lengths"], arrays["lengths_b"])
 
-    return Solution(**solution_file.read(file, naming))
+    return naming
 
 
 def _require_fits(layout: Layout, arrays: Mapping[str, Array]) -> None:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities, pandas
-from ancfdae.errors.checks import require_array
+from ancfdae.errors.checks import require_array, require_path
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.outcomes import RunOutcome
 from ancfdae.errors.text import PrintedTable, TableText
@@ -113,6 +115,17 @@ class EventSolution(PrintedTable):
         """Return a table of pandas with a row for each event: its name, time and impulse."""
         rows = [(each.name, each.time, each.impulse) for each in self.events]
         return pandas().DataFrame(rows, columns=["event", "time", "impulse"])
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write all phases and events to one file, complete or not at all; return its path.
+
+        Names of files are as in `Solution.save`; `load_event_solution` reads it.
+        """
+        from ancfdae.equations import event_solution_file
+
+        fields = [vars(phase) for phase in self.phases]
+        file = require_path("path of a solution", path)
+        return event_solution_file.write(file, fields, self.events, self.outcome)
 
     def _printed(self) -> TableText:
         rows = [("event", "time", "impulse")]

@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import IO, Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -37,6 +37,7 @@ _HDF5, _SIGNATURE = (".h5", ".hdf5"), b"\x89HDF\r\n\x1a\n"
 _SMALL = 10_000
 _STATES = ("t", "q", "v", "a", "lam")
 _DERIVATIVES = ("values", "q_b", "v_b", "a_b", "lam_b")
+T = TypeVar("T")
 #: Makes names of what `Naming.packed` gave.
 Unpack: TypeAlias = Callable[[Mapping[str, Array], Mapping[str, Any]], Naming]
 # Exceptions raised on reading a file that is damaged or not an archive.
@@ -45,7 +46,11 @@ _DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, AttributeErr
 
 def write(path: Path, fields: Mapping[str, Any]) -> Path:
     """Write the fields of a solution to a file, whole or not at all."""
-    arrays, meta = _packed(fields)
+    return store(path, *packed(fields))
+
+
+def store(path: Path, arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> Path:
+    """Write arrays and everything else to a file, whole or not at all."""
     for name, array in arrays.items():
         # `np.savez` would pickle them, and knows how to refuse from NumPy 2.1 on only.
         if array.dtype.hasobject:
@@ -61,24 +66,34 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
 
 def read(path: Path, naming: Unpack) -> dict[str, Any]:
     """Return the fields of a solution; InvalidInputError unless `write` wrote the file."""
+
+    def fields(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str, Any]:
+        _require_version(path, meta["format"])
+        return unpacked(arrays, meta, naming)
+
+    return restored(path, "Solution.save", fields)
+
+
+def restored(
+    path: Path, writer: str, of: Callable[[Mapping[str, Array], Mapping[str, Any]], T]
+) -> T:
+    """Return what `of` makes of arrays and everything else of a file; `writer` names its call."""
     try:
         # Opened here, because np.load does not close a file that is not a complete archive.
         with path.open("rb") as raw:
             is_hdf5 = raw.read(len(_SIGNATURE)) == _SIGNATURE
             raw.seek(0)
             arrays, text = (_get_hdf5 if is_hdf5 else _get_npz)(raw)
-        meta = json.loads(text)
-        _require_version(path, meta["format"])
-        return _unpacked(arrays, meta, naming)
+        return of(arrays, json.loads(text))
     except InvalidInputError:
         raise
     except FileNotFoundError:
-        where, repair = "solution file", "Check the path, and that Solution.save was called."
+        where, repair = "solution file", f"Check the path, and that {writer} was called."
         raise InvalidInputError(where, "must exist", repr(os.fspath(path)), repair) from None
     except (OSError, KeyError, ValueError, TypeError, *_DAMAGED) as error:
         raise InvalidInputError(
             f"solution file {os.fspath(path)!r}",
-            "must be a whole file written by Solution.save",
+            f"must be a whole file written by {writer}",
             f"{type(error).__name__}: {error}",
             "The file is damaged or of another kind.",
         ) from error
@@ -163,8 +178,8 @@ def _require_version(path: Path, told: str) -> None:
         )
 
 
-def _packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Return the arrays and everything else."""
+def packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Return the arrays of a solution, and everything else."""
     arrays = {name: fields[name] for name in _STATES}
     naming, sensitivities, errors = (
         fields[x] for x in ("naming", "sensitivities", "estimated_errors")
@@ -208,9 +223,10 @@ def _require_shapes(arrays: Mapping[str, Array], names: Sequence[str] | None) ->
         raise ValueError("instants that do not ascend")
 
 
-def _unpacked(
+def unpacked(
     arrays: Mapping[str, Array], meta: Mapping[str, Any], naming: Unpack
 ) -> dict[str, Any]:
+    """Return the fields of a solution from what `packed` returned."""
     outcome = {**meta["outcome"], "verdict": Verdict[meta["outcome"]["verdict"]]}
     _require_shapes(arrays, meta["names"])
     fields: dict[str, Any] = {name: arrays[name] for name in _STATES} | {

@@ -20,7 +20,7 @@ from ancfdae.events.derivatives import (
     pulled_back,
     require_one_time,
 )
-from ancfdae.events.kinds import Impact, Mode, require_events
+from ancfdae.events.kinds import Event, Mode, ModeSystem, require_events
 from ancfdae.events.objectives import (
     PhasePartials,
     PhaseStates,
@@ -29,7 +29,7 @@ from ancfdae.events.objectives import (
     value_of,
 )
 from ancfdae.events.perturbed import at_complex
-from ancfdae.events.run import Jump, ModeSystem, PhasedRun, PhaseMarch
+from ancfdae.events.run import Jump, PhasedRun, PhaseMarch
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.step_control import PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
@@ -45,17 +45,23 @@ from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference, Pert
 
 # Name of the mode in which every run begins.
 _OWN = "start"
+#: Name of the end time as a design variable.
+END = "t_end"
 
 
 @final
 @dataclass(frozen=True)
 class EventRun:
-    """A run with events to be made, of modes that have been assembled; it begins in the first."""
+    """A run with events to be made, of modes that have been assembled; it begins in the first.
+
+    If `free_end` is true the end time is the last design variable.
+    """
 
     modes: Mapping[str, ModeSystem]
     t_end: float
     integrator: Integrator
     progress: bool = False
+    free_end: bool = False
 
     @staticmethod
     def of(
@@ -66,6 +72,7 @@ class EventRun:
         modes: Mapping[str, Mode] | None,
         design: Sequence[str | DesignVariable] | None,
         progress: bool,
+        free_end: bool = False,
     ) -> EventRun:
         """Check and assemble the arguments of a call."""
         require_positive("t_end", t_end)
@@ -87,12 +94,22 @@ class EventRun:
             known[name] = ModeSystem(name, _assembled(mode.model, design), tuple(mode.events))
         for name, each in known.items():
             _require_mode(name, each, system, known)
-        return EventRun(known, float(t_end), integrator, progress)
+        return EventRun(known, float(t_end), integrator, progress, free_end)
 
     @property
     def system(self) -> MechanicalSystem:
         """The system that the run begins with."""
         return self.modes[_OWN].system
+
+    @property
+    def b(self) -> Array:
+        """Design values, and the end time where it is one of them, (n_b,)."""
+        return np.append(self.system.b, self.t_end) if self.free_end else self.system.b
+
+    @property
+    def design_names(self) -> tuple[str, ...]:
+        """Names of the design variables, and of the end time where it is one of them."""
+        return (*self.system.design_names, *((END,) if self.free_end else ()))
 
     @in_one_thread
     def phased(self) -> PhasedRun:
@@ -102,11 +119,14 @@ class EventRun:
 
     def at(self, b: Array) -> EventRun:
         """Return the same run at other design values."""
+        t_end = float(b[-1]) if self.free_end else self.t_end
+        require_positive(END, t_end)
+        own = b[: self.system.n_b]
         moved = {
-            name: mode._replace(system=at_values(mode.system, b))
+            name: mode._replace(system=at_values(mode.system, own))
             for name, mode in self.modes.items()
         }
-        return replace(self, modes=moved, progress=False)
+        return replace(self, modes=moved, t_end=t_end, progress=False)
 
     @in_one_thread
     def differentiated(self, run: PhasedRun) -> EventSolution:
@@ -141,8 +161,14 @@ class EventRun:
         for objective in objectives:
             value, partials = partials_of(objective, states_of(done))
             pairs = zip(partials, phases, strict=True)
-            results.append((value, np.sum([_total(p, x) for p, x in pairs], axis=0)))
+            slopes = np.sum([_total(p, x) for p, x in pairs], axis=0)
+            in_end = partials[-1].along(phases[-1].in_duration) if self.free_end else 0.0
+            results.append((value, self._with_end(slopes, in_end)))
         return results
+
+    def _with_end(self, slopes: Array, in_end: float) -> Array:
+        """Return a gradient with the derivative in the end time, where that is a variable."""
+        return np.append(slopes, in_end) if self.free_end else slopes
 
     def _adjoint(
         self, run: PhasedRun, objectives: Sequence[Objective]
@@ -154,7 +180,7 @@ class EventRun:
         results = []
         for objective in objectives:
             value, partials = partials_of(objective, states_of(run))
-            results.append((value, pulled_back(run, partials)))
+            results.append((value, self._with_end(*pulled_back(run, partials))))
         return results
 
     def _perturbed(
@@ -162,13 +188,16 @@ class EventRun:
     ) -> list[tuple[float, Array]]:
         method.check(Run(self.system, self.t_end, self.integrator))
         base = self._values(objectives, states_of(run))
-        slopes, b = np.zeros((len(objectives), self.system.n_b)), self.system.b
-        for i, size in enumerate(method.sizes_of(self.system).tolist()):
+        b, n = self.b, self.system.n_b
+        slopes = np.zeros((len(objectives), len(b)))
+        sizes = np.append(method.sizes_of(self.system), b[n:])
+        for i, size in enumerate(sizes.tolist()):
             unit = np.eye(len(b))[i]
             moved = []
             for change in method.changes(size):
                 if isinstance(method, ComplexStep):
-                    phases = at_complex(run, b + change * unit)
+                    at = b + change * unit
+                    phases = at_complex(run, at[:n], float(np.sum(at[n:].imag)))
                 else:
                     phases = states_of(self.at(b + np.real(change) * unit).phased())
                 moved.append(self._values(objectives, phases))
@@ -194,36 +223,32 @@ def solution(run: PhasedRun, derivatives: Sequence[PhaseDerivatives] = ()) -> Ev
     """Return the solution of a run as a user sees it."""
     phases, records = [], []
     if run.before is not None:
-        records += _records(run.before, 0.0, None, None)
+        records += _records(run.before, 0.0, None)
     for k, phase in enumerate(run.phases):
         known = derivatives[k] if derivatives else None
         if known is None:
             phases.append(replace(phase.run, t=phase.times))
         else:
             phases.append(at_held_times(phase.run, phase.times, known.states, known.t_b))
-        time_b = None if known is None else known.t_b[-1]
-        impulses_b = None if known is None else known.impulses_b
         if phase.jump is not None:
-            records += _records(phase.jump, phase.t_end, time_b, impulses_b)
+            records += _records(phase.jump, phase.t_end, known)
         elif phase.event is not None:
             records.append(EventRecord(phase.event.name, phase.t_end, phase.mode.name))
     return EventSolution(tuple(phases), tuple(records), run.outcome)
 
 
-def _records(
-    jump: Jump, time: float, time_b: Array | None, impulses_b: Array | None
-) -> list[EventRecord]:
+def _records(jump: Jump, time: float, known: PhaseDerivatives | None) -> list[EventRecord]:
     """Return the records of all events that happen at one time."""
-    records, row = [], 0
-    others = [x for x in jump.events if not isinstance(x, Impact)]
-    for each in jump.struck:
-        for impact, impulse in zip(each.impacts, each.after.impulses, strict=True):
-            impulse_b = None if impulses_b is None else impulses_b[row]
-            row += 1
-            name, mode = impact.name, jump.mode.name
-            records.append(EventRecord(name, time, mode, float(impulse), time_b, impulse_b))
-    pushing = {x for each in jump.struck for x in each.impacts}
-    others += [x for x in jump.events if isinstance(x, Impact) and x not in pushing]
+    records, pushing, time_b = [], set[Event](), None if known is None else known.t_b[-1]
+    for k, strike in enumerate(jump.strikes):
+        impulses, name = strike.struck.impulses.items(), jump.mode.name
+        pushing |= set(strike.struck.impacts)
+        for row, (impact, impulse) in enumerate(impulses):
+            slopes: tuple[Array | None, Array | None] = (None, None)
+            if known is not None:
+                slopes = known.strikes_b[k][0], known.strikes_b[k][1][row]
+            records.append(EventRecord(impact, time, name, float(np.real(impulse)), *slopes))
+    others = [x for x in jump.events if x not in pushing]
     records += [EventRecord(x.name, time, jump.mode.name, None, time_b) for x in others]
     return records
 

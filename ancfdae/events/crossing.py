@@ -14,7 +14,7 @@ from ancfdae.numerics.arrays import Array
 
 # Places within a step, as parts of it, that count as its ends.
 _END = 1e-9
-# Values that are this small against the largest one along the run are round-off at its start.
+# Rates that are this small against the largest one along the run are round-off at its start.
 _ROUND_OFF = 1e-10
 
 
@@ -30,20 +30,21 @@ class Crossing(NamedTuple):
 
 
 def first_crossing(
-    t: Array, g: Array, rate: Array, direction: int, side: float | None, open_: Array | None = None
+    t: Array, g: Array, rate: Array, direction: int, side: float | None, noise: Array, gap: bool
 ) -> Crossing | None:
     """Return the first zero that g crosses in a direction; None if it crosses no zero.
 
     `side` is the sign that g has just after the start where an event has just happened there: its
     value is then round-off. A zero at the first time point is no crossing otherwise: g is then
-    on the side to which it moves. Values of a gap that are round-off, where `open_` is true, count
-    as positive.
+    on the side to which it moves. Values up to `noise`, (k,), are round-off: zero at the first time
+    point, and open everywhere if g is a gap.
     """
-    if rests_at_start(g, rate):
+    at_zero = abs(g[0]) <= noise[0]
+    if at_zero and abs(rate[0]) <= _ROUND_OFF * np.max(np.abs(rate)):
         rate = np.append(0.0, rate[1:])
-    sides = _sides(g, rate, side)
-    if open_ is not None:
-        sides[open_] = 1.0
+    sides = _sides(g, rate, side, at_zero)
+    if gap:
+        sides[np.abs(g) <= noise] = 1.0
     changed = sides[:-1] != sides[1:]
     hidden = (sides[:-1] * rate[:-1] < 0) & (sides[1:] * rate[1:] > 0) & ~changed
     for n in np.flatnonzero(changed | hidden).tolist():
@@ -57,22 +58,12 @@ def first_crossing(
     return None
 
 
-def starts_at_zero(g: Array) -> bool:
-    """Whether the value at the first time point is round-off of zero."""
-    return bool(abs(g[0]) <= _ROUND_OFF * np.max(np.abs(g)))
-
-
-def rests_at_start(g: Array, rate: Array) -> bool:
-    """Whether value and rate at the first time point are round-off of zero."""
-    return starts_at_zero(g) and starts_at_zero(rate)
-
-
-def _sides(g: Array, rate: Array, side: float | None) -> Array:
+def _sides(g: Array, rate: Array, side: float | None, at_zero: bool) -> Array:
     """Return the signs of g at the time points, (k,); of a zero the side to which it moves."""
     sides, moves = np.sign(g), np.sign(rate)
     if side is not None:
         sides[0] = side
-    elif starts_at_zero(g):
+    elif at_zero:
         # If it does not move either it counts where it goes then.
         sides[0] = moves[0] or next(iter(sides[1:][sides[1:] != 0]), 1.0)
     for n in np.flatnonzero(sides == 0).tolist():

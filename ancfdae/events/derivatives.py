@@ -22,16 +22,17 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.equations.solution_parts import Sensitivities
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.events.functions import along_run, at_end, partials
-from ancfdae.events.impact import Directions
+from ancfdae.events.functions import Partials, along_run, at_end
+from ancfdae.events.impact import Directions, gap_partials
+from ancfdae.events.kinds import Event
 from ancfdae.events.objectives import PhasePartials
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
 from ancfdae.events.run import Jump, Phase, PhasedRun
+from ancfdae.events.strikes import Strike, order_matters
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.method import UnfinishedRunError, finished
-from ancfdae.sensitivity.observables.observable import States
 
 # A function whose rate at its zero is this part of the largest one in the phase grazes zero.
 _GRAZES = 1e-6
@@ -45,8 +46,9 @@ _CLOSED, _TOGETHER = 1e-10, 1e-6
 class PhaseDerivatives:
     """A phase with the design derivatives of its start, its duration and all its states.
 
-    The time points move with the design, by t_b of shape (k, n_b). `impulses_b`, (m, n_b), belong
-    to the impacts at the end of the phase.
+    The time points move with the design, by t_b of shape (k, n_b). `strikes_b` are derivatives of
+    the time, (n_b,), and of the impulses, (m, n_b), of each of the strikes at the end of the phase.
+    `in_duration` are derivatives of q, v and lam in D, of a phase that ends at a given time.
     """
 
     phase: Phase
@@ -54,7 +56,8 @@ class PhaseDerivatives:
     duration_b: Array
     states: Sensitivities
     t_b: Array
-    impulses_b: Array
+    strikes_b: tuple[tuple[Array, Array], ...] = ()
+    in_duration: tuple[Array, Array, Array] | None = None
 
 
 class _Start(NamedTuple):
@@ -71,14 +74,14 @@ def differentiated(run: PhasedRun) -> tuple[PhasedRun, list[PhaseDerivatives]]:
     start = _Start(np.zeros(system.n_b), *system.start_b())
     if run.before is not None:
         require_closed_start(system, run.before)
-        start, _ = _after(system, run.before, start)
+        start, _ = _after(run.before, start)
     found: list[PhaseDerivatives] = []
     for phase in run.phases:
         done, end = _through(phase, start)
         if done.phase.jump is not None:
             _happen_together(done, end)
-            start, impulses_b = _after(phase.mode.system, done.phase.jump, end)
-            done = replace(done, impulses_b=impulses_b)
+            start, strikes_b = _after(done.phase.jump, end)
+            done = replace(done, strikes_b=strikes_b)
         found.append(done)
     return replace(run, phases=tuple(x.phase for x in found)), found
 
@@ -101,8 +104,9 @@ def _through(phase: Phase, start: _Start) -> tuple[PhaseDerivatives, _Start]:
     q_b, v_b, a_b, lam_b = (x[..., :n] + x[..., n:] * D_b for x in states)
     t_b = start.t_b + np.outer(run.t / D, D_b)
     sensitivities = Sensitivities(base.design_names, base.b, q_b, v_b, a_b, lam_b)
-    none = np.zeros((0, n))
-    done = PhaseDerivatives(phase, start.t_b, D_b, sensitivities, t_b, none)
+    in_D = (states[0][..., n], states[1][..., n], states[3][..., n])
+    in_duration = None if phase.event else in_D
+    done = PhaseDerivatives(phase, start.t_b, D_b, sensitivities, t_b, in_duration=in_duration)
     return done, _Start(start.t_b + D_b, q_b[-1], v_b[-1])
 
 
@@ -120,7 +124,7 @@ def require_crossing(phase: Phase, rate: float) -> None:
     """Refuse to differentiate a phase whose event only grazes zero: its time has no derivative."""
     assert phase.event is not None
     system, function = phase.mode.system, phase.event.crossing[0]
-    largest = np.max(np.abs(along_run(system, function, phase.t_0, phase.run)[1]))
+    largest = np.max(np.abs(along_run(system, function, phase.t_0, phase.run).rate))
     if not abs(rate) > _GRAZES * largest:
         where = f"event {phase.event.name!r} at t = {phase.t_end:.6g}"
         rule = "must cross zero to have a derivative"
@@ -132,11 +136,10 @@ def require_crossing(phase: Phase, rate: float) -> None:
 def require_closed_start(system: MechanicalSystem, jump: Jump) -> None:
     """Refuse to differentiate impacts at the start whose gaps the design opens or closes."""
     q_b, _ = system.start_b()
-    for struck in jump.struck:
-        time, q, v = struck.state
-        at = States(np.array([np.real(time)]), q[None], v[None], np.zeros((1, system.n_lam)))
-        for impact in struck.impacts:
-            _, p = partials(system, impact.gap, at)
+    for strike in jump.strikes:
+        time, q, v = strike.struck.state
+        for impact in strike.struck.impacts:
+            p = gap_partials(system, impact, (float(np.real(time)), q, v))
             parts = np.abs(p.q) @ np.abs(q_b) + np.abs(p.b)
             if np.any(np.abs(p.q @ q_b + p.b) > _CLOSED * parts):
                 where = f"impact {impact.name!r} at the start"
@@ -154,26 +157,61 @@ def require_one_time(run: PhasedRun) -> None:
 def _happen_together(done: PhaseDerivatives, end: _Start) -> None:
     """Refuse to differentiate events whose times are the same at this design only.
 
-    Their order changes with the design, and a jump of the whole belongs to one of them.
+    Their order changes with the design, and a jump of the whole belongs to one of them. Impacts
+    that do not act on each other may have times of their own.
     """
-    phase, run, lam_b = done.phase, done.phase.run, done.states.lam_b[-1]
+    phase, moved = done.phase, _directions(end)
     assert phase.jump is not None
+    struck, apart = set[Event](), False
+    for strike in phase.jump.strikes:
+        apart = apart or (strike.wait is not None and _is_apart(strike.wait.gap, moved, strike))
+        at, (t, q, v) = strike.arrived(moved), strike.struck.state
+        for impact in strike.struck.impacts:
+            gap = gap_partials(strike.mode.system, impact, (float(np.real(t)), q, v))
+            if impact is not phase.event and _is_apart(gap, at, strike):
+                raise _apart(phase, impact)
+        struck |= set(strike.struck.impacts)
+        moved, _ = strike.along(moved)
+    if apart and (
+        any(x.wait is None for x in phase.jump.strikes[1:])
+        or order_matters(phase.jump.strikes, _directions(end))
+    ):
+        raise _apart(phase, phase.jump.strikes[1].struck.impacts[0])
+    for event in phase.jump.events:
+        if event is not phase.event and event not in struck and _missed(done, end, event):
+            raise _apart(phase, event)
+
+
+def _is_apart(gap: Partials, moved: Directions, strike: Strike) -> bool:
+    """Whether a gap that is closed changes along directions in which the state moves."""
+    _, _, v = strike.struck.state
+    ahead = np.outer(v, moved.t)
+    terms = np.abs(gap.q) @ (np.abs(moved.q - ahead) + np.abs(ahead))
+    total = gap.q @ moved.q + gap.t * moved.t + gap.b @ moved.b
+    terms = terms + np.abs(gap.t * moved.t) + np.abs(gap.b) @ np.abs(moved.b)
+    return bool(np.any(np.abs(total) > _TOGETHER * terms))
+
+
+def _missed(done: PhaseDerivatives, end: _Start, event: Event) -> bool:
+    """Whether the function of an event is not zero at the end of a phase at other designs."""
+    phase, run, lam_b = done.phase, done.phase.run, done.states.lam_b[-1]
     # Derivatives at a held time, and what the motion adds until the time of the event.
     moved = [np.outer(rate[-1], end.t_b) for rate in (run.v, run.a)]
     q_b, v_b = ((x_b - more, more) for x_b, more in zip((end.q_b, end.v_b), moved, strict=True))
-    for event in phase.jump.events:
-        if event is phase.event:
-            continue
-        _, p = at_end(phase.mode.system, event.crossing[0], phase.t_end, phase.run)
-        pairs = *((p.q, x) for x in q_b), *((p.v, x) for x in v_b), (p.lam, lam_b)
-        terms = [on[:, None] * x_b for on, x_b in pairs]
-        every = np.concatenate([*terms, [p.b, p.t * end.t_b]])
-        if np.any(np.abs(every.sum(axis=0)) > _TOGETHER * np.abs(every).sum(axis=0)):
-            where = f"event {event.name!r} at t = {phase.t_end:.6g}"
-            rule = "must happen together with the other event of that time at neighbouring designs"
-            got = "a time that changes otherwise with the design"
-            repair = "Move a part so that the times differ, or take FiniteDifference()."
-            raise InvalidInputError(where, rule, got, repair)
+    _, p = at_end(phase.mode.system, event.crossing[0], phase.t_end, run)
+    pairs = *((p.q, x) for x in q_b), *((p.v, x) for x in v_b), (p.lam, lam_b)
+    terms = [on[:, None] * x_b for on, x_b in pairs]
+    every = np.concatenate([*terms, [p.b, p.t * end.t_b]])
+    return bool(np.any(np.abs(every.sum(axis=0)) > _TOGETHER * np.abs(every).sum(axis=0)))
+
+
+def _apart(phase: Phase, event: Event) -> InvalidInputError:
+    """Return the error of an event that coincides with another one at this design only."""
+    where = f"event {event.name!r} at t = {phase.t_end:.6g}"
+    rule = "must happen together with the other event of that time at neighbouring designs"
+    got = "a time that changes otherwise with the design"
+    repair = "Move a part so that the times differ, or take FiniteDifference()."
+    return InvalidInputError(where, rule, got, repair)
 
 
 def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
@@ -188,14 +226,18 @@ def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
     return finished(run)
 
 
-def _after(system: MechanicalSystem, jump: Jump, end: _Start) -> tuple[_Start, Array]:
-    """Return the derivatives after a jump, and the derivatives of its impulses, (m, n_b)."""
-    impulses_b = [np.zeros((0, system.n_b))]
-    for each in jump.struck:
-        v_b, rows = each.along(Directions(end.t_b, end.q_b, end.v_b, np.eye(system.n_b)))
-        end = end._replace(v_b=v_b)
-        impulses_b.append(rows)
-    return end, np.concatenate(impulses_b)
+def _after(jump: Jump, end: _Start) -> tuple[_Start, tuple[tuple[Array, Array], ...]]:
+    """Return the derivatives after a jump, and those of the times and impulses of its strikes."""
+    moved, strikes_b = _directions(end), []
+    for strike in jump.strikes:
+        moved, impulses_b = strike.along(moved)
+        strikes_b.append((moved.t, impulses_b))
+    return _Start(*moved[:3]), tuple(strikes_b)
+
+
+def _directions(end: _Start) -> Directions:
+    """Return derivatives in the design as directions."""
+    return Directions(*end, np.eye(len(end.t_b)))
 
 
 # -- backward --------------------------------------------------------------------------------------
@@ -209,42 +251,51 @@ class _Covectors(NamedTuple):
     v: Array
 
 
-def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> Array:
-    """Return the gradient of an objective from its partials in all phases, (n_b,) (adjoint)."""
+def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> tuple[Array, float]:
+    """Return the gradient of an objective from its partials in all phases, (n_b,) (adjoint).
+
+    The derivative in the end of the run comes beside; zero where an event ends the run.
+    """
+    in_end = 0.0
     system = run.phases[0].mode.system
     gradient, n_q = np.zeros(system.n_b), system.n_q
     on = _Covectors(0.0, np.zeros(n_q), np.zeros(n_q))
     for phase, p in zip(reversed(run.phases), reversed(partials), strict=True):
         if phase.jump is not None:
-            on, on_b = _before(phase.mode.system, phase.jump, on)
+            on, on_b = _before(phase.jump, on)
             gradient += on_b
-        on, on_b = _back_through(phase, p, on)
+        on, on_b, in_D = _back_through(phase, p, on)
         gradient += on_b
+        if phase.event is None:
+            in_end = in_D
     if run.before is not None:
         require_closed_start(system, run.before)
-        on, on_b = _before(system, run.before, on)
+        on, on_b = _before(run.before, on)
         gradient += on_b
-    return gradient + system.start_pull_back(on.q, on.v)
+    return gradient + system.start_pull_back(on.q, on.v), in_end
 
 
-def _before(system: MechanicalSystem, jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
+def _before(jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
     """Pull covectors back through a jump; those on the design come beside."""
-    n, gradient = system.n_q, np.zeros(system.n_b)
-    for each in reversed(jump.struck):
-        v_b, _ = each.along(Directions.all_of(system))
-        total = on.v @ v_b
-        on = _Covectors(on.t + total[0], on.q + total[1 : n + 1], total[n + 1 : 2 * n + 1])
+    n, gradient = jump.mode.system.n_q, np.zeros(jump.mode.system.n_b)
+    for strike in reversed(jump.strikes):
+        moved, _ = strike.along(Directions.all_of(strike.mode.system))
+        total = on.t * moved.t + on.q @ moved.q + on.v @ moved.v
+        on = _Covectors(total[0], total[1 : n + 1], total[n + 1 : 2 * n + 1])
         gradient += total[2 * n + 1 :]
     return on, gradient
 
 
-def _back_through(phase: Phase, p: PhasePartials, on: _Covectors) -> tuple[_Covectors, Array]:
-    """Pull covectors on the end of a phase, and partials along it, back to its start."""
+def _back_through(
+    phase: Phase, p: PhasePartials, on: _Covectors
+) -> tuple[_Covectors, Array, float]:
+    """Pull covectors on the end of a phase, and partials along it, back to its start, b and D."""
     base, n = phase.mode.system, phase.mode.system.n_b
     total = _pulled_back(phase, p.q, p.v, p.lam, on)
     # D is variable n, t_0 the next one.
     total[:n] += p.b
     total[n : n + 2] += p.duration + on.t, p.start + on.t
+    in_D = float(total[n])
     if phase.event is None:
         total[n + 1] -= total[n]
     else:
@@ -257,7 +308,7 @@ def _back_through(phase: Phase, p: PhasePartials, on: _Covectors) -> tuple[_Cove
         require_crossing(phase, float(crossing[n]))
         total -= total[n] / crossing[n] * crossing
     q, v = np.split(total[n + 2 :], 2)
-    return _Covectors(float(total[n + 1]), q, v), total[:n]
+    return _Covectors(float(total[n + 1]), q, v), total[:n], in_D
 
 
 def _pulled_back(

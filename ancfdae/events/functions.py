@@ -23,6 +23,17 @@ from ancfdae.sensitivity.observables.observable import Leaf, Observable, States
 _SAME = 1e-14
 
 
+class AlongRun(NamedTuple):
+    """Values and rates in time of an observable at the time points of a run, (k,) each.
+
+    `size` is the sum of the sizes of what the values are made of; their round-off is a part of it.
+    """
+
+    value: Array
+    rate: Array
+    size: Array
+
+
 class Partials(NamedTuple):
     """Partials of one observable in a state: time, q, v and lam, and the design with these held."""
 
@@ -35,17 +46,32 @@ class Partials(NamedTuple):
 
 def along_run(
     system: MechanicalSystem, function: Observable, t_0: float, run: Solution
-) -> tuple[Array, Array]:
-    """Return values and rates in time of an observable along a phase that began at t_0, (k,)."""
+) -> AlongRun:
+    """Return an observable along a phase that began at t_0."""
     states = States(t_0 + run.t, run.q, run.v, run.lam, run.degree)
     p = function.partials(system, states)
-    rate = in_time(system, function, states)
-    for partial, change in ((p.q, run.v), (p.v, run.a)):
+    on_t = in_time(system, function, states)
+    rate, size = on_t, np.abs(on_t) * states.t
+    for partial, x, change in ((p.q, run.q, run.v), (p.v, run.v, run.a)):
         if partial is not None:
             rate = rate + np.sum(partial * change, axis=1)
-    if p.lam is not None and len(run.t) > 1:
-        rate = rate + np.sum(p.lam * np.gradient(run.lam, run.t, axis=0), axis=1)
-    return p.value, rate
+            size = size + np.abs(partial) @ _sizes(system, x)
+    if p.lam is not None:
+        size = size + np.abs(p.lam) @ np.max(np.abs(run.lam), axis=0, initial=0.0)
+        if len(run.t) > 1:
+            rate = rate + np.sum(p.lam * np.gradient(run.lam, run.t, axis=0), axis=1)
+    return AlongRun(p.value, rate, size)
+
+
+def _sizes(system: MechanicalSystem, x: Array) -> Array:
+    """Return the largest size along rows of x, (k, n_q), of the vector of each coordinate, (n_q,).
+
+    A coordinate that is zero by the place of the axes has the round-off of its vector.
+    """
+    largest, d = np.max(np.abs(x), axis=0, initial=0.0), system.vector_size
+    whole = len(largest) // d * d
+    of_vectors = np.max(largest[:whole].reshape(-1, d), axis=1, initial=0.0)
+    return np.append(np.repeat(of_vectors, d), largest[whole:])
 
 
 def at_end(
@@ -68,6 +94,16 @@ def partials(
     )
     on_t = float(in_time(system, function, states)[0])
     return float(p.value[0]), Partials(on_t, q, v, lam, p.b[0])
+
+
+def gap_at(
+    system: MechanicalSystem, gap: Observable, t: float, q: Array, v: Array
+) -> tuple[float, float, float, float]:
+    """Return a gap in one state, its rate, and the sizes of what both are made of."""
+    at = States(np.array([t]), q[None], v[None], np.zeros((1, system.n_lam)))
+    g, p = partials(system, gap, at)
+    size, speed = (np.abs(p.q) @ _sizes(system, x[None]) for x in (q, v))
+    return g, float(p.q @ v + p.t), float(size + abs(p.t) * t), float(speed + abs(p.t))
 
 
 def in_time(system: MechanicalSystem, function: Observable, states: States) -> Array:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.complex_steps import at_values
@@ -35,6 +36,8 @@ from ancfdae.sensitivity.observables.observable import Observable, States
 # Inverse masses below this part of the largest possible one are round-off: of a gap that joints
 # hold, and of a gap whose rate follows from the rates of other gaps.
 _FIXED, _DEPENDENT = 1e-12, 1e-10
+# Gaps that see each other's impulses less than this, relative to their own, do not at all.
+_UNCOUPLED = 1e-12
 
 
 class Directions(NamedTuple):
@@ -146,10 +149,7 @@ def struck(
 ) -> Struck:
     """Solve impacts that happen at (t, q, v); plastic ones have no restitution."""
     t, q, v = state
-    # The time may have an imaginary part, which constraints of a phase that begins here accept.
-    local = PhaseSystem(system, PhaseStart.held(t, q, v, system.n_b), 1.0, first=False)
-    matrices = saddle_point(system, float(np.real(t)), q.real)
-    factors = matrices.factor(system.mass(q), local.constraint_q(0.0, q))
+    local, factors = _factored(system, state)
     moved, multiplier = solve(factors, np.zeros_like(v), local.constraint(0.0, q, v))
     before = _Velocity(v - moved, -multiplier, np.zeros(0))
     active = _independent(system, factors, impacts, t, q)
@@ -165,6 +165,33 @@ def struck(
         active = active[:weakest] + active[weakest + 1 :]
     after = _Velocity(before.value + X @ P, before.multiplier + Y @ P, P)
     return Struck(system, active, plastic, state, before, after, e, (G, g_t), X, factors)
+
+
+def uncoupled(
+    system: MechanicalSystem, impacts: Sequence[Impact], state: tuple[float, Array, Array]
+) -> list[tuple[Impact, ...]]:
+    """Return the impacts in groups whose impulses do not change the rates of other groups' gaps."""
+    t, q, _ = state
+    G, _ = _rows(system, impacts, t, q)
+    X, _ = solve(_factored(system, state)[1], G.T, np.zeros((system.n_lam, len(impacts))))
+    C = G @ X
+    sizes = np.sqrt(np.abs(np.diag(C)))
+    _, group = connected_components(np.abs(C) > _UNCOUPLED * np.outer(sizes, sizes))
+    return [
+        tuple(x for x, own in zip(impacts, group, strict=True) if own == which)
+        for which in dict.fromkeys(group.tolist())
+    ]
+
+
+def _factored(
+    system: MechanicalSystem, state: tuple[complex, Array, Array]
+) -> tuple[PhaseSystem, Factorization]:
+    """Return the system from a state on, and its factorised matrix of mass and constraints."""
+    t, q, v = state
+    # The time may have an imaginary part, which constraints of a phase that begins here accept.
+    local = PhaseSystem(system, PhaseStart.held(t, q, v, system.n_b), 1.0, first=False)
+    matrices = saddle_point(system, float(np.real(t)), q.real)
+    return local, matrices.factor(system.mass(q), local.constraint_q(0.0, q))
 
 
 def _independent(
@@ -228,6 +255,13 @@ def _restitution(
         where = f"Impact.restitution of {impact.name!r} at t = {np.real(t):.6g}"
         raise InvalidInputError(where, "must not be negative", value.real)
     return value if np.iscomplexobj(q) or np.iscomplexobj(system.b) else value.real
+
+
+def gap_partials(
+    system: MechanicalSystem, impact: Impact, state: tuple[float, Array, Array]
+) -> Partials:
+    """Return the partials of the gap of an impact at a real state."""
+    return _of_state(system, impact.gap, state)[1]
 
 
 def _of_state(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import (
@@ -195,6 +195,14 @@ class Mode:
     def __post_init__(self) -> None:
         require_kind("Mode.model", self.model, (Scene, MechanicalSystem), "Pass one of them.")
         object.__setattr__(self, "events", require_events(self.events))
+
+
+class ModeSystem(NamedTuple):
+    """A mode of a run: its name, its system, and its events."""
+
+    name: str
+    system: MechanicalSystem
+    events: tuple[Event, ...]
 
 
 def require_events(events: object) -> tuple[Event, ...]:

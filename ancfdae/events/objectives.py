@@ -25,7 +25,7 @@ from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.objectives.objective import NonFiniteObjectiveError, Objective
 from ancfdae.sensitivity.objectives.reductions import AtInstants, OverTime, Reduction, Terminal
 from ancfdae.sensitivity.observables.expression import evaluated, leaf_weights, leaves
-from ancfdae.sensitivity.observables.observable import States, remembered
+from ancfdae.sensitivity.observables.observable import Observable, States, remembered
 
 # A time within this part of the run after the end of a phase lies at that end.
 _SAME = 1e-12
@@ -72,6 +72,14 @@ class PhasePartials:
             q, v, lam, factor * self.b, factor * self.start, factor * self.duration
         )
 
+    def along(self, states: tuple[Array, Array, Array] | None) -> float:
+        """Return the derivative along changes of q, v and lam, and of D by one; 0 without any."""
+        if states is None:
+            return 0.0
+        pairs = zip((self.q, self.v, self.lam), states, strict=True)
+        through = sum(float(np.sum(p * x)) for p, x in pairs if p is not None)
+        return self.duration + through
+
     def plus(self, other: PhasePartials) -> PhasePartials:
         """Return the sum with other partials in the same phase."""
         pairs = zip((self.q, self.v, self.lam), (other.q, other.v, other.lam), strict=True)
@@ -114,19 +122,27 @@ def require_reductions(objectives: Sequence[Objective]) -> None:
                 raise InvalidInputError("objective of a run with events", rule, repr(leaf))
 
 
+def along_phases(
+    observable: Observable, phases: Sequence[PhaseStates]
+) -> list[dict[object, Array]]:
+    """Return the values of an observable and its parts along each phase; its own come last."""
+    found: list[dict[object, Array]] = []
+    past: Mapping[object, float] = {}
+    for phase in phases:
+        states = phase.states
+        states = States(states.t, states.q, states.v, states.lam, states.degree, past)
+        nodes = observable.node_values(phase.system, states)
+        found.append(nodes)
+        past = remembered(nodes)
+    return found
+
+
 class _Reduced:
     """One `Reduction` over all phases of a run."""
 
     def __init__(self, objective: object, phases: Sequence[PhaseStates]) -> None:
         self._objective, self._phases = cast(Reduction, objective), phases
-        self._nodes: list[dict[object, Array]] = []
-        past: Mapping[object, float] = {}
-        for phase in phases:
-            states = phase.states
-            states = States(states.t, states.q, states.v, states.lam, states.degree, past)
-            nodes = self._objective.observable.node_values(phase.system, states)
-            self._nodes.append(nodes)
-            past = remembered(nodes)
+        self._nodes = along_phases(self._objective.observable, phases)
 
     def value(self) -> complex:
         """Return the value, complex where states or times are."""

@@ -7,13 +7,15 @@ gives the rate of g in D. No derivative of the motion with respect to the design
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.complex_steps import at_values
 from ancfdae.events.derivatives import require_closed_start
 from ancfdae.events.functions import in_time
-from ancfdae.events.impact import struck
+from ancfdae.events.kinds import ModeSystem
 from ancfdae.events.objectives import PhaseStates
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
 from ancfdae.events.run import Jump, Phase, PhasedRun
@@ -24,35 +26,37 @@ from ancfdae.sensitivity.observables.observable import Observable, States
 State = tuple[complex, Array, Array]
 
 
-def at_complex(run: PhasedRun, b: Array) -> list[PhaseStates]:
-    """Return the states of all phases of a run at a complex design near its own."""
+def at_complex(run: PhasedRun, b: Array, late: float = 0.0) -> list[PhaseStates]:
+    """Return the states of all phases of a run at a complex design near its own.
+
+    The end of the run has the imaginary part `late`.
+    """
     systems: dict[str, MechanicalSystem] = {}
 
-    def moved(phase: Phase) -> MechanicalSystem:
-        mode = phase.mode
+    def moved(mode: ModeSystem) -> MechanicalSystem:
         if mode.name not in systems:
             systems[mode.name] = at_values(mode.system, b)
         return systems[mode.name]
 
-    system = moved(run.phases[0])
+    system = moved(run.phases[0].mode)
     state: State = (0.0, *system.start())
     if run.before is not None:
         require_closed_start(run.phases[0].mode.system, run.before)
-        state = _jumped(system, run.before, state)
+        state = _jumped(moved, run.before, state)
     found = []
     for phase in run.phases:
-        system = moved(phase)
-        D = _duration(phase, system, state)
+        system = moved(phase.mode)
+        D = _duration(phase, system, state, late)
         complete, last = _states(phase, system, state, D)
         found.append(complete)
-        state = last if phase.jump is None else _jumped(system, phase.jump, last)
+        state = last if phase.jump is None else _jumped(moved, phase.jump, last)
     return found
 
 
-def _duration(phase: Phase, system: MechanicalSystem, state: State) -> complex:
+def _duration(phase: Phase, system: MechanicalSystem, state: State, late: float) -> complex:
     """Return the duration of a phase at the complex design."""
     if phase.event is None:
-        return phase.t_end - state[0]
+        return phase.t_end + 1j * late - state[0]
     D, function = phase.duration, phase.event.crossing[0]
     off = _at_end(phase, system, function, state, D)
     stretched = _at_end(phase, phase.mode.system, function, phase.state, D * (1 + 1j * STEP))
@@ -85,9 +89,8 @@ def _states(
     return PhaseStates(system, states, t, D), (t + D, run.q[-1], rates[-1])
 
 
-def _jumped(system: MechanicalSystem, jump: Jump, state: State) -> State:
-    """Return the state after a jump."""
-    for each in jump.struck:
-        again = struck(system, each.impacts, each.plastic, state)
-        state = state[0], state[1], again.after.value
+def _jumped(moved: Callable[[ModeSystem], MechanicalSystem], jump: Jump, state: State) -> State:
+    """Return the state after a jump of modes at a complex design."""
+    for strike in jump.strikes:
+        state = strike.at_complex(moved(strike.mode), state)
     return state

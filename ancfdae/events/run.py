@@ -11,27 +11,26 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, cast, final
+from typing import Any, cast, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem, Solution
+from ancfdae.equations import Solution
 from ancfdae.errors.kinds import InconsistentStartError, InvalidInputError
 from ancfdae.errors.outcomes import RunOutcome, Verdict
-from ancfdae.events.crossing import Crossing, first_crossing, starts_at_zero
-from ancfdae.events.functions import along_run, gap_rows, partials
-from ancfdae.events.impact import Struck, struck
-from ancfdae.events.kinds import EndEvent, Event, Impact, Switch
+from ancfdae.events.crossing import Crossing, first_crossing
+from ancfdae.events.functions import AlongRun, along_run, gap_at
+from ancfdae.events.impact import uncoupled
+from ancfdae.events.kinds import EndEvent, Event, Impact, ModeSystem, Switch
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
+from ancfdae.events.strikes import Strike, allowed
 from ancfdae.integrators.high_order import INTERVALS, HighOrder
 from ancfdae.integrators.integrator import Integrator
-from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.step_control import FixedSteps, PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
-from ancfdae.sensitivity.observables.observable import States
 
 #: Impacts that follow each other within this part of the run are rest.
 REST = 1e-8
@@ -41,9 +40,16 @@ _MOST = 100_000
 _TOGETHER = 1e-12
 # Corrections of D: most of Newton's, and most where a bracket is halved, too.
 _CORRECTIONS, _HALVED = 30, 100
+# Corrections after which a time with the other sign is tried, since zeros of higher order are slow.
+_SLOW = 10
 # The size of a correction against the time that is round-off; its size against D where it has
 # stopped shrinking, and the value at a zero against the values before it.
 _ROUND_OFF, _ACCEPTED = 4e-16, 1e-6
+# Round-off of a function against the size of what it is made of; a gap that is negative by this
+# part of it where a mode begins is refused.
+_NOISE, _NEGATIVE = 1e-14, 1e-9
+# A zero is double if a correction, or this part of D, changes the rate by a tenth of it.
+_DOUBLE = 1e-9
 # Part of the run before its end in which an event counts as one after the end.
 _AT_END = 1e-15
 # Times that a phase is located anew because another event happens before.
@@ -58,16 +64,16 @@ _FINEST = 512
 _CHAIN = 1000
 # Phases in a row that are as short as rest, of whatever events.
 _SHORT = 200
+# Phases, in two halves, after which the number of all events is foreseen, if they do not get
+# shorter by this factor from one half to the other.
+_FORESEEN, _STEADY = 400, 0.9
+_MANY = (
+    f"At the rate of the last {_FORESEEN} events there would be more than {_MOST} until the end. "
+    "Give impacts a lower restitution, and rest=..., the name of a mode with a joint that keeps "
+    "the gap closed."
+)
 # A mode whose joints are farther off than this part of the mechanism cannot be switched to.
 _CLOSED = 1e-6
-
-
-class ModeSystem(NamedTuple):
-    """A mode of a run: its name, its system, and its events."""
-
-    name: str
-    system: MechanicalSystem
-    events: tuple[Event, ...]
 
 
 @final
@@ -79,13 +85,13 @@ class Jump:
     """
 
     events: tuple[Event, ...]
-    struck: tuple[Struck, ...]
+    strikes: tuple[Strike, ...]
     mode: ModeSystem
     ends: bool = False
 
     def velocities(self, v: Array) -> Array:
         """Return the velocities after the jump, shape (n_q,)."""
-        return self.struck[-1].after.value if self.struck else v
+        return self.strikes[-1].velocities if self.strikes else v
 
 
 @final
@@ -195,6 +201,10 @@ class PhaseMarch:
                     return self._accumulated(before, phases, phase, event)
                 # The gap has not opened since the last impact.
                 phase = phases.pop()
+            if self._too_many(phases):
+                return self._ended(
+                    before, phases, self._outcome(Verdict.EVENT_LIMIT, phases, _MANY)
+                )
             if (rests and not event.leads_to) or short > _SHORT:
                 return self._accumulated(before, [*phases, phase], phase, event)
             jump = self._jump(phase, event, rests)
@@ -209,6 +219,16 @@ class PhaseMarch:
             state = phase.t_end, phase.run.q[-1], jump.velocities(phase.run.v[-1])
             mode, first, happened = jump.mode, False, jump.events
         return self._ended(before, phases, self._outcome(Verdict.EVENT_LIMIT, phases, ""))
+
+    def _too_many(self, phases: Sequence[Phase]) -> bool:
+        """Whether events follow each other steadily, too fast to reach the end of the run."""
+        if len(phases) < _FORESEEN:
+            return False
+        durations = np.array([phase.duration for phase in phases[-_FORESEEN:]])
+        before, after = np.split(durations, 2)
+        steady = np.sum(after) > _STEADY * np.sum(before)
+        left = (self._t_end - phases[-1].t_end) / np.mean(after)
+        return bool(steady and len(phases) + left > _MOST)
 
     # -- one phase -----------------------------------------------------------------------------
 
@@ -254,15 +274,15 @@ class PhaseMarch:
         if len(phase.run.t) < 2:
             return None
         for event in phase.mode.events:
-            g, rate = _function(phase, event)
-            side = None
-            if isinstance(event, Impact) and (event in happened or starts_at_zero(g)):
-                # A gap that is closed at the start of a phase opens, or it closes at once.
+            g, rate, size = _function(phase, event)
+            # A gap is open at the start of a phase, or it opens, or it closes at once.
+            side, gap = None, isinstance(event, Impact)
+            if gap:
                 side = 1.0
-            elif event in happened:
+            elif event in happened and abs(g[0]) <= _ACCEPTED * np.max(np.abs(g)):
                 side = float(np.sign(rate[0])) or None
-            touching = _touching(phase, event, g) if isinstance(event, Impact) else None
-            at = first_crossing(phase.run.t, g, rate, event.crossing[1], side, touching)
+            noise = _NOISE * size + _ROUND_OFF * self._t_end * np.abs(rate)
+            at = first_crossing(phase.run.t, g, rate, event.crossing[1], side, noise, gap)
             if at is not None and (found is None or at.time < found[1].time):
                 found = event, at
         return found
@@ -289,9 +309,10 @@ class PhaseMarch:
 
     def _at_start(self, mode: ModeSystem, q: Array, v: Array) -> Jump | None:
         """Return the impacts of gaps that are closed and closing at the start of the run."""
-        struck_gaps = self._struck(mode, (), False, (0.0, q, v))
-        events = tuple(dict.fromkeys(x for each in struck_gaps for x in each.impacts))
-        return Jump(events, struck_gaps, mode) if struck_gaps else None
+        closing = self._closing(mode, 0.0, q, v, begins=True)
+        strikes = self._struck(mode, closing, False, (0.0, q, v))
+        events = tuple(dict.fromkeys(x for each in strikes for x in each.struck.impacts))
+        return Jump(events, strikes, mode) if strikes else None
 
     def _struck(
         self,
@@ -299,16 +320,28 @@ class PhaseMarch:
         impacts: Sequence[Impact],
         plastic: bool,
         state: tuple[float, Array, Array],
-    ) -> tuple[Struck, ...]:
-        """Return impacts, followed by impacts of touching gaps with a negative rate after them."""
-        found: list[Struck] = []
-        (t, q, v), closing = state, list(impacts) or self._closing(mode, *state)
+        first: Event | None = None,
+    ) -> tuple[Strike, ...]:
+        """Return impacts, followed by impacts of touching gaps with a negative rate after them.
+
+        `first` is the event that ended the phase. Impacts that do not act on it, nor on each other,
+        have times of their own beside the design.
+        """
+        (t, q, v), groups, found = state, [tuple(impacts)] if impacts else [], list[Strike]()
+        if first in impacts and len(impacts) > 1:
+            together = uncoupled(mode.system, impacts, state)
+            groups = sorted(together, key=lambda group: first not in group)
+        for group in groups:
+            found.append(Strike.of(mode, group, plastic, (t, q, v), apart=len(found) > 0))
+            v = found[-1].velocities
+        closing = list(impacts)
         while closing:
-            found.append(struck(mode.system, closing, plastic, (t, q, v)))
-            v = found[-1].after.value
             before, closing = closing, self._closing(mode, t, q, v)
             if plastic:
                 closing = [x for x in closing if x not in before]
+            if closing:
+                found.append(Strike.of(mode, closing, plastic, (t, q, v), apart=False))
+                v = found[-1].velocities
             if len(found) > _CHAIN:
                 rule = "must end after some impacts at one time"
                 got = f"more than {_CHAIN} at t = {t:.6g}"
@@ -316,20 +349,25 @@ class PhaseMarch:
                 raise InvalidInputError(f"impacts of {closing[0].name!r}", rule, got, repair)
         return tuple(found)
 
-    def _closing(self, mode: ModeSystem, t: float, q: Array, v: Array) -> list[Impact]:
-        """Return the impacts whose gaps are closed at a time and have a negative rate."""
-        closing, system = [], mode.system
-        at = States(np.array([t]), q[None], v[None], np.zeros((1, system.n_lam)))
+    def _closing(
+        self, mode: ModeSystem, t: float, q: Array, v: Array, *, begins: bool = False
+    ) -> list[Impact]:
+        """Return the impacts whose gaps are closed at a time and have a negative rate.
+
+        Where a run or a mode `begins`, gaps that are negative beyond round-off are refused.
+        """
+        closing = []
         for event in mode.events:
             if isinstance(event, Impact):
-                g, p = partials(system, event.gap, at)
-                u = p.q @ v + p.t
-                if u < 0 and abs(g) <= -u * _TOGETHER * self._t_end:
-                    closing.append(event)
-                elif g < 0 and t == 0 and -g > abs(u) * _TOGETHER * self._t_end:
-                    where = f"gap of {event.name!r} at the start"
+                g, u, size, speed = gap_at(mode.system, event.gap, t, q, v)
+                near = abs(u) * _TOGETHER * self._t_end + _NOISE * size
+                if begins and -g > (near if t == 0 else _NEGATIVE * size):
+                    begin = f"where mode {mode.name!r} begins, t = {t:.6g}" if t else "at the start"
+                    where = f"gap of {event.name!r} {begin}"
                     repair = "Begin with bodies apart, or change the sign of the gap."
                     raise InvalidInputError(where, "must not be negative", f"{g:.6g}", repair)
+                if u < -_NOISE * speed and g <= near:
+                    closing.append(event)
         return closing
 
     def _jump(self, phase: Phase, event: Event, rests: bool) -> Jump:
@@ -337,16 +375,24 @@ class PhaseMarch:
         mode, (t, q, v) = phase.mode, phase.last
         events = [event, *(x for x in self._with_it(phase) if x is not event)]
         impacts = [x for x in events if isinstance(x, Impact)]
-        solved = self._struck(mode, impacts, rests, (t, q, v)) if impacts else ()
-        further = (x for each in solved for x in each.impacts)
+        strikes = self._struck(mode, impacts, rests, (t, q, v), event)
+        further = (x for each in strikes for x in each.struck.impacts)
         events = list(dict.fromkeys([*events, *further]))
         ends = any(isinstance(x, EndEvent) for x in events)
         targets = [x.to for x in events if isinstance(x, Switch)]
         if rests:
             targets += event.leads_to
         if targets and not ends:
-            mode = self._mode(targets[0], phase)
-        return Jump(tuple(events), solved, mode, ends)
+            # Integrators keep the velocities of joints that open with an error.
+            on_joints = strikes[-1].velocities if strikes else allowed(mode.system, t, q, v).v
+            mode, on_joints = self._mode(targets[0], phase, on_joints)
+            # Gaps that only the new mode has, or that its joints close.
+            closing = self._closing(mode, t, q, on_joints, begins=True)
+            closing = [x for x in closing if x not in events]
+            state = t, q, strikes[-1].velocities if strikes else v
+            strikes += self._struck(mode, closing, False, state)
+            events += closing
+        return Jump(tuple(events), strikes, mode, ends)
 
     def _with_it(self, phase: Phase) -> list[Event]:
         """Return the events of a mode whose functions are zero at the end of a phase."""
@@ -355,20 +401,23 @@ class PhaseMarch:
         for event in mode.events:
             function, direction = event.crossing
             if not isinstance(event, Impact):
-                g, rate = (x[-1] for x in along_run(mode.system, function, phase.t_0, phase.run))
+                along = along_run(mode.system, function, phase.t_0, phase.run)
+                g, rate = along.value[-1], along.rate[-1]
                 near = abs(g) <= abs(rate) * _TOGETHER * self._t_end
                 if near and rate and direction in (0, np.sign(rate)):
                     found.append(event)
         return found
 
-    def _mode(self, name: str, phase: Phase) -> ModeSystem:
-        """Return the mode that follows a phase; refuse one whose joints are not closed there."""
-        mode, (t, q, v) = self._modes[name], phase.last
+    def _mode(self, name: str, phase: Phase, v: Array) -> tuple[ModeSystem, Array]:
+        """Return the mode that follows a phase, and velocities v as its joints allow them.
+
+        A mode whose joints are not closed there is refused.
+        """
+        mode, (t, q, _) = self._modes[name], phase.last
         system = mode.system
-        start = PhaseStart.held(t, q, v, system.n_b)
         try:
-            problem = InitialValueProblem.of(PhaseSystem(system, start, 1.0, False), self._t_end)
-            moved = norm(problem.initial.q - q, system.weights)
+            state = allowed(system, t, q, v)
+            moved, v = norm(state.q - q, system.weights), state.v
         except InconsistentStartError:
             moved = math.inf
         if moved > _CLOSED * self._size:
@@ -378,7 +427,7 @@ class PhaseMarch:
                 f"coordinates that must move by {moved / (self._size or 1.0):.1e} of the mechanism"
             )
             raise InvalidInputError(f"mode {name!r}", rule, got, repair)
-        return mode
+        return mode, v
 
     # -- how it ends -------------------------------------------------------------------------------
 
@@ -427,22 +476,15 @@ def _integrated(phase: Phase) -> Phase:
     return replace(phase, run=phase.integrator.integrate(phase.system, phase.duration))
 
 
-def _function(phase: Phase, event: Event) -> tuple[Array, Array]:
-    """Return values and rates of the function of an event along a phase; refuse NaN."""
-    g, rate = along_run(phase.mode.system, event.crossing[0], phase.t_0, phase.run)
+def _function(phase: Phase, event: Event) -> AlongRun:
+    """Return the function of an event along a phase; refuse NaN."""
+    g, rate, size = along_run(phase.mode.system, event.crossing[0], phase.t_0, phase.run)
     if not np.all(np.isfinite(g)):
         bad = phase.t_0 + float(phase.run.t[np.argmin(np.isfinite(g))])
         rule, repair = "must be finite along the run", "Check roots and divisions in it."
         got = f"NaN or infinity at t = {bad:.6g}"
         raise InvalidInputError(f"event {event.name!r}", rule, got, repair)
-    return g, np.where(np.isfinite(rate), rate, 0.0)
-
-
-def _touching(phase: Phase, impact: Impact, g: Array) -> Array:
-    """Return where along a phase a gap is round-off of the coordinates that it is made of, (k,)."""
-    run = phase.run
-    g_q, _ = gap_rows(phase.mode.system, impact.gap, phase.t_0 + run.t, run.q)
-    return np.asarray(np.abs(g) <= 8 * _ROUND_OFF * np.sum(np.abs(g_q * run.q), axis=1))
+    return AlongRun(g, np.where(np.isfinite(rate), rate, 0.0), size)
 
 
 def _ended_at(phase: Phase, steps: _StretchedSteps, crossing: Crossing, left: float) -> Phase:
@@ -459,30 +501,43 @@ def _ended_at(phase: Phase, steps: _StretchedSteps, crossing: Crossing, left: fl
         phase = _integrated(replace(phase, duration=D, integrator=steps.of(D)))
         if not phase.run.outcome.success:
             return phase
-        values, rates = _function(phase, event)
+        values, rates, _ = _function(phase, event)
         g, rate, t = float(values[-1]), float(rates[-1]), phase.t_0 + D
         if last < math.inf and before[1] != D and g != before[0]:
             # The change from run to run; the rate before belongs to the motion in one run.
             rate = (g - before[0]) / (D - before[1])
         change = -g / rate if rate else math.copysign(math.inf, g * crossing.side)
         stuck = abs(change) >= 0.5 * last and abs(change) <= _ACCEPTED * D
-        if _is_zero(values, rates, t) and (stuck or abs(change) <= _ROUND_OFF * t):
-            return phase
+        is_zero = _is_zero(values, rates, t)
+        if is_zero and (stuck or abs(change) <= _ROUND_OFF * t):
+            if _simple(phase, rates, max(abs(change), _DOUBLE * D)):
+                return phase
+            if crossing.after == math.inf:
+                break
         below, above = (D, above) if g * crossing.side > 0 else (below, min(D, above))
         if above == math.inf and left <= D and crossing.after < math.inf:
             return replace(phase, event=None)
+        if above - below <= _TOGETHER * t and is_zero and crossing.after < math.inf:
+            return phase
         if above - below <= _ROUND_OFF * t or (above == math.inf and n >= _CORRECTIONS):
             break
         before, new = (g, D), min(max(D + change, 0.5 * D), 2.0 * D)
         if above < math.inf and not (below < new < above and abs(change) < 0.5 * last):
             last, D = above - below, 0.5 * (below + above)
             continue
-        if above == math.inf and change <= 0 and D < crossing.after < math.inf:
+        if above == math.inf and (change <= 0 or n == _SLOW) and D < crossing.after < math.inf:
             new = crossing.after
         last, D = abs(change), min(new, left)
     advice = f"The function of {event.name!r} touches zero, or jumps or has a pole there."
     done = replace(phase.run.outcome, verdict=Verdict.EVENT_NOT_LOCATED, advice=advice)
     return replace(phase, run=replace(phase.run, outcome=done))
+
+
+def _simple(phase: Phase, rates: Array, near: float) -> bool:
+    """Whether the rate at the end of a phase hardly changes within a time: the zero is simple."""
+    t = phase.run.t
+    bend = (rates[-1] - rates[-2]) / (t[-1] - t[-2])
+    return bool(abs(rates[-1]) > 10 * abs(bend) * near)
 
 
 def _is_zero(values: Array, rates: Array, t: float) -> bool:

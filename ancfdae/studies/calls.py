@@ -303,7 +303,8 @@ def gradient(
     Parameters
     ----------
     model, t_end, integrator, design, after, events, modes, progress
-        As in `differentiate`; with `after` a run that is there gets further gradients.
+        As in `differentiate`; with `after` a run that is there gets further gradients. The design
+        may contain ``"t_end"``, the end time, which is then the last variable.
     objective : Objective
         For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
     tolerance : float, optional
@@ -356,14 +357,18 @@ def gradients(
 ) -> list[Gradient]:
     """Return value and gradient of several objectives of one run; see `gradient`."""
     objectives = require_sequence("objectives", objectives)
-    system = differentiable(model, design)
+    design, free_end = without_end(design)
+    system = as_system(model, design) if free_end else differentiable(model, design)
     require_objectives(system, objectives, t_end)
-    if events is not None or modes is not None:
-        _require_alone("events", tolerance=tolerance, memory=memory, after=after)
+    if events is not None or modes is not None or free_end:
+        what = "design with t_end" if free_end else "events"
+        _require_alone(what, tolerance=tolerance, memory=memory, after=after)
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import gradients as gradients_with_events
 
-        made = EventRun.of(system, t_end, integrator, events or (), modes, design, progress)
+        made = EventRun.of(
+            system, t_end, integrator, events or (), modes, design, progress, free_end
+        )
         return gradients_with_events(made, objectives, method)
     if tolerance is not None:
         _require_alone("tolerance", integrator=integrator, memory=memory, after=after)
@@ -469,13 +474,22 @@ def differentiable(
     return system
 
 
+def without_end(
+    design: Sequence[str | DesignVariable] | None,
+) -> tuple[Sequence[str | DesignVariable] | None, bool]:
+    """Return a design without the end time ``"t_end"``, and whether it was there."""
+    if isinstance(design, str) or design is None or "t_end" not in list(design):
+        return design, False
+    return [variable for variable in design if variable != "t_end"] or None, True
+
+
 def design_bounds(
     system: MechanicalSystem, design: Sequence[str | DesignVariable] | None
 ) -> tuple[Array, Array]:
     """Return lower and upper bounds of the design values; infinite where there are none."""
     known = {x.name: x.bounds for x in design or () if isinstance(x, DesignVariable)}
     pairs = [known.get(name) or (-np.inf, np.inf) for name in system.design_names]
-    lower, upper = np.array(pairs, dtype=float).T
+    lower, upper = np.array(pairs, dtype=float).reshape(-1, 2).T
     return lower, upper
 
 

@@ -6,16 +6,17 @@ Misfits to measured data, of a run or at rest, make them, with their Jacobian.
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Generic, TypeVar, final
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, final
 
 import numpy as np
 import scipy
 
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.event_solution import EventSolution
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import (
     require_array,
@@ -38,10 +39,16 @@ from ancfdae.sensitivity.objectives import NonFiniteObjectiveError
 from ancfdae.sensitivity.observables.observable import Observable, States, states_of
 from ancfdae.statics.equilibrium import NoEquilibriumError, find_equilibrium
 from ancfdae.studies.calls import design_bounds, differentiable
-from ancfdae.studies.modes import modes
+from ancfdae.studies.modes import modes as vibrations
 from ancfdae.studies.responses import Evaluations
 
+if TYPE_CHECKING:
+    from ancfdae.events.calls import EventRun
+    from ancfdae.events.kinds import Event, Mode
+
 R = TypeVar("R")
+# A run at a design, and what it computed.
+_Ran: TypeAlias = "tuple[Run | EventRun, Solution | EventSolution]"
 
 
 class ResidualFunction(abc.ABC):
@@ -310,6 +317,8 @@ class Misfit:
         integrator: Integrator,
         *,
         design: Sequence[str | DesignVariable] | None = None,
+        events: Sequence[Event] | None = None,
+        modes: Mapping[str, Mode] | None = None,
         progress: bool = False,
     ) -> RunResidualFunction:
         """Return residuals and Jacobian as functions of the design values.
@@ -322,6 +331,8 @@ class Misfit:
         integrator : Integrator
         design : sequence of str or DesignVariable
             What is to be found, as in `differentiate`; see `bounds` of the result.
+        events, modes : optional
+            Events of every run, and the models that it continues with, as in `simulate`.
         progress : bool
             Whether to show a progress bar, which counts the designs that were computed.
         """
@@ -333,27 +344,31 @@ class Misfit:
         system = differentiable(model, design)
         for observable in self.observables:
             observable.check(system)
-        run = Run(system, float(t_end), integrator)
+        run: Run | EventRun = Run(system, float(t_end), integrator)
+        if events is not None or modes is not None:
+            from ancfdae.events.calls import EventRun
+
+            run = EventRun.of(system, t_end, integrator, events or (), modes, design, False)
         bounds = fit_bounds(system, design)
         return RunResidualFunction(system, bounds, self, run, progress=progress)
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class RunResidualFunction(MeasuredFit[tuple[Run, Solution]]):
+class RunResidualFunction(MeasuredFit["_Ran"]):
     """Residuals of a run, from one run with direct differentiation per design.
 
     Attributes
     ----------
     misfit : Misfit
-    run : Run
-        The system, the end time and the integrator.
+    run : Run or EventRun
+        The system, the end time and the integrator; with events these, too.
     """
 
     misfit: Misfit
-    run: Run
+    run: Run | EventRun
 
-    def solution(self, b: Array) -> Solution:
+    def solution(self, b: Array) -> Solution | EventSolution:
         """Return the run at these design values; raises the error of a design that has none."""
         return self.result(b)[1]
 
@@ -363,10 +378,13 @@ class RunResidualFunction(MeasuredFit[tuple[Run, Solution]]):
         return int(np.count_nonzero(~np.isnan(self.misfit.data)))
 
     def computed(
-        self, b: Array, derivatives: bool, result: tuple[Run, Solution] | None
-    ) -> tuple[Array, Array, tuple[Run, Solution]]:
+        self, b: Array, derivatives: bool, result: _Ran | None
+    ) -> tuple[Array, Array, _Ran]:
         """Return residuals and Jacobian, whatever is wanted: they come from one run."""
         run, solution = result or (self.run.at(b), None)
+        if not isinstance(run, Run):
+            return self._with_events(run)
+        assert solution is None or isinstance(solution, Solution)
         misfit, solution = self.misfit, solution or finished(run.solution(sensitivities=True))
         values, slopes = [], []
         for observable in misfit.observables:
@@ -379,6 +397,17 @@ class RunResidualFunction(MeasuredFit[tuple[Run, Solution]]):
         residuals = weights * ((np.array(values) @ W.T) - misfit.data)[measured]
         jacobian = weights[:, None] * np.einsum("mk,nkb->nmb", W, np.array(slopes))[measured]
         return residuals, jacobian, (run, solution)
+
+    def _with_events(self, run: EventRun) -> tuple[Array, Array, _Ran]:
+        """Return residuals and Jacobian from a run with events."""
+        from ancfdae.studies.events import measured
+
+        misfit = self.misfit
+        solution, values, slopes = measured(run, misfit.observables, misfit.times)
+        there = ~np.isnan(misfit.data)
+        weights = np.asarray(misfit.weights)[there]
+        residuals = weights * (values - misfit.data)[there]
+        return residuals, weights[:, None] * slopes[there], (run, solution)
 
 
 def _along(
@@ -520,7 +549,7 @@ class FrequencyFit(MeasuredFit[Modes]):
                 raise NoEquilibriumError(at)
         wanted = count
         while True:
-            lowest = modes(system, wanted, at=at)
+            lowest = vibrations(system, wanted, at=at)
             missing = count - len(_vibrations(lowest))
             if missing <= 0:
                 return lowest

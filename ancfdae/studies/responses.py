@@ -18,12 +18,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, TypeAlias, TypeVar, final
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, final
 
 import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.event_solution import EventSolution
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import (
     require_array,
@@ -46,11 +47,24 @@ from ancfdae.numerics.progress import progress_bar
 from ancfdae.sensitivity.adjoint import DirectDifferentiation
 from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.studies.calls import cheapest, design_bounds, differentiable, require_objectives
+from ancfdae.studies.calls import (
+    as_system,
+    cheapest,
+    design_bounds,
+    differentiable,
+    require_objectives,
+    without_end,
+)
 from ancfdae.studies.sweep_file import Sweep, SweepRow
+
+if TYPE_CHECKING:
+    from ancfdae.events.calls import EventRun
+    from ancfdae.events.kinds import Event, Mode
 
 # What values come from at a design: a run, modes.
 R = TypeVar("R")
+# A run at a design, and what it computed.
+_Ran: TypeAlias = "tuple[Run | EventRun, Solution | EventSolution]"
 # Takes the design values, whether derivatives are wanted, and the result there if it is kept.
 Compute: TypeAlias = Callable[[Array, bool, R | None], tuple[Array, Array | None, R]]
 
@@ -169,9 +183,12 @@ class Responses:
         End time; s.
     integrator : Integrator
     design : sequence of str or DesignVariable, optional
-        As in `gradient`.
+        As in `gradient`; it may contain ``"t_end"``, the end time.
     method : GradientMethod, optional
         As in `gradients`.
+    events : sequence of Event, optional
+    modes : mapping of str to Mode, optional
+        Events of every run, and the models that it continues with, as in `simulate`.
     scale : float or array, shape (n_b,)
         Functions take x = b / scale, relative design values. Optimisers require variables of
         similar size: the values at the start are a good scale.
@@ -200,6 +217,8 @@ class Responses:
         *,
         design: Sequence[str | DesignVariable] | None = None,
         method: GradientMethod | None = None,
+        events: Sequence[Event] | None = None,
+        modes: Mapping[str, Mode] | None = None,
         scale: float | Sequence[float] | Array = 1.0,
         strict: bool = False,
         progress: bool = False,
@@ -213,21 +232,36 @@ class Responses:
         require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
         require_flag("strict", strict)
         require_flag("progress", progress)
-        system = differentiable(model, design)
+        design, free_end = without_end(design)
+        system = as_system(model, design) if free_end else differentiable(model, design)
+        n_b = system.n_b + free_end
         require_objectives(system, list(functions.values()), t_end)
         if method is None:
             adjoint = isinstance(integrator, AdjointIntegrator)
-            method = cheapest(system.n_b, len(functions)) if adjoint else DirectDifferentiation()
+            method = cheapest(n_b, len(functions)) if adjoint else DirectDifferentiation()
         require_kind(
             "method", method, (GradientMethod,), "For example Adjoint() or DirectDifferentiation()."
         )
-        self._run, self._method = Run(system, t_end, integrator), method
-        self._functions, self._scale = dict(functions), _scale(scale, system.n_b)
-        self._limits = design_bounds(system, design)
+        self._run: Run | EventRun = Run(system, t_end, integrator)
+        self._start, self._limits = system.b, design_bounds(system, design)
+        self.design_names = tuple(system.design_names)
+        if events is not None or modes is not None or free_end:
+            from ancfdae.events.calls import EventRun
+
+            self._run = run = EventRun.of(
+                system, t_end, integrator, events or (), modes, design, False, free_end
+            )
+            self._start, self.design_names = run.b, run.design_names
+            lower, upper = self._limits
+            if free_end:
+                self._limits = np.append(lower, 0.0), np.append(upper, np.inf)
+        self._method = method
+        self._functions, self._scale = dict(functions), _scale(scale, n_b)
         # Whether a run that is there can be differentiated: then values go without derivatives.
         self._asked = False
         self._resumes = method.takes_runs and integrator.differentiates_runs
-        self.names, self.design_names = tuple(functions), tuple(system.design_names)
+        self._resumes = self._resumes and isinstance(self._run, Run)
+        self.names = tuple(functions)
         self._designs = Evaluations(
             self.design_names,
             len(functions),
@@ -241,7 +275,7 @@ class Responses:
     @property
     def start(self) -> Array:
         """The model as it stands, in x, shape (n_b,)."""
-        return np.asarray(self._run.system.b / self._scale, dtype=float)
+        return np.asarray(self._start / self._scale, dtype=float)
 
     @property
     def bounds(self) -> scipy.optimize.Bounds:
@@ -290,7 +324,7 @@ class Responses:
         assert matrix is not None  # asked for
         return matrix.copy()
 
-    def solution(self, x: Array) -> Solution:
+    def solution(self, x: Array) -> Solution | EventSolution:
         """Return the run at x; raises the error of a design that has none."""
         return self._designs.result(x)[1]
 
@@ -304,12 +338,15 @@ class Responses:
         return self._designs.at(x, derivatives=derivatives)
 
     def _computed(
-        self, b: Array, derivatives: bool, ran: tuple[Run, Solution] | None
-    ) -> tuple[Array, Array | None, tuple[Run, Solution]]:
+        self, b: Array, derivatives: bool, ran: _Ran | None
+    ) -> tuple[Array, Array | None, _Ran]:
         """Return values and derivatives at a design, by a new run or by the given one."""
         self._asked = self._asked or derivatives
         run, solution = ran or (self._run.at(b), None)
         functions = list(self._functions.values())
+        if not isinstance(run, Run):
+            return self._with_events(run, functions, derivatives)
+        assert solution is None or isinstance(solution, Solution)
         if not derivatives and (self._resumes or not self._asked):
             solution, values = run.values(functions)
             return values, None, (run, solution)
@@ -318,6 +355,21 @@ class Responses:
         values = np.array([each.value for each in answers])
         jacobian = np.array([each.gradient for each in answers])
         return values, jacobian, (run, answers[0].solution)
+
+    def _with_events(
+        self, run: EventRun, functions: list[Objective], derivatives: bool
+    ) -> tuple[Array, Array | None, _Ran]:
+        """Return values and derivatives at a design by a run with events."""
+        from ancfdae.studies import events
+
+        if not derivatives and not self._asked:
+            found, values = events.values(run, functions)
+            return values, None, (run, found)
+        answers = events.gradients(run, functions, self._method)
+        ended = answers[0].event_solution
+        assert ended is not None  # of a run with events
+        values = np.array([each.value for each in answers])
+        return values, np.array([each.gradient for each in answers]), (run, ended)
 
 
 @final

@@ -1,5 +1,7 @@
 """The call: one function at many designs, here or in the workers of an executor."""
 
+from __future__ import annotations
+
 import os
 import uuid
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -7,7 +9,7 @@ from concurrent.futures import Executor
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -37,6 +39,9 @@ from ancfdae.studies.calls import as_system, gradient
 from ancfdae.studies.jobs import answers
 from ancfdae.studies.sweep_file import Sweep, SweepFile, SweepRow
 
+if TYPE_CHECKING:
+    from ancfdae.events.kinds import Event, Mode
+
 Design = Mapping[str | DesignVariable, float]
 
 
@@ -57,6 +62,9 @@ class Evaluator:
         What the gradient is taken in, as in `gradient`.
     method : GradientMethod, optional
         As in `gradient`.
+    events : sequence of Event, optional
+    modes : mapping of str to Mode, optional
+        As in `simulate`; modes move with the design as the model does.
     """
 
     of: Objective | Observable
@@ -65,6 +73,8 @@ class Evaluator:
     gradient: bool = False
     design: Sequence[str | DesignVariable] | None = None
     method: GradientMethod | None = None
+    events: Sequence[Event] | None = None
+    modes: Mapping[str, Mode] | None = None
 
     def __post_init__(self) -> None:
         require_flag("Evaluator.gradient", self.gradient)
@@ -79,10 +89,17 @@ class Evaluator:
         """Run the model; return ``value``, and ``gradient`` or instants ``t`` of an observable."""
         if self.gradient:
             assert isinstance(self.of, Objective)
-            settings = {"design": self.design, "method": self.method}
+            settings = {
+                "design": self.design,
+                "method": self.method,
+                "events": self.events,
+                "modes": self.modes,
+            }
             answer = gradient(model, self.of, self.t_end, self.integrator, **settings)  # type: ignore[arg-type]
             return {"value": answer.value, "gradient": answer.gradient}
         system = as_system(model)
+        if self.events is not None or self.modes is not None:
+            return self._with_events(system)
         run = Run(system, self.t_end, self.integrator)
         if isinstance(self.of, Observable):
             solution = finished(run.solution())
@@ -90,6 +107,27 @@ class Evaluator:
         self.of.check(system, self.t_end)
         solution, totals = run.integrals([self.of], differentiated=False)
         return {"value": self.of.value(system, states_of(solution), totals)}
+
+    def _with_events(self, system: MechanicalSystem) -> dict[str, Any]:
+        """Run a system with events; return ``value``, and instants ``t`` of an observable."""
+        from ancfdae.events.calls import EventRun
+        from ancfdae.studies.events import observed, values
+
+        events = self.events or ()
+        run = EventRun.of(system, self.t_end, self.integrator, events, self.modes, None, False)
+        if isinstance(self.of, Observable):
+            found, value = observed(run, self.of)
+            return {"value": value, "t": found.t}
+        self.of.check(system, self.t_end)
+        return {"value": float(values(run, [self.of])[1][0])}
+
+    def at(self, design: Design) -> Evaluator:
+        """Return the same calculation with modes at the values of a design."""
+        moved = {
+            name: replace(mode, model=_model_at(mode.model, design))
+            for name, mode in (self.modes or {}).items()
+        }
+        return replace(self, modes=moved)
 
 
 def sweep(
@@ -190,6 +228,8 @@ class _Study:
 
     def result(self, design: Design) -> Any:
         """Compute at the values of a design."""
+        if isinstance(self.what, Evaluator) and self.what.modes is not None:
+            return self.what.at(design)(_model_at(self.model, design))
         if isinstance(self.model, MechanicalSystem):
             return self.what(_moved(self.model, design))
         system = _assembled(self, tuple(design))
@@ -240,6 +280,11 @@ def _row(task: _Task) -> SweepRow:
         return SweepRow(task.values, task.study.result(task.design))
     except Exception as error:  # noqa: BLE001  # `what` is the user's and may raise anything.
         return SweepRow(task.values, None, f"{type(error).__name__}: {error}")
+
+
+def _model_at(model: Scene | MechanicalSystem, design: Design) -> Scene | MechanicalSystem:
+    """Return a scene or system at the values of a design."""
+    return model.with_values(design) if isinstance(model, Scene) else _moved(model, design)
 
 
 def _moved(model: MechanicalSystem, design: Design) -> MechanicalSystem:

@@ -13,7 +13,6 @@ from ancfdae import (
     Beam,
     ComplexStep,
     ContinuousAdjoint,
-    DesignVariable,
     DirectDifferentiation,
     EndEvent,
     FiniteDifference,
@@ -970,27 +969,6 @@ def test_gap_that_is_nearly_closed_at_the_start_closes(distance):
     solution = simulate(start, 10.0, HHT(0.5), events=[Impact(HEIGHT, 0.5)])
     assert solution.outcome.success
     assert solution.q[-1, 0] == pytest.approx(0.5 * 10 - 5e-4 * 100, abs=1e-5)
-
-
-@pytest.mark.parametrize("method", EXACT)
-def test_impacts_that_coincide_at_one_design_only_have_no_derivative(method):
-    bodies = [RigidBody(f"ball{n}", (3 * n, 1.0), mass=1.0 + n, inertia=0.3) for n in (0, 1)]
-    gaps = [position(body.at(0, 0), 1) for body in bodies]
-    floor = [Impact(gap, 0.5, f"floor {n}") for n, gap in enumerate(gaps)]
-    scene = Scene(bodies=bodies, gravity=(0, -10.0))
-
-    def slope(variable):
-        return gradient(
-            scene, Terminal(gaps[1]), 0.6, HHT(0.01), design=[variable], events=floor, method=method
-        ).gradient[0]
-
-    # y = 5 t_f (T - t_f) - 5 (T - t_f)^2 with 5 t_f^2 = h and e = 0.5.
-    both = DesignVariable("height", ["ball0.position_y", "ball1.position_y"])
-    fall, after = np.sqrt(0.2), 0.6 - np.sqrt(0.2)
-    exact = (5 * after - 5 * fall + 10 * after) / (10 * fall)
-    assert slope(both) == pytest.approx(exact, rel=1e-9)
-    with pytest.raises(InvalidInputError, match="happen together with the other event"):
-        slope("ball1.position_y")
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.7, 1.3])

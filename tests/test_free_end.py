@@ -1,0 +1,111 @@
+"""The end time as a design variable."""
+
+import numpy as np
+import pytest
+import scipy
+
+from ancfdae import (
+    DOP853,
+    HHT,
+    IDA,
+    Adjoint,
+    AtTimes,
+    Beam,
+    ComplexStep,
+    DirectDifferentiation,
+    EndEvent,
+    FiniteDifference,
+    Integral,
+    Material,
+    Pin,
+    Radau,
+    Responses,
+    Scene,
+    SmoothMaximum,
+    Terminal,
+    gradient,
+    gradients,
+)
+from ancfdae.errors import InvalidInputError
+from ancfdae.observables import custom, elapsed_time, position, velocity
+from ancfdae.sections import Rectangle
+from tests.test_events import BOUNCE, HEIGHT, Ball, ball_by_hand
+
+EXACT = (DirectDifferentiation(), Adjoint(), ComplexStep())
+SPEED = custom(lambda t, q, v, lam, b: v[:, 0], "speed")
+
+
+@pytest.mark.parametrize("integrator", [HHT(0.05), Radau(0.1), DOP853(1e-11), IDA(1e-10)])
+def test_derivatives_in_the_end_time_are_rates_at_the_end(integrator):
+    # Free fall until 0.7 s; an integral changes by its integrand, the mean by what it misses.
+    ball = Ball((5.0, -0.1, 10.0, 0.8))
+    objectives = [Terminal(HEIGHT), Terminal(SPEED * elapsed_time()), Integral(SPEED)]
+    objectives += [AtTimes(HEIGHT, [0.3])]
+    v = -0.1 - 10 * 0.7
+    exact = [v, v - 10 * 0.7, v, 0.0]
+    methods = EXACT if isinstance(integrator, HHT | Radau) else EXACT[:1]
+    for method in methods:
+        found = gradients(ball, objectives, 0.7, integrator, design=["t_end"], method=method)
+        assert found[0].names[-1] == "t_end"
+        np.testing.assert_allclose([x.gradient[-1] for x in found], exact, atol=1e-8)
+
+
+def flexible_rod():
+    material = Material(1000, 2e8, 0.3, damping_time=1e-3)
+    rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.03, 0.03), material)
+    return rod, Scene([rod], [Pin(rod.at_start)], gravity=(0, -9.81))
+
+
+def test_end_time_beside_other_variables_of_a_flexible_rod():
+    # 99.5 steps, so that differences have the same number of them.
+    rod, scene = flexible_rod()
+    objectives = [
+        Terminal(position(rod.at_end, 1) * elapsed_time()),
+        Integral(velocity(rod.at_end, 1) ** 2),
+        SmoothMaximum(position(rod.at(0.5), 0), 50.0),
+    ]
+    by_method = [
+        gradients(
+            scene, objectives, 0.199, HHT(step=2e-3), design=["t_end", "rod.height"], method=method
+        )
+        for method in (*EXACT, FiniteDifference(1e-6, central=True))
+    ]
+    for direct, adjoint, stepped, differences in zip(*by_method, strict=True):
+        assert direct.names == ("rod.height", "t_end")
+        size = np.max(np.abs(direct.gradient))
+        for other, bound in ((adjoint, 1e-10), (stepped, 1e-10), (differences, 1e-6)):
+            np.testing.assert_allclose(other.gradient, direct.gradient, atol=bound * size)
+
+
+def test_end_time_counts_after_events_and_not_where_one_ends_the_run():
+    ball = Ball()
+    found = gradient(ball, Terminal(HEIGHT), 3.2, HHT(0.05), design=["t_end"], events=[BOUNCE])
+    rate = (ball_by_hand(3.2 + 1e-6, ball.b) - ball_by_hand(3.2 - 1e-6, ball.b)) / 2e-6
+    assert found.gradient[-1] == pytest.approx(rate, rel=1e-7)
+    end = EndEvent(HEIGHT - 1.0, -1)
+    for method in EXACT:
+        found = gradient(
+            ball, Terminal(SPEED), 3.2, HHT(0.05), design=["t_end"], events=[end], method=method
+        )
+        assert found.gradient[-1] == 0.0
+
+
+def test_least_time_of_a_fall_to_a_height():
+    # From 5 m at -0.1 m/s, to 2 m: 5 t^2 + 0.1 t = 3.
+    ball = Ball((5.0, -0.1, 10.0, 0.8))
+    asked = {"time": Terminal(elapsed_time()), "height": Terminal(HEIGHT)}
+    r = Responses(ball, asked, 0.5, HHT(0.02), design=["t_end"])
+    assert r.design_names[-1] == "t_end"
+    start = r.start
+    low, high = np.append(start[:-1], 0.01), np.append(start[:-1], 2.0)
+    found = scipy.optimize.minimize(
+        r["time"], start, jac=r["time"].gradient, bounds=scipy.optimize.Bounds(low, high),
+        constraints=r.constraint("height", 2.0, 2.0), method="SLSQP", options={"ftol": 1e-14},
+    )  # fmt: skip
+    assert found.x[-1] == pytest.approx((-0.1 + np.sqrt(0.01 + 60)) / 10, rel=1e-9)
+
+
+def test_end_time_is_refused_where_it_cannot_be_a_variable():
+    rod, scene = flexible_rod()
+    with pytest.raises(InvalidInputError, match="t_end"):
+        gradient(scene, Terminal(position(rod.at_end, 1)), 0.2, design=["t_end"], tolerance=1e-3)
