@@ -114,7 +114,7 @@ class ElementForms:
     @staticmethod
     def of(element: BeamElement, beams: Sequence[BeamBody], mapping: ParameterMap) -> ElementForms:
         """Return the forms of the elements of beams, in the order of the mapping's."""
-        kinds, kind = _kinds(beams)
+        kinds, kind = element_kinds(beams)
         Y_unit = np.zeros((len(mapping.base), element.n_y, element.d))
         first = np.cumsum([0, *(beam.element_count for beam in beams)])
         for beam, start, stop in zip(beams, first[:-1], first[1:], strict=True):
@@ -180,7 +180,7 @@ class ElementForms:
         return joined(parts, back), index
 
 
-def _kinds(beams: Sequence[BeamBody]) -> tuple[list[tuple[BeamElement, ElementType]], Array]:
+def element_kinds(beams: Sequence[BeamBody]) -> tuple[list[tuple[BeamElement, ElementType]], Array]:
     """Return the distinct types of elements, and the place of each element's among them."""
     kinds: dict[tuple[object, ...], tuple[BeamElement, ElementType]] = {}
     places = []

@@ -86,6 +86,9 @@ try:
         fronts_factor as fronts_factor,
     )
     from ancfdae.kernels._kernels import (
+        fronts_signs as fronts_signs,
+    )
+    from ancfdae.kernels._kernels import (
         fronts_solve as fronts_solve,
     )
     from ancfdae.kernels._kernels import (

@@ -336,6 +336,21 @@ def fronts_factor(
     where all pivots have their signs.
     """
 
+def fronts_signs(
+    terms: tuple[tuple[float, Array], ...],
+    B: Array,
+    chosen: Array,
+    places: Array,
+    fronts: FrontArrays,
+    counted: bool,
+    /,
+) -> tuple[int, float]:
+    """Return by how many more pivots are negative than multipliers, and the growth of factors.
+
+    The growth is the largest sum_k L_ik^2 |D_k|, relative to the diagonal of K and to rows of B
+    of length one; infinite where a pivot vanishes, or has not its sign unless they are `counted`.
+    """
+
 def fronts_solve(
     factors: tuple[Array, Array, Array], fronts: FrontArrays, order: Array, right: Array, /
 ) -> tuple[Array, float]:

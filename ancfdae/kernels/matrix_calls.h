@@ -405,10 +405,10 @@ struct FrontArguments {
 
 /* (scaled values, scale, factors), and the pivot that fails. */
 using Factored = std::tuple<Array<double>, Array<double>, Array<double>>;
-std::tuple<Factored, Size> py_fronts_factor(Terms<double> terms, Array<double> B, Indices chosen,
-                                            Indices places, FrontArguments of)
+std::tuple<Factored, Size> fronts_of(const Terms<double> &terms, const Array<double> &B,
+                                     const Indices &chosen, const Indices &places,
+                                     const Fronts &x, Size *excess)
 {
-    const Fronts &x = of.fronts;
     auto a = zeros<double>({(Size)x.column_at[x.n]}), scale = zeros<double>({x.n});
     auto factors = zeros<double>({(Size)x.factor_at[x.count]});
     auto room = room_for<double>(a.size + x.stack + 5 * x.most);
@@ -420,9 +420,30 @@ std::tuple<Factored, Size> py_fronts_factor(Terms<double> terms, Array<double> B
     Size info;
     {
         Unlocked others;
-        info = fronts_factored(&x, &own, factors.data);
+        info = fronts_factored(&x, &own, factors.data, excess);
     }
     return {Factored{std::move(a), std::move(scale), std::move(factors)}, info};
+}
+
+std::tuple<Factored, Size> py_fronts_factor(Terms<double> terms, Array<double> B, Indices chosen,
+                                            Indices places, FrontArguments of)
+{
+    return fronts_of(terms, B, chosen, places, of.fronts, nullptr);
+}
+
+/* By how many more pivots are negative than should be, and the growth, infinite where a pivot is
+ * none, or has not its sign unless they are counted. */
+std::tuple<Size, double> py_fronts_signs(Terms<double> terms, Array<double> B, Indices chosen,
+                                         Indices places, FrontArguments of, int counted)
+{
+    const Fronts &x = of.fronts;
+    Size excess = 0;
+    auto [factored, info] = fronts_of(terms, B, chosen, places, x, counted ? &excess : nullptr);
+    auto &[a, scale, factors] = factored;
+    if (info)
+        return {excess, INFINITY};
+    auto sums = room_for<double>(x.n);
+    return {excess, fronts_growth(&x, scale.data, factors.data, sums.get())};
 }
 
 /* Solutions, and the largest relative residual; right sides are the last axis. */

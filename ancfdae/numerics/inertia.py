@@ -141,7 +141,7 @@ class ConstrainedMatrix:
         of a multiplier, as where constraints nearly depend on each other.
         """
         # The analysis of fronts costs more than a factorisation in a band.
-        if self.pattern.wide and self._none_below(sigma):
+        if self.pattern.wide and self._all_above(-sigma):
             return 0
         lu = self._factors(sigma, symmetric=True)
         if lu is None or np.any(lu.perm_r != lu.perm_c):
@@ -157,15 +157,19 @@ class ConstrainedMatrix:
             return None
         return int(np.sum(pivots < 0)) - len(m)
 
-    def _none_below(self, sigma: float) -> bool:
-        """Whether L D L^T by fronts proves that no eigenvalue is less than -sigma.
+    def definite(self, sigma: float) -> bool:
+        """Whether all eigenvalues are proven to exceed sigma/2 > 0; only in wide patterns."""
+        return self.pattern.wide and self._all_above(sigma)
+
+    def _all_above(self, bound: float) -> bool:
+        """Whether L D L^T by fronts proves that no eigenvalue is below the bound, up to half of it.
 
         Fronts have -eps, 1e-7, in place of the zeros. Pivots of coordinates are positive, and
-        pivots of multipliers negative, where K + sigma + B^T B + B^T B / eps is positive definite.
-        On the null space of B this is K + sigma. Eigenvalues below eps may remain without proof.
+        pivots of multipliers negative, where K - bound + B^T B + B^T B / eps is positive definite.
+        On the null space of B this is K - bound. Eigenvalues below eps may remain without proof.
         """
-        growth = self.pattern.fronts.growth(((1.0, self._symmetric(sigma)),), self.B)
-        return growth is not None and _EPS * growth <= 0.5 * sigma
+        growth = self.pattern.fronts.growth(((1.0, self._symmetric(-bound)),), self.B)
+        return growth is not None and _EPS * growth <= 0.5 * abs(bound)
 
     def _symmetric(self, sigma: float) -> Array:
         """Return the symmetric part of K + sigma + B^T B, shape (nnz,) of the pattern."""

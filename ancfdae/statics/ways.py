@@ -37,7 +37,7 @@ _SMALL = 1.0 / 128.0
 class PathPoint:
     """A point of the path with its derivatives in the load fraction s.
 
-    It is stable if no motion meets a negative stiffness.
+    It is stable if no motion meets a negative stiffness, as where K is known to be definite.
     """
 
     s: float
@@ -46,6 +46,7 @@ class PathPoint:
     q_s: Array
     lam_s: Array
     stable: bool
+    definite: bool = False
 
 
 @final
@@ -106,10 +107,12 @@ class LoadPath:
             return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
         if balance.folds(before.q, place.q):
             return Unsolved(Verdict.FOLDED, 0.0)
-        stable = point.definite or softest(balance, s, place.q, place.lam).stable
+        soft = None if point.definite else softest(balance, s, place.q, place.lam)
+        definite = soft is None or soft.definite
+        stable = definite or soft.stable
         if stable != before.stable and s - before.s > _SMALL:
             return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
-        return replace(place, stable=stable), point.iterations
+        return replace(place, stable=stable, definite=definite), point.iterations
 
     def _jumped(self, a: PathPoint, b: PathPoint) -> bool:
         """Whether two places do not lie on one smooth path."""
