@@ -272,9 +272,9 @@ class Inertia:
         """The product with the mass matrix."""
         # Two of three entries of a spatial element are zero: masses do not couple directions.
         kept, pattern = np.flatnonzero(self.values), self._pattern
-        return LinearMap.of(
-            pattern.rows[kept], pattern.columns[kept], self.values[kept], pattern.shape
-        )
+        before = np.append(0, np.cumsum(self.values != 0))
+        first = before[pattern.places[0]]
+        return LinearMap((first, pattern.columns[kept], self.values[kept]), self._n_q)
 
     @cached_property
     def _M_b(self) -> LinearMap:

@@ -352,10 +352,16 @@ def fronts_signs(
     """
 
 def fronts_solve(
-    factors: tuple[Array, Array, Array], fronts: FrontArrays, order: Array, right: Array, /
+    factors: tuple[Array, Array, Array],
+    fronts: FrontArrays,
+    order: Array,
+    right: Array,
+    enough: float,
+    /,
 ) -> tuple[Array, float]:
     """Return refined solutions for right sides, the last axis, and the largest residual.
 
+    Residuals up to `enough`, or a few units of round-off, are not refined.
     The residual is relative to the largest entries of the scaled right side and solution.
     """
 

@@ -434,7 +434,7 @@ std::tuple<Factored, Size> py_fronts_factor(Terms<double> terms, Array<double> B
 /* By how many more pivots are negative than should be, and the growth, infinite where a pivot is
  * none, or has not its sign unless they are counted. */
 std::tuple<Size, double> py_fronts_signs(Terms<double> terms, Array<double> B, Indices chosen,
-                                         Indices places, FrontArguments of, int counted)
+                                         Indices places, FrontArguments of, bool counted)
 {
     const Fronts &x = of.fronts;
     Size excess = 0;
@@ -446,11 +446,12 @@ std::tuple<Size, double> py_fronts_signs(Terms<double> terms, Array<double> B, I
     return {excess, fronts_growth(&x, scale.data, factors.data, sums.get())};
 }
 
-/* Solutions, and the largest relative residual; right sides are the last axis. */
+/* Solutions, and the largest relative residual; right sides are the last axis. Residuals up to
+ * `enough`, or a few units of round-off, are not refined. */
 template <class R>
 std::tuple<Array<R>, double>
 py_fronts_solve(std::tuple<Array<double, 1>, Array<double, 1>, Array<double, 1>> factored,
-                FrontArguments of, Longs order, Array<R, 1> right)
+                FrontArguments of, Longs order, Array<R, 1> right, double enough)
 {
     constexpr int parts = sizeof(R) / sizeof(double);
     const Fronts &x = of.fronts;
@@ -464,7 +465,7 @@ py_fronts_solve(std::tuple<Array<double, 1>, Array<double, 1>, Array<double, 1>>
     {
         Unlocked others;
         worst =
-            fronts_solve(TO_ROUND_OFF, &x, a.data, factors.data, order.data, scale.data, right.rows(1) * parts,
+            fronts_solve(fmax(enough, TO_ROUND_OFF), &x, a.data, factors.data, order.data, scale.data, right.rows(1) * parts,
                          parts, (const double *)right.data, work.get(), (double *)out.data);
     }
     return {std::move(out), worst};

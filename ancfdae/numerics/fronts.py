@@ -72,16 +72,17 @@ class Fronts:
         """The values of K in the lower triangle, places of these and of B, and the fronts."""
         return self._chosen, self._places, self._arrays
 
-    def factor(self, terms: Terms, B: Array) -> Callable[[Array], Array | None] | None:
+    def factor(self, terms: Terms, B: Array) -> Callable[..., Array | None] | None:
         """Factorise for a sum K of at most three terms; None where a pivot has not its sign.
 
-        The solver takes right sides, shape (..., n + m), and returns None for a matrix so near to
+        The solver takes right sides, shape (..., n + m), and the relative residual that need not be
+        refined; it returns None for a matrix so near to
         a singular one that refinement does not converge.
         """
         factors, failed = fronts_factor(terms, B, self._chosen, self._places, self._arrays)
 
-        def solve(right: Array) -> Array | None:
-            x, residual = fronts_solve(factors, self._arrays, self.order, right)
+        def solve(right: Array, enough: float = 0.0) -> Array | None:
+            x, residual = fronts_solve(factors, self._arrays, self.order, right, enough)
             return x if residual <= _UNREFINED else None
 
         return None if failed else solve

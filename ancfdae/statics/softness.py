@@ -62,6 +62,7 @@ class Softness:
     @cached_property
     def definite(self) -> bool:
         """Whether K is proven to be positive definite; False where that takes motions."""
+        self.balance.work.factorisations += self._matrix.pattern.wide
         return self._matrix.definite(_PROVEN)
 
     @cached_property

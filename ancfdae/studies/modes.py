@@ -8,14 +8,21 @@ from typing import TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.held import force_total, held_pull_back, held_q, held_total
+from ancfdae.equations.held import (
+    acceleration_side,
+    force_total,
+    held_pull_back,
+    held_q,
+    held_total,
+)
 from ancfdae.equations.saddle_points import saddle_point, solve, solve_transposed
 from ancfdae.errors.checks import require_count, require_flag, require_kind, require_positive
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.start import (
     Covectors,
-    consistent_start,
+    at_rest,
     pull_back_start,
+    start_and_mass,
     start_sensitivity,
 )
 from ancfdae.model.design import DesignVariable
@@ -84,7 +91,8 @@ def modes(
     where = place(system, at)
     back = where.pull_back if system.n_b and isinstance(method, Adjoint) else None
     configuration = where.configuration(system.n_b > 0 and back is None)
-    return modes_about(system, configuration, count, highest, damped, back, where.matrices)
+    known = where.matrices, where.mass
+    return modes_about(system, configuration, count, highest, damped, back, *known)
 
 
 @in_one_thread
@@ -120,9 +128,13 @@ At: TypeAlias = LinearisationPoint | Equilibrium | None
 
 
 class DesignedConfiguration(abc.ABC):
-    """A configuration that depends on the design; its saddle-point matrices where it has some."""
+    """A configuration that depends on the design.
+
+    Its saddle-point matrices and the factorised mass, where it has some.
+    """
 
     matrices: SaddlePoint | None = None
+    mass: Factorization | None = None
 
     @abc.abstractmethod
     def configuration(self, differentiated: bool) -> LinearisationPoint:
@@ -203,15 +215,12 @@ class _Start(DesignedConfiguration):
     def __init__(self, system: MechanicalSystem) -> None:
         self._system = system
         self.matrices: SaddlePoint = saddle_point(system, 0.0)
-        self._state = consistent_start(system, self.matrices, 0.0)
-        self._q, self._rest = self._state.q, np.zeros(system.n_q)
-        force = system.force(0.0, self._q, self._rest)
-        self._a, self._lam = solve(self._factors, force, np.zeros(system.n_lam))
-
-    @cached_property
-    def _factors(self) -> Factorization:
-        system = self._system
-        return self.matrices.factor(system.mass(self._q), system.constraint_q(0.0, self._q))
+        self._state, self.mass = start_and_mass(system, self.matrices, 0.0)
+        _, q, v, self._a, self._lam = self._state
+        self._q, self._rest = q, np.zeros(system.n_q)
+        if not at_rest(v, acceleration_side(system, 0.0, q, v)):
+            force = system.force(0.0, q, self._rest)
+            self._a, self._lam = solve(self.mass, force, np.zeros(system.n_lam))
 
     def configuration(self, differentiated: bool) -> LinearisationPoint:
         if not differentiated:
@@ -224,12 +233,12 @@ class _Start(DesignedConfiguration):
         # Phi_q a = Phi'(q, a) - Phi'(q, 0)
         side = system.constraint_total(0.0, (q, self._rest), (q_b, held))
         side = side - system.constraint_total(0.0, (q, a), (q_b, held))
-        return LinearisationPoint(q, self._lam, q_b, solve(self._factors, force, side)[1])
+        return LinearisationPoint(q, self._lam, q_b, solve(self.mass, force, side)[1])
 
     def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
         """With [m, z] the transposed solution: what is left of on_lam moves q and b."""
         system, q, a, lam, rest = self._system, self._q, self._a, self._lam, self._rest
-        m, z = solve_transposed(self._factors, rest, on_lam)
+        m, z = solve_transposed(self.mass, rest, on_lam)
         at, none = np.zeros(1), np.zeros_like(lam)
         states = (q[None], rest[None], a[None], lam[None])
         on_q = on_q - system.pattern.dot_transposed(system.linearise(at, *states).f_q[0], m)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -177,6 +177,15 @@ class RigidBody(Placed, Designable):
         self._check_mass(where)
         self._check_frame(where)
         self._check_turn(where)
+
+    def refuse_values(self, changes: Mapping[str, float]) -> None:
+        """Raise what `with_parameters` raises; for masses and densities without making the body."""
+        new = self.changed_fields(changes)
+        if not new.keys() <= {"mass", "density"}:
+            replace(self, **new)
+        rules = dict(self.design_fields)
+        for name, value in new.items():
+            rules[name](f"body {self.name!r}, {name}", value)
 
     @property
     def dimension(self) -> int:
