@@ -39,6 +39,7 @@ import numpy as np
 from ancfdae.assembly.block import element_kinds, unit_vectors
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.errors.text import listed
+from ancfdae.kernels import keeps_sides
 from ancfdae.model.bodies import BeamBody
 from ancfdae.model.elements import ElementParameter, ElementType, Quantity
 from ancfdae.model.elements.hermite import tangent_weights
@@ -314,22 +315,27 @@ def first_mirrored(
     d, n_s = numbering.d, numbering.widest.n_s
     if parameters is not None and n_s not in (2, d + 1):
         return None
+    lengths = limit = None
+    if parameters is not None:
+        lengths = np.ascontiguousarray(parameters[:, ElementParameter.LENGTH])
+        limit = (1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN]) / 3.0
+    if keeps_sides(q, ends, d, lengths, limit):
+        return None
     # Components first, states last.
     X = np.ascontiguousarray(q.reshape(len(q), -1, d)[:, ends].transpose(3, 2, 1, 0))
     # Elements that have fewer vectors than the widest are filled up with their first one.
     cables, looked_at = np.zeros(len(ends), dtype=bool), ends[:, 1] != ends[:, 0]
     crushed = np.zeros(X.shape[2:], dtype=bool)
-    if parameters is None:
+    if lengths is None or limit is None:
         tangents, sections = X[:, 1:2], X[:, None, 2:]
     else:
-        chord = (X[:, n_s] - X[:, 0]) / parameters[:, ElementParameter.LENGTH, None]
+        chord = (X[:, n_s] - X[:, 0]) / lengths[:, None]
         along, after = X[:, 1], X[:, n_s + 1]
         tangents = np.stack([along, 3.0 * chord - along - after, after], axis=1)
         sections = X.reshape(d, 2, n_s, *X.shape[2:])[:, :, 2:]
         cables |= (n_s == 2) | (ends[:, min(2, n_s)] == ends[:, 0])
         places = along, 1.5 * chord - 0.25 * (along + after), after
-        limit = (1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN, None]) / 3.0
-        crushed = np.any([np.sum(r_x * r_x, axis=0) <= limit for r_x in places], axis=0)
+        crushed = np.any([np.sum(r_x * r_x, axis=0) <= limit[:, None] for r_x in places], axis=0)
         crushed &= ~crushed[:, :1] & looked_at[:, None]
     if np.all(cables):
         normals = chord[:, None]

@@ -101,6 +101,9 @@ try:
         index_1_rows as index_1_rows,
     )
     from ancfdae.kernels._kernels import (
+        keeps_sides as keeps_sides,
+    )
+    from ancfdae.kernels._kernels import (
         ldl_factor as ldl_factor,
     )
     from ancfdae.kernels._kernels import (

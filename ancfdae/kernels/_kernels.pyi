@@ -336,6 +336,15 @@ def fronts_factor(
     where all pivots have their signs.
     """
 
+def keeps_sides(
+    q: Array, ends: Array, d: int, lengths: Array | None, least: Array | None, /
+) -> bool:
+    """Whether all states, rows of q, keep the sides of sections and tangents of the first one.
+
+    `ends` are vectors of elements with their lengths and the least |r_x|^2, or of rigid bodies
+    without. False proves nothing: signs of Bernstein's coefficients may differ.
+    """
+
 def fronts_signs(
     terms: tuple[tuple[float, Array], ...],
     B: Array,

@@ -158,6 +158,7 @@ PyMethodDef methods[] = {
     PLAIN(eliminate),
     PLAIN(fronts_factor),
     PLAIN(fronts_signs),
+    PLAIN(keeps_sides),
     OF_SCALARS(fronts_solve),
     {nullptr, nullptr, 0, nullptr},
 };

@@ -294,6 +294,22 @@ Array<R> py_ldl_solve(Array<T, 1> factors, Indices first, Array<int64_t, 1> orde
 /* The fronts of a symmetric matrix from its entries left of the diagonal, row by row: (order, begin,
  * row_at, rows, factor_at, children, stack, most), and the multiplications of a factorisation. */
 using Longs = Array<int64_t, 1>;
+
+/* See `Sides`; without lengths the vectors are those of rigid bodies. */
+bool py_keeps_sides(Array<double, 2> q, Array<int64_t, 2> ends, Size d, Maybe<double, 1> lengths,
+                    Maybe<double, 1> least)
+{
+    Size k = q.length(0), n_q = q.length(1), n = ends.length(0), each = ends.length(1);
+    must((d == 2 || d == 3) && n_q % d == 0 && within(ends, 0, n_q / d - 1) &&
+             (lengths ? each == 4 || each == 2 * (d + 1) : each == d + 1),
+         "there must be vectors of the coordinates, of elements or of rigid bodies");
+    must(!lengths == !least && (!lengths || (lengths->size == n && least->size == n)),
+         "each element has a length and a limit");
+    const double *of = data_of(lengths), *limits = data_of(least);
+    Unlocked others;
+    return d == 2 ? Sides<2>{k, n_q, n, each, q.data, of, limits, ends.data}.kept()
+                  : Sides<3>{k, n_q, n, each, q.data, of, limits, ends.data}.kept();
+}
 using FrontsFound = std::tuple<Array<int32_t>, Array<int32_t>, Array<int64_t>, Array<int32_t>,
                                Array<int64_t>, Array<int32_t>, Size, Size>;
 std::tuple<FrontsFound, double> py_eliminate(Longs first, Indices columns)
