@@ -171,10 +171,9 @@ class ElementForms:
         for number, (its, each) in enumerate(self.kinds):
             members = kept[kind[kept] == number]
             order.append(np.flatnonzero(kind[kept] == number))
-            places = relative_places(its, element)
-            batch = Batch(each, parameters[members], Y_unit[members][:, places])
-            its_own = prepare(its, batch, self.owners[members])
-            same = its.quantities == element.quantities
+            same, Y = its.quantities == element.quantities, Y_unit[members]
+            Y = Y if same else Y[:, relative_places(its, element)]
+            its_own = prepare(its, Batch(each, parameters[members], Y), self.owners[members])
             parts.append(its_own if same else widened(its_own, its, element))
         back = np.argsort(np.concatenate(order)) if len(parts) > 1 else None
         return joined(parts, back), index

@@ -103,9 +103,10 @@ class Folds:
         for k, (_, its_type) in enumerate(kinds):
             own = np.flatnonzero(of_kind == k)
             rows = np.flatnonzero(kind == k)
-            vectors = (np.concatenate([each[i] for i in own]) for each in (ends, units))
+            its_ends, its_units = (np.concatenate([x[i] for i in own]) for x in (ends, units))
             numbers = np.array(counts)[own]
-            self._groups.append((own, rows, _Alike(its_type, *vectors, parameters[rows], numbers)))
+            alike = _Alike(its_type, its_ends, its_units, parameters[rows], numbers)
+            self._groups.append((own, rows, alike))
 
     def words(self, q: Array) -> str:
         """Say which elements are folded at coordinates q; empty where none is."""
@@ -185,10 +186,6 @@ class _Alike:
         self._EI = (modulus * moments[:, : max(1, n_s - 2)])[same.ravel()]
         self._bend_o = np.sqrt(self._bends(X))
 
-    def _sum(self, x: Array) -> Array:
-        """Return the sum over the elements of each beam of values, shape (n, k)."""
-        return np.asarray(np.add.reduceat(x.sum(axis=1), self._first))
-
     def _largest(self, x: Array) -> Array:
         """Return the largest value of each beam, of values of the shape (n, k)."""
         return np.asarray(np.maximum.reduceat(x.max(axis=1), self._first))
@@ -217,11 +214,17 @@ class _Alike:
         # Bends of the reference cost nothing; they turn with the element.
         change = np.sqrt(self._bends(X)) - self._bend_o
         bending = self._EI / self._lengths * change**2
-        rest = self._sum(axial - error) + self._sum(bending)
-        # The change of an element is its turn.
-        error = self._sum(error) + _ARC * self._sum(bending * change**4)
         force = np.abs(self._EA * (strain @ _WEIGHTS)[:, None])
-        pulled = self._sum(force * self._lengths**2 / self._EI)
+        rest, error, pulled = np.add.reduceat(
+            [
+                (axial - error)[:, 0] + bending.sum(axis=1),
+                # The change of an element is its turn.
+                error[:, 0] + _ARC * (bending * change**4).sum(axis=1),
+                (force * self._lengths**2 / self._EI).sum(axis=1),
+            ],
+            self._first,
+            axis=1,
+        )
         limp = pulled > _LIMP * self._counts * change.shape[1]
         shaped = self._largest(np.abs(change)) > _STRAIGHT
         if limp.any():

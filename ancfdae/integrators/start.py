@@ -13,7 +13,7 @@ stand, so they are exact for projected starts too.
 
 from __future__ import annotations
 
-from typing import NamedTuple, final
+from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -45,6 +45,9 @@ _PROJECTION_ITERATIONS = 50
 _CLOSED = 1e-12
 # Numbers of stages that close a gap, one after the other until one does.
 _STAGES = (1, 8, 64)
+
+# q and sigma_q of step 1, and M with Phi_q factorised if it is at hand.
+_Closed: TypeAlias = tuple[Array, Array, Factorization | None]
 
 
 class InitialState(NamedTuple):
@@ -305,8 +308,8 @@ def _factor_mass(
 
 def _project_position(
     system: MechanicalSystem, matrices: SaddlePoint, q_start: Array, t: float
-) -> tuple[Array, Array, Factorization | None]:
-    """Newton's method for step 1; returns q, sigma_q, and M with Phi_q factorised if they are at hand.
+) -> _Closed:
+    """Newton's method for step 1; returns q, sigma_q, and M with Phi_q factorised if at hand.
 
     Where it does not converge, the gap is closed in stages.
     """
@@ -314,7 +317,7 @@ def _project_position(
     if not gap.any():
         return q_start, np.zeros(system.n_lam, dtype=q_start.dtype), None
     for stages in _STAGES:
-        reached = q_start, np.zeros(system.n_lam, dtype=q_start.dtype), None
+        reached: _Closed = q_start, np.zeros(system.n_lam, dtype=q_start.dtype), None
         for stage in range(1, stages + 1):
             left = gap * (1 - stage / stages)
             moved = _close_gap(system, matrices, q_start, t, reached[:2], left)
@@ -338,7 +341,7 @@ def _close_gap(
     t: float,
     guess: tuple[Array, Array],
     left: Array,
-) -> tuple[Array, Array, Factorization | None] | None:
+) -> _Closed | None:
     """Newton's method for step 1 with Phi = left; None if it does not converge.
 
     The last correction is applied, so the error left is the square of the tolerance.

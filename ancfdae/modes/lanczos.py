@@ -1,8 +1,8 @@
 """Lowest modes of symmetric pencils by Lanczos's method, and a count that none lacks.
 
 The inverse of F(shift) within the constraints maps every force to a motion that keeps them. Motions
-are rows here, orthonormal in M. The space of a single motion takes fewest solutions; it holds one of
-several modes that coincide. Where the count shows that one lacks, blocks of motions find them.
+are rows here, orthonormal in M. The space of a single motion takes fewest solutions, but holds one
+of several modes that coincide. Where the count shows that one lacks, blocks of motions find them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LEFT = 0.5
 
 @final
 class Lanczos:
-    """Ritz's values of F(shift)^-1 M in a growing space; `count` are sought, by blocks of motions."""
+    """Ritz's values of F(shift)^-1 M in a space that grows by blocks; `count` are sought."""
 
     def __init__(self, small: Linearised, shift: float, count: int, block: int) -> None:
         self._small, self.shift, self._count, self._block = small, shift, count, block

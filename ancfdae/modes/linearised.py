@@ -62,8 +62,8 @@ class Linearised:
     ) -> Linearised:
         """Linearise about a configuration; velocity forces count by default if there are any.
 
-        `mass` is the mass there with the constraints, factorised, if it is at hand. Saddle-point matrices that are not given are made; RedundantConstraintsError if Phi_q has
-        dependent rows.
+        `mass` is the mass there with the constraints, factorised, if it is at hand. Saddle-point
+        matrices that are not given are made; RedundantConstraintsError if Phi_q has dependent rows.
 
         InvalidInputError if the configuration does not fit the system or a matrix is not finite.
         """

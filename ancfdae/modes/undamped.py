@@ -17,9 +17,9 @@ from ancfdae.modes.rigid import floor, rigid_motions, with_zeros
 from ancfdae.modes.sharpening import each_sharpened, sharpened
 from ancfdae.numerics.arrays import Array
 
-# Up to this many independent motions dense matrices are faster than ARPACK, and than Lanczos's method
-# that counts the lowest modes; damped ones have twice as many
-# exponents, all of which dense methods find (docs/measurements.md, section 12).
+# Up to this many independent motions dense matrices are faster than ARPACK, and for the lowest modes
+# faster than Lanczos's method with a count; damped motions have twice as many exponents, all of which
+# dense methods find (docs/measurements.md, section 12).
 _DENSE, _DENSE_LOWEST, _DENSE_DAMPED = 300, 100, 120
 # ARPACK needs room for its basis.
 _ROOM = 40
@@ -31,7 +31,7 @@ def undamped(small: Linearised, count: int, highest: bool, asked: int | None = N
     """Return the lowest z = -s^2, or the highest, and their shapes.
 
     The first that are `asked` for, by default all, and those that coincide with them have all their
-    digits.     NoModes if one of them could be off by more than a part of 2e-6.
+    digits. NoModes if one of them could be off by more than a part of 2e-6.
     """
     if not small.symmetric:
         return _asymmetric(small, count, highest)

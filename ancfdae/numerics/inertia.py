@@ -178,7 +178,7 @@ class ConstrainedMatrix:
         return growth is not None and _EPS * growth <= 0.5 * abs(bound)
 
     def negative(self) -> tuple[int, float]:
-        """Return no fewer than the negative eigenvalues of a symmetric K, and the growth of factors.
+        """Return a bound of the number of negative eigenvalues of K, and the growth of factors.
 
         Fronts count those of K + B^T B / eps, which may have more. The growth is infinite where
         pivots vanish.

@@ -215,12 +215,13 @@ class _Start(DesignedConfiguration):
     def __init__(self, system: MechanicalSystem) -> None:
         self._system = system
         self.matrices: SaddlePoint = saddle_point(system, 0.0)
-        self._state, self.mass = start_and_mass(system, self.matrices, 0.0)
+        self._state, self._factors = start_and_mass(system, self.matrices, 0.0)
+        self.mass = self._factors
         _, q, v, self._a, self._lam = self._state
         self._q, self._rest = q, np.zeros(system.n_q)
         if not at_rest(v, acceleration_side(system, 0.0, q, v)):
             force = system.force(0.0, q, self._rest)
-            self._a, self._lam = solve(self.mass, force, np.zeros(system.n_lam))
+            self._a, self._lam = solve(self._factors, force, np.zeros(system.n_lam))
 
     def configuration(self, differentiated: bool) -> LinearisationPoint:
         if not differentiated:
@@ -233,12 +234,12 @@ class _Start(DesignedConfiguration):
         # Phi_q a = Phi'(q, a) - Phi'(q, 0)
         side = system.constraint_total(0.0, (q, self._rest), (q_b, held))
         side = side - system.constraint_total(0.0, (q, a), (q_b, held))
-        return LinearisationPoint(q, self._lam, q_b, solve(self.mass, force, side)[1])
+        return LinearisationPoint(q, self._lam, q_b, solve(self._factors, force, side)[1])
 
     def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
         """With [m, z] the transposed solution: what is left of on_lam moves q and b."""
         system, q, a, lam, rest = self._system, self._q, self._a, self._lam, self._rest
-        m, z = solve_transposed(self.mass, rest, on_lam)
+        m, z = solve_transposed(self._factors, rest, on_lam)
         at, none = np.zeros(1), np.zeros_like(lam)
         states = (q[None], rest[None], a[None], lam[None])
         on_q = on_q - system.pattern.dot_transposed(system.linearise(at, *states).f_q[0], m)
