@@ -114,7 +114,7 @@ class ElementForms:
     @staticmethod
     def of(element: BeamElement, beams: Sequence[BeamBody], mapping: ParameterMap) -> ElementForms:
         """Return the forms of the elements of beams, in the order of the mapping's."""
-        kinds, kind = _kinds(beams)
+        kinds, kind = element_kinds(beams)
         Y_unit = np.zeros((len(mapping.base), element.n_y, element.d))
         first = np.cumsum([0, *(beam.element_count for beam in beams)])
         for beam, start, stop in zip(beams, first[:-1], first[1:], strict=True):
@@ -171,16 +171,15 @@ class ElementForms:
         for number, (its, each) in enumerate(self.kinds):
             members = kept[kind[kept] == number]
             order.append(np.flatnonzero(kind[kept] == number))
-            places = relative_places(its, element)
-            batch = Batch(each, parameters[members], Y_unit[members][:, places])
-            its_own = prepare(its, batch, self.owners[members])
-            same = its.quantities == element.quantities
+            same, Y = its.quantities == element.quantities, Y_unit[members]
+            Y = Y if same else Y[:, relative_places(its, element)]
+            its_own = prepare(its, Batch(each, parameters[members], Y), self.owners[members])
             parts.append(its_own if same else widened(its_own, its, element))
         back = np.argsort(np.concatenate(order)) if len(parts) > 1 else None
         return joined(parts, back), index
 
 
-def _kinds(beams: Sequence[BeamBody]) -> tuple[list[tuple[BeamElement, ElementType]], Array]:
+def element_kinds(beams: Sequence[BeamBody]) -> tuple[list[tuple[BeamElement, ElementType]], Array]:
     """Return the distinct types of elements, and the place of each element's among them."""
     kinds: dict[tuple[object, ...], tuple[BeamElement, ElementType]] = {}
     places = []

@@ -31,15 +31,17 @@ half a circle (docs/howto/elements.md); that of cables, M = E I dtheta/ds, does 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.block import unit_vectors
+from ancfdae.assembly.block import element_kinds, unit_vectors
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.errors.text import listed
+from ancfdae.kernels import keeps_sides
 from ancfdae.model.bodies import BeamBody
-from ancfdae.model.elements import ElementParameter, Quantity
+from ancfdae.model.elements import ElementParameter, ElementType, Quantity
 from ancfdae.model.elements.element import tangent_weights
 from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import Array
@@ -47,6 +49,7 @@ from ancfdae.numerics.arrays import Array
 # Places along an element at which it is looked at, nodes included: what is looked at is a
 # polynomial of degree four at most.
 _PLACES = np.linspace(0.0, 1.0, 9)
+_TANGENTS = tangent_weights(_PLACES)
 # Elements of a beam that are named.
 _NAMED = 3
 # Error of the stiffness above which elements are too few: values err by 2 %, derivatives by 10 %.
@@ -87,59 +90,92 @@ class Folds:
     """
 
     def __init__(self, beams: list[BeamBody], numbering: Numbering, parameters: Array) -> None:
-        self._d, self._beams, first = numbering.d, [], 0
+        self._d, self._names = numbering.d, [beam.name for beam in beams]
+        parameters = parameters.real
         layouts = {body.name: body for body in numbering.bodies}
-        for beam in beams:
-            n = beam.element_count
-            own = parameters[first : first + n].real
-            self._beams.append(_Beam(beam, layouts[beam.name].ends, own))
-            first += n
+        counts = [beam.element_count for beam in beams]
+        self._first = np.cumsum([0, *counts])
+        kinds, kind = element_kinds(beams)
+        ends = [layouts[name].ends for name in self._names]
+        units = [unit_vectors(beam) for beam in beams]
+        of_kind = kind[self._first[:-1]]
+        self._groups = []
+        for k, (_, its_type) in enumerate(kinds):
+            own = np.flatnonzero(of_kind == k)
+            rows = np.flatnonzero(kind == k)
+            its_ends, its_units = (np.concatenate([x[i] for i in own]) for x in (ends, units))
+            numbers = np.array(counts)[own]
+            alike = _Alike(its_type, its_ends, its_units, parameters[rows], numbers)
+            self._groups.append((own, rows, alike))
 
     def words(self, q: Array) -> str:
         """Say which elements are folded at coordinates q; empty where none is."""
         Z = q.real.reshape(-1, self._d)
-        return "; ".join(words for beam in self._beams if (words := beam.words(Z)))
+        folded = np.zeros(self._first[-1], dtype=bool)
+        for _, rows, group in self._groups:
+            folded[rows] = group.folded(Z)
+        if not folded.any():
+            return ""
+        beams = zip(self._names, np.split(folded, self._first[1:-1]), strict=True)
+        return "; ".join(_in_words(name, own) for name, own in beams if own.any())
 
     def coarse(self, q: Array) -> dict[str, float]:
         """Return the beams whose elements are too few at coordinates q, with eta of each."""
-        Z = q.real.reshape(-1, self._d)
-        shares = {beam.name: beam.share(Z) for beam in self._beams}
-        return {name: share for name, share in shares.items() if share > _SHARE}
+        return self._above(_SHARE, _Alike.share, q)
 
     def strained(self, q: Array) -> dict[str, float]:
         """Return the beams that are strained beyond what elements are made for, at coordinates q.
 
         With each the largest strain of a fibre.
         """
-        Z = q.real.reshape(-1, self._d)
-        strains = {beam.name: beam.strain(Z) for beam in self._beams}
-        return {name: strain for name, strain in strains.items() if strain > _STRAIN}
+        return self._above(_STRAIN, _Alike.strain, q)
+
+    def _above(
+        self, limit: float, measure: Callable[[_Alike, Array], Array], q: Array
+    ) -> dict[str, float]:
+        """Return the beams with a measure above a limit, with the measure of each."""
+        values, Z = np.zeros(len(self._names)), q.real.reshape(-1, self._d)
+        for own, _, group in self._groups:
+            values[own] = measure(group, Z)
+        return {self._names[k]: float(values[k]) for k in np.flatnonzero(values > limit)}
+
+
+def _in_words(name: str, folded: Array) -> str:
+    """Name the folded elements of a beam."""
+    places = np.flatnonzero(folded)
+    some = listed([*map(str, 1 + places[:_NAMED])] + ["others"] * (len(places) > _NAMED))
+    return f"{name!r}, element{'s' if len(places) > 1 else ''} {some}"
 
 
 @final
-class _Beam:
-    """The elements of one beam; vectors as (n, 2 n_s, d), and points as (n, n_f, n_p)."""
+class _Alike:
+    """The elements of one type of some beams; vectors have the shape (n, 2 n_s, d).
 
-    def __init__(self, beam: BeamBody, ends: Array, parameters: Array) -> None:
-        self.name, self._ends, self._d = beam.name, ends, beam.dimension
+    `counts` are the numbers of elements of each beam, whose elements follow each other.
+    """
+
+    def __init__(
+        self, kind: ElementType, ends: Array, units: Array, parameters: Array, counts: Array
+    ) -> None:
+        self._ends, self._counts, self._d = ends, counts, units.shape[2]
+        self._first = np.cumsum(counts) - counts
+        n_s = ends.shape[1] // 2
         self._lengths = parameters[:, ElementParameter.LENGTH, None]
         self._free = 1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN, None]
-        kind, n_s = beam.element_type(), beam.element.n_s
-        self._has_sections = n_s == beam.dimension + 1
+        self._has_sections = n_s == self._d + 1
         y, z = kind.section.outline(kind.sizes(parameters))
         # Distance of the outermost fibres from the axis, of cables none.
         reach = [np.max(np.abs(x), axis=1) * self._has_sections for x in (y, z)]
         self._reach = np.stack(reach[: max(1, n_s - 2)], axis=1)
-        on_axis = np.zeros((len(y), 1))
-        self._offsets = [np.concatenate([on_axis, x], axis=1) for x in (y, z)]
+        self._offsets = (y, z)[: self._d - 1]
         # The reference, of which the chord is given per unit length.
-        Y = unit_vectors(beam)
-        start = np.zeros_like(Y[:, :1])
-        chord = self._lengths[..., None] * Y[:, :1]
-        X = np.concatenate([start, Y[:, 1:n_s], chord, Y[:, n_s:]], axis=1)
+        start = np.zeros_like(units[:, :1])
+        chord = self._lengths[..., None] * units[:, :1]
+        X = np.concatenate([start, units[:, 1:n_s], chord, units[:, n_s:]], axis=1)
         if self._has_sections:
-            self._upright = np.sign(self._at_nodes(X))
-        self._stretch_o = np.sum(self._tangents(X) ** 2, axis=-1)
+            slopes = X.reshape(-1, 2, self._d + 1, self._d)[:, :, 1:]
+            self._upright = np.sign(np.linalg.det(slopes))
+        self._stretch_o = self._stretch(self._tangents(X))
         # Elements of the same numbers have the same section: most beams have one.
         rows, same = np.unique(parameters, axis=0, return_inverse=True)
         y, z, dA = kind.section.points(kind.sizes(rows), False)
@@ -148,63 +184,66 @@ class _Beam:
         modulus = rows[:, ElementParameter.YOUNGS_MODULUS, None]
         self._EA = (modulus * np.sum(dA, axis=1, keepdims=True))[same.ravel()]
         self._EI = (modulus * moments[:, : max(1, n_s - 2)])[same.ravel()]
-        self._bend_o = self._bends(X)
+        self._bend_o = np.sqrt(self._bends(X))
 
-    def _at_nodes(self, X: Array) -> Array:
-        """Return det [r_x, r_y(, r_z)] at the two nodes, (n, 2)."""
-        slopes = X.reshape(-1, 2, self._d + 1, self._d)[:, :, 1:]
-        return np.asarray(np.linalg.det(slopes))
+    def _largest(self, x: Array) -> Array:
+        """Return the largest value of each beam, of values of the shape (n, k)."""
+        return np.asarray(np.maximum.reduceat(x.max(axis=1), self._first))
 
-    def words(self, Z: Array) -> str:
+    def folded(self, Z: Array) -> Array:
+        """Tell which elements are folded, shape (n,)."""
         X = Z[self._ends]
         r_x = self._tangents(X)
-        crushed = 3.0 * np.sum(r_x**2, axis=-1) <= self._free * self._stretch_o
-        if not self._has_sections:
-            chord = X[:, len(X[0]) // 2] - X[:, 0]
-            turned = np.einsum("npd,nd->np", r_x, chord) <= 0
-        else:
+        crushed = 3.0 * self._stretch(r_x) <= self._free * self._stretch_o
+        if self._has_sections:
             # Those of the reference have one sign along an element.
-            turned = np.any(self._volumes(X) * self._upright[:, :1, None] <= 0, axis=1)
-        folded = np.flatnonzero(np.any(crushed | turned, axis=1))
-        if not len(folded):
-            return ""
-        some = listed([*map(str, 1 + folded[:_NAMED])] + ["others"] * (len(folded) > _NAMED))
-        return f"{self.name!r}, element{'s' if len(folded) > 1 else ''} {some}"
+            turned = self._volumes(X, r_x) <= 0
+        else:
+            chord = X[:, len(X[0]) // 2] - X[:, 0]
+            turned = (r_x @ chord[:, :, None])[..., 0] <= 0
+        return np.asarray((crushed | turned).any(axis=1))
 
-    def share(self, Z: Array) -> float:
-        """Return eta of the module, or zero where tension makes up for it."""
+    def share(self, Z: Array) -> Array:
+        """Return eta of the module for each beam, or zero where tension makes up for it."""
         X = Z[self._ends]
-        strain = 0.5 * (np.sum(self._tangents(X) ** 2, axis=-1) / self._stretch_o - self._free)
+        strain = 0.5 * (self._stretch(self._tangents(X)) / self._stretch_o - self._free)
         beyond = strain @ _BEYOND.T
         axial, error = (
             self._EA * self._lengths * (x**2 @ _WEIGHTS)[:, None] for x in (strain, beyond)
         )
         # Bends of the reference cost nothing; they turn with the element.
-        change = np.sqrt(self._bends(X)) - np.sqrt(self._bend_o)
+        change = np.sqrt(self._bends(X)) - self._bend_o
         bending = self._EI / self._lengths * change**2
-        rest = float(np.sum(axial - error) + np.sum(bending))
-        # The change of an element is its turn.
-        error = np.sum(error) + _ARC * np.sum(bending * change**4)
         force = np.abs(self._EA * (strain @ _WEIGHTS)[:, None])
-        if np.mean(force * self._lengths**2 / self._EI) > _LIMP:
+        rest, error, pulled = np.add.reduceat(
+            [
+                (axial - error)[:, 0] + bending.sum(axis=1),
+                # The change of an element is its turn.
+                error[:, 0] + _ARC * (bending * change**4).sum(axis=1),
+                (force * self._lengths**2 / self._EI).sum(axis=1),
+            ],
+            self._first,
+            axis=1,
+        )
+        limp = pulled > _LIMP * self._counts * change.shape[1]
+        shaped = self._largest(np.abs(change)) > _STRAIGHT
+        if limp.any():
             ends = [_unit(X[:, k + Quantity.SLOPE_X]) for k in (0, X.shape[1] // 2)]
             # |t_2 - t_1| = 2 sin(phi/2).
-            turn = np.max(np.sqrt(np.sum((ends[1] - ends[0]) ** 2, axis=1)))
-            shaped = turn > 2.0 * np.sin(0.5 * _TURN)
-        else:
-            shaped = np.max(np.abs(change)) > _STRAIGHT
-        if not shaped or rest <= 0:
-            return 0.0
-        return float(error) / rest
+            turn = self._largest(np.sqrt(np.sum((ends[1] - ends[0]) ** 2, axis=1))[:, None])
+            shaped = np.where(limp, turn > 2.0 * np.sin(0.5 * _TURN), shaped)
+        shaped &= rest > 0
+        return np.asarray(np.where(shaped, error / np.where(shaped, rest, 1.0), 0.0))
 
-    def strain(self, Z: Array) -> float:
-        """Return the largest strain of a fibre by stretching or bending, without the sign."""
+    def strain(self, Z: Array) -> Array:
+        """Return the largest strain of a fibre of each beam by stretching or bending."""
         X = Z[self._ends]
-        stretch = np.sum(self._tangents(X) ** 2, axis=-1) / self._stretch_o
-        axial = 0.5 * np.max(np.abs(stretch - self._free), initial=0.0)
-        change = np.sqrt(self._bends(X)) - np.sqrt(self._bend_o)
-        bending = np.max(np.abs(change / self._lengths * self._reach), initial=0.0)
-        return float(max(axial, bending))
+        stretch = self._stretch(self._tangents(X)) / self._stretch_o
+        axial = 0.5 * self._largest(np.abs(stretch - self._free))
+        if not self._has_sections:
+            return axial
+        change = np.sqrt(self._bends(X)) - self._bend_o
+        return np.maximum(axial, self._largest(np.abs(change / self._lengths * self._reach)))
 
     def _bends(self, X: Array) -> Array:
         """Return the integral of kappa^2 ds times the length for each axis, shape (n, 1 or 2).
@@ -213,36 +252,54 @@ class _Beam:
         """
         n_s = X.shape[1] // 2
         chord = _unit(X[:, n_s] - X[:, 0])
-        turns = [_unit(X[:, k + Quantity.SLOPE_X]) - chord for k in (0, n_s)]
+        a, b = (_unit(X[:, k + Quantity.SLOPE_X]) - chord for k in (0, n_s))
         if self._EI.shape[1] == 2:
             # In the axes of either section.
-            turns = [
+            a, b = (
                 np.einsum("nkd,nd->nk", _unit(X[:, k + Quantity.SLOPE_Y : k + n_s]), turn)
-                for k, turn in zip((0, n_s), turns, strict=True)
-            ]
-            a, b = turns
+                for k, turn in ((0, a), (n_s, b))
+            )
             return np.asarray(4.0 * (a * a + a * b + b * b))
-        a, b = turns
         return np.asarray(4.0 * np.sum(a * a + a * b + b * b, axis=1, keepdims=True))
 
     def _tangents(self, X: Array) -> Array:
-        """Return r_x on the axis, shape (n, n_p, d)."""
+        """Return r_x at the places on the axis, shape (n, n_p, d)."""
         n_s = X.shape[1] // 2
-        chord = (X[:, n_s] - X[:, 0]) / self._lengths
-        slopes = np.stack([chord, X[:, Quantity.SLOPE_X], X[:, n_s + Quantity.SLOPE_X]], axis=1)
-        return np.asarray(np.einsum("pk,nkd->npd", tangent_weights(_PLACES), slopes))
+        parts = np.empty((len(X), 3, X.shape[2]))
+        np.subtract(X[:, n_s], X[:, 0], out=parts[:, 0])
+        parts[:, 0] /= self._lengths
+        parts[:, 1:] = X[:, [Quantity.SLOPE_X, n_s + Quantity.SLOPE_X]]
+        return np.asarray(_TANGENTS @ parts)
 
-    def _volumes(self, X: Array) -> Array:
-        """Return det [r_x, r_y(, r_z)] on the axis and on the outline."""
-        n_s, d = X.shape[1] // 2, X.shape[2]
+    @staticmethod
+    def _stretch(r_x: Array) -> Array:
+        """Return |r_x|^2, shape (n, n_p)."""
+        return np.asarray(np.einsum("npd,npd->np", r_x, r_x))
+
+    def _volumes(self, X: Array, r_x: Array) -> Array:
+        """Return the least det [r_x, r_y(, r_z)] of the axis and the outline, shape (n, n_p).
+
+        With the normal N = r_y x r_z of the places, in the plane r_y turned back by a right angle,
+        it is (r_x + y r_xy + z r_xz) . N, linear in y and z.
+        """
+        n_s = X.shape[1] // 2
         first, second = X[:, Quantity.SLOPE_Y : n_s], X[:, n_s + Quantity.SLOPE_Y :]
-        along = _PLACES[:, None, None]
-        across = (1 - along) * first[:, None] + along * second[:, None]
+        along = _PLACES[:, None]
+        across = [
+            (1 - along) * a[:, None] + along * b[:, None]
+            for a, b in zip(first.swapaxes(0, 1), second.swapaxes(0, 1), strict=True)
+        ]
+        if self._d == 2:
+            normal = np.stack([across[0][..., 1], -across[0][..., 0]], axis=-1)
+        else:
+            normal = np.cross(*across)
+        normal *= self._upright[:, :1, None]
+        volume = np.einsum("npd,npd->np", r_x, normal)
         change = (second - first) / self._lengths[..., None]
-        offsets = np.stack(self._offsets[: d - 1], axis=-1)
-        r_x = self._tangents(X)[:, None] + np.einsum("nfk,nkd->nfd", offsets, change)[:, :, None]
-        across = np.broadcast_to(across[:, None], (*r_x.shape[:-1], d - 1, d))
-        return np.asarray(np.linalg.det(np.concatenate([r_x[..., None, :], across], axis=-2)))
+        # Shape (n, n_p, 1 or 2), and of the outline (n, n_f, n_p).
+        rates = normal @ change.swapaxes(1, 2)
+        rest = sum(y[:, :, None] * rates[:, None, :, k] for k, y in enumerate(self._offsets))
+        return np.asarray(volume + np.minimum(np.min(rest, axis=1), 0.0))
 
 
 def first_mirrored(
@@ -261,22 +318,27 @@ def first_mirrored(
     d, n_s = numbering.d, numbering.widest.n_s
     if parameters is not None and n_s not in (2, d + 1):
         return None
+    lengths = limit = None
+    if parameters is not None:
+        lengths = np.ascontiguousarray(parameters[:, ElementParameter.LENGTH])
+        limit = (1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN]) / 3.0
+    if keeps_sides(q, ends, d, lengths, limit):
+        return None
     # Components first, states last.
     X = np.ascontiguousarray(q.reshape(len(q), -1, d)[:, ends].transpose(3, 2, 1, 0))
     # Elements that have fewer vectors than the widest are filled up with their first one.
     cables, looked_at = np.zeros(len(ends), dtype=bool), ends[:, 1] != ends[:, 0]
     crushed = np.zeros(X.shape[2:], dtype=bool)
-    if parameters is None:
+    if lengths is None or limit is None:
         tangents, sections = X[:, 1:2], X[:, None, 2:]
     else:
-        chord = (X[:, n_s] - X[:, 0]) / parameters[:, ElementParameter.LENGTH, None]
+        chord = (X[:, n_s] - X[:, 0]) / lengths[:, None]
         along, after = X[:, 1], X[:, n_s + 1]
         tangents = np.stack([along, 3.0 * chord - along - after, after], axis=1)
         sections = X.reshape(d, 2, n_s, *X.shape[2:])[:, :, 2:]
         cables |= (n_s == 2) | (ends[:, min(2, n_s)] == ends[:, 0])
         places = along, 1.5 * chord - 0.25 * (along + after), after
-        limit = (1.0 - 2.0 * parameters[:, ElementParameter.INITIAL_STRAIN, None]) / 3.0
-        crushed = np.any([np.sum(r_x * r_x, axis=0) <= limit for r_x in places], axis=0)
+        crushed = np.any([np.sum(r_x * r_x, axis=0) <= limit[:, None] for r_x in places], axis=0)
         crushed &= ~crushed[:, :1] & looked_at[:, None]
     if np.all(cables):
         normals = chord[:, None]

@@ -21,7 +21,7 @@ import numpy as np
 
 from ancfdae.assembly.block import ElementForms
 from ancfdae.assembly.layout import BeamLayout
-from ancfdae.assembly.naming import SceneNaming
+from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.assembly.numbering import Numbering, coupled
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
@@ -83,7 +83,7 @@ class _Mass:
         return self.derivative()
 
 
-#: By the place among the bodies of a scene the numbers of a rigid one, and its mass.
+#: By the place among the bodies of a scene the numbers of a rigid one or a point, and its mass.
 KnownMasses: TypeAlias = dict[int, tuple[Any, Any]]
 
 
@@ -92,7 +92,7 @@ def other_masses(
 ) -> tuple[MassBlocks, ...]:
     """Return the masses of all that is rigid, and of points.
 
-    What is known of a rigid beam or body with the same numbers is taken over, the rest is added.
+    What is known of a rigid beam, body or point with the same numbers is taken over.
     """
     layout, single, elements = naming.layout, list[tuple[Array, int, _Mass]](), mapping.values(b)
     for owner, member in enumerate(scene.members):
@@ -111,12 +111,12 @@ def other_masses(
         single.append((layout.bodies[owner].vectors, owner, its))
     for owner, mass in enumerate(scene.point_masses, start=len(scene.members)):
         p, p_b = mapping.numbers(mass.name, b)
-        at = naming.vector(mass.point, Quantity.POSITION, (p[1:], p_b[1:]))
-        w, w_b = at.weights, at.weights_b.T
-        # The product rule for p w w^T.
-        once = p[0] * w_b[:, :, None] * w
-        m_b = p_b[0][:, None, None] * np.outer(w, w) + once + once.transpose(0, 2, 1)
-        single.append((at.vectors, owner, _Mass(p[0] * np.outer(w, w), partial(np.asarray, m_b))))
+        of_point = p.dtype, p.tobytes(), naming.lengths.tobytes()
+        before, its = known.get(owner, ((), None))
+        if before != of_point:
+            its = _of_point(naming.vector(mass.point, Quantity.POSITION, (p[1:], p_b[1:])), p, p_b)
+            known[owner] = of_point, its
+        single.append((its[0], owner, its[1]))
     sizes = sorted({len(vectors) for vectors, *_ in single})
     return tuple(_together([x for x in single if len(x[0]) == size]) for size in sizes)
 
@@ -141,6 +141,17 @@ def _together(blocks: Sequence[tuple[Array, int, _Mass]]) -> MassBlocks:
 
     m = np.stack([mass.m for mass in masses])
     return MassBlocks(np.stack(vectors), m, np.array(owners), derivative)
+
+
+def _of_point(at: PointVector, p: Array, p_b: Array) -> tuple[Array, _Mass]:
+    """Return the vectors that a point mass hangs on, and its mass in them, p w w^T."""
+    w, w_b = at.weights, at.weights_b.T
+
+    def derivative() -> Array:
+        once = p[0] * w_b[:, :, None] * w
+        return p_b[0][:, None, None] * np.outer(w, w) + once + once.transpose(0, 2, 1)
+
+    return at.vectors, _Mass(p[0] * np.outer(w, w), derivative)
 
 
 def _of_body(body: RigidBody, mapping: ParameterMap, b: Array) -> _Mass:
@@ -272,9 +283,9 @@ class Inertia:
         """The product with the mass matrix."""
         # Two of three entries of a spatial element are zero: masses do not couple directions.
         kept, pattern = np.flatnonzero(self.values), self._pattern
-        return LinearMap.of(
-            pattern.rows[kept], pattern.columns[kept], self.values[kept], pattern.shape
-        )
+        before = np.append(0, np.cumsum(self.values != 0))
+        first = before[pattern.places[0]]
+        return LinearMap((first, pattern.columns[kept], self.values[kept]), self._n_q)
 
     @cached_property
     def _M_b(self) -> LinearMap:

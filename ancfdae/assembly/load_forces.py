@@ -104,7 +104,9 @@ class LoadForces:
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
         """Return the sum Q of all loads in k states, shape (k, n_q)."""
-        Q = np.broadcast_to(self._steady, (len(q), self._n_q))
+        Q = self._steady[None]
+        if len(q) != 1:
+            Q = np.broadcast_to(Q, (len(q), self._n_q))
         for item, row in self._timed:
             Q = Q + item.factors(t, 0) * row
         for load in self._moving:

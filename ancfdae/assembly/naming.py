@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, final
 
 import numpy as np
@@ -14,6 +14,9 @@ from ancfdae.errors.checks import require_index
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.numerics.arrays import STEP, Array
+
+# Vectors of points that are kept.
+_KEPT = 64
 
 
 @final
@@ -50,6 +53,10 @@ class SceneNaming(Naming):
     layout: Layout
     lengths: Array
     lengths_b: Array
+    # Vectors of points that were asked for.
+    _known: dict[tuple[MaterialPoint, Quantity], PointVector] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def vector(
         self, point: MaterialPoint, quantity: Quantity, place: tuple[Array, Array] | None = None
@@ -62,8 +69,19 @@ class SceneNaming(Naming):
         Raises UnknownNameError if the scene has no body of that name, InvalidInputError if the
         points of the body do not have the vector.
         """
+        if place is not None:
+            return self._vector(point, quantity, *place)
+        known = self._known.get((point, quantity))
+        if known is None:
+            known = self._vector(point, quantity, *self._place(point))
+            if len(self._known) < _KEPT:
+                self._known[point, quantity] = known
+        return known
+
+    def _vector(
+        self, point: MaterialPoint, quantity: Quantity, numbers: Array, numbers_b: Array
+    ) -> PointVector:
         body, beam = self.layout.body(point.beam), self._beam(point.beam)
-        numbers, numbers_b = self._place(point) if place is None else place
         if beam is None:
             return self._of_body(point, quantity, body, numbers, numbers_b)
         fraction, y, z = numbers

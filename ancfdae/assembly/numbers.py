@@ -131,6 +131,8 @@ class Numbers:
         geometry = Geometry.of(scene, layout, numbering, mapping, b)
         parts = geometry.joints, geometry.loads
         structure = Structure.of(scene, design, mapping, numbering, layout, parts)
+        # From now on names know the joints, too.
+        geometry = replace(geometry, naming=replace(geometry.naming, layout=structure.layout))
         block = structure.forms.at(b)
         elastic = ElasticForces(block, structure.places, structure.soft, len(b))
         fixed = _placed(structure, geometry, b)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
@@ -83,7 +82,7 @@ class AncfSystem(PlannedSystem):
         self.n_q, self.n_lam = structure.numbering.n_q, geometry.joints.n_lam
         self.vector_size = structure.numbering.d
         self.pattern, self.constraint_pattern = structure.pattern, geometry.joints.pattern
-        self.naming = replace(geometry.naming, layout=structure.layout)
+        self.naming = geometry.naming
         self.constraint_names, self.reach = structure.constraint_names, structure.reach
         self.controllers = tuple(each.name for each in structure.numbering.controllers)
         self.inputs, self.weights = geometry.inputs, numbers.inertia.weights

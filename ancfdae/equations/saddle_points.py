@@ -15,27 +15,32 @@ _DEPENDENT = 1e-11
 # the singular values are far from dependent.
 _CLEAR = 1e-12
 _SWEEPS = 3
+# Rows that are independent with weights stay so with others within this factor of each.
+_AS_NEAR = 4.0
 
 
 def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> SaddlePoint:
     """Check the constraints and return the system's saddle-point matrices.
 
     They are checked and scaled at q, by default the start; RedundantConstraintsError if dependent.
-    A design with the same weights and Phi_q as the design before takes over its matrices.
+    A design with the same weights and Phi_q as the design before takes over its matrices, and with
+    weights near those of the last check its independent rows.
     """
     values = system.constraint_q(t, system.start()[0] if q is None else q)
-    numbers = system.constraint_pattern, system.traits.symmetric, system.weights, values
-    checked = system.pattern.checked
-    if checked is not None:
-        last, (pattern, symmetric, *before) = checked
-        same = pattern is numbers[0] and symmetric == numbers[1]
-        if same and all(map(np.array_equal, before, numbers[2:])):
-            return last
-    patterns = system.pattern, system.constraint_pattern
-    matrices = SaddlePoint(*patterns, system.weights, values, system.traits.symmetric)
-    refuse_redundant(system, matrices, values)
+    patterns, weights = (system.pattern, system.constraint_pattern), system.weights
+    symmetric, known, near = system.traits.symmetric, system.pattern.checked, False
+    if known is not None:
+        last, (pattern, was_symmetric, its_weights, its_values, at) = known
+        if pattern is patterns[1] and np.array_equal(its_values, values):
+            if symmetric == was_symmetric and np.array_equal(its_weights, weights):
+                return last
+            near = bool(np.all((weights <= _AS_NEAR * at) & (at <= _AS_NEAR * weights)))
+    matrices = SaddlePoint(*patterns, weights, values, symmetric)
+    if not near:
+        refuse_redundant(system, matrices, values)
+        at = weights.copy()
     # Copies: a system of a user's own may write to its arrays.
-    system.pattern.checked = matrices, (*numbers[:2], *map(np.copy, numbers[2:]))
+    system.pattern.checked = matrices, (patterns[1], symmetric, weights.copy(), values.copy(), at)
     return matrices
 
 

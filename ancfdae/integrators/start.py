@@ -13,7 +13,7 @@ stand, so they are exact for projected starts too.
 
 from __future__ import annotations
 
-from typing import NamedTuple, final
+from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -36,6 +36,8 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 # above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.
 _CONSISTENT = 1e-8
 _REPAIR = "Let `start` follow self.b, or set project_start=True to move it onto the constraints."
+# Constraints that are violated by as many units of round-off need no projection.
+_ROUNDED = 4
 # Relative violation that the derivatives of a declared start may have: complex steps are exact.
 _SAME_RATE = 1e-6
 _PROJECTION_ITERATIONS = 50
@@ -43,6 +45,9 @@ _PROJECTION_ITERATIONS = 50
 _CLOSED = 1e-12
 # Numbers of stages that close a gap, one after the other until one does.
 _STAGES = (1, 8, 64)
+
+# q and sigma_q of step 1, and M with Phi_q factorised if it is at hand.
+_Closed: TypeAlias = tuple[Array, Array, Factorization | None]
 
 
 class InitialState(NamedTuple):
@@ -65,7 +70,14 @@ class InitialSensitivity(NamedTuple):
 
 
 def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) -> InitialState:
-    """Solve steps 1 to 3 of the module description.
+    """Solve steps 1 to 3 of the module description; see `start_and_mass`."""
+    return start_and_mass(system, matrices, t)[0]
+
+
+def start_and_mass(
+    system: MechanicalSystem, matrices: SaddlePoint, t: float
+) -> tuple[InitialState, Factorization]:
+    """Solve steps 1 to 3 of the module description; return the state, and M with Phi_q factorised.
 
     InconsistentStartError if the declared start violates a constraint and `project_start` is false,
     or if the projection does not converge; InvalidInputError if it or the forces at it are not
@@ -75,24 +87,33 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
     if not (finite(q) and finite(v)):
         repair = "Check the values that `start` returns."
         raise InvalidInputError("start", "q and v must be finite", "NaN or infinity", repair)
-    if not system.traits.project_start:
-        _refuse_inconsistent(system, q, v, t)
+    rounded = not system.traits.project_start and _refuse_inconsistent(system, q, v, t)
     # Forces that are not finite at the start are refused here, not warned about.
     with np.errstate(all="ignore"):
-        declared, (q, _) = q, _project_position(system, matrices, q, t)
+        declared, factors = q, None
+        if not rounded:
+            q, _, factors = _project_position(system, matrices, q, t)
         # Constraints were checked at the declared start, which may be where they stand already.
         moved = norm(q - declared, system.weights) > _CLOSED * norm(declared, system.weights)
         if moved and not system.traits.linear_constraints:
             refuse_redundant(system, matrices, system.constraint_q(t, q))
-        factors = _factor_mass(system, matrices, q, t)
-        v = solve(factors, system.mass_times(q, v), velocity_side(system, t, q))[0]
+        if factors is None:
+            factors = _factor_mass(system, matrices, q, t)
+        side = velocity_side(system, t, q)
+        v = 0 * v if at_rest(v, side) else solve(factors, system.mass_times(q, v), side)[0]
         Q = system.force(t, q, v)
         if not finite(Q):
             repair = "Check forces and start."
             raise InvalidInputError(
                 "forces at the start", "must be finite", "NaN or infinity", repair
             )
-        return InitialState(t, q, v, *solve(factors, Q, acceleration_side(system, t, q, v)))
+        a, lam = solve(factors, Q, acceleration_side(system, t, q, v))
+        return InitialState(t, q, v, a, lam), factors
+
+
+def at_rest(v: Array, side: Array) -> bool:
+    """Whether velocities and what joints ask for in their place, or accelerations, all vanish."""
+    return not (v.any() or side.any())
 
 
 def start_sensitivity(
@@ -287,17 +308,19 @@ def _factor_mass(
 
 def _project_position(
     system: MechanicalSystem, matrices: SaddlePoint, q_start: Array, t: float
-) -> tuple[Array, Array]:
-    """Newton's method for step 1; returns q and sigma_q.
+) -> _Closed:
+    """Newton's method for step 1; returns q, sigma_q, and M with Phi_q factorised if at hand.
 
     Where it does not converge, the gap is closed in stages.
     """
     gap = system.constraint(t, q_start)
+    if not gap.any():
+        return q_start, np.zeros(system.n_lam, dtype=q_start.dtype), None
     for stages in _STAGES:
-        reached = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
+        reached: _Closed = q_start, np.zeros(system.n_lam, dtype=q_start.dtype), None
         for stage in range(1, stages + 1):
             left = gap * (1 - stage / stages)
-            moved = _close_gap(system, matrices, q_start, t, reached, left)
+            moved = _close_gap(system, matrices, q_start, t, reached[:2], left)
             if moved is None:
                 break
             reached = moved
@@ -318,7 +341,7 @@ def _close_gap(
     t: float,
     guess: tuple[Array, Array],
     left: Array,
-) -> tuple[Array, Array] | None:
+) -> _Closed | None:
     """Newton's method for step 1 with Phi = left; None if it does not converge.
 
     The last correction is applied, so the error left is the square of the tolerance.
@@ -340,12 +363,15 @@ def _close_gap(
             # A complex perturbation lags the real part by one sweep.
             settled += 1
             if q.dtype.kind != "c" or settled == 3:
-                return q, sigma_q
+                linear = system.traits.linear_constraints and system.traits.constant_mass
+                return q, sigma_q, factors if linear else None
     return None
 
 
-def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float) -> None:
+def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float) -> bool:
     """Compare every constraint with the motion, both in the norm of the weights.
+
+    Returns whether real positions satisfy their constraints to the last digits.
 
     |Phi_k| / |Phi_qk| is the distance to the constraint; it is measured against |q|, and
     likewise |Phi_q v - nu| / |Phi_qk| against |v|. Both ratios are free of units. A drive that
@@ -360,8 +386,9 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
     speed = max(norm(v, system.weights), float(np.sqrt(place * asked)))
     # The size of a body is as good a measure of its coordinates as their distance from the
     # origin; |q| in the norm of M contains both.
+    gap = system.constraint(t, q)
     for what, phi, size in (
-        ("positions", system.constraint(t, q), place),
+        ("positions", gap, place),
         ("velocities", system.constraint(t, q, v), speed),
     ):
         ratio = np.abs(phi.real) / rows
@@ -388,3 +415,5 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
                 "a complex step that violates them",
                 _REPAIR,
             )
+    closed = np.all(np.abs(gap) <= _ROUNDED * np.finfo(float).eps * place * rows)
+    return bool(closed) and not np.iscomplexobj(gap)

@@ -86,6 +86,9 @@ try:
         fronts_factor as fronts_factor,
     )
     from ancfdae.kernels._kernels import (
+        fronts_signs as fronts_signs,
+    )
+    from ancfdae.kernels._kernels import (
         fronts_solve as fronts_solve,
     )
     from ancfdae.kernels._kernels import (
@@ -96,6 +99,9 @@ try:
     )
     from ancfdae.kernels._kernels import (
         index_1_rows as index_1_rows,
+    )
+    from ancfdae.kernels._kernels import (
+        keeps_sides as keeps_sides,
     )
     from ancfdae.kernels._kernels import (
         ldl_factor as ldl_factor,

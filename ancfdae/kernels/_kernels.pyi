@@ -340,11 +340,41 @@ def fronts_factor(
     where all pivots have their signs.
     """
 
+def keeps_sides(
+    q: Array, ends: Array, d: int, lengths: Array | None, least: Array | None, /
+) -> bool:
+    """Whether all states, rows of q, keep the sides of sections and tangents of the first one.
+
+    `ends` are vectors of elements with their lengths and the least |r_x|^2, or of rigid bodies
+    without. False proves nothing: signs of Bernstein's coefficients may differ.
+    """
+
+def fronts_signs(
+    terms: tuple[tuple[float, Array], ...],
+    B: Array,
+    chosen: Array,
+    places: Array,
+    fronts: FrontArrays,
+    counted: bool,
+    /,
+) -> tuple[int, float]:
+    """Return by how many more pivots are negative than multipliers, and the growth of factors.
+
+    The growth is the largest sum_k L_ik^2 |D_k|, relative to the diagonal of K and to rows of B
+    of length one; infinite where a pivot vanishes, or has not its sign unless they are `counted`.
+    """
+
 def fronts_solve(
-    factors: tuple[Array, Array, Array], fronts: FrontArrays, order: Array, right: Array, /
+    factors: tuple[Array, Array, Array],
+    fronts: FrontArrays,
+    order: Array,
+    right: Array,
+    enough: float,
+    /,
 ) -> tuple[Array, float]:
     """Return refined solutions for right sides, the last axis, and the largest residual.
 
+    Residuals up to `enough`, or a few units of round-off, are not refined.
     The residual is relative to the largest entries of the scaled right side and solution.
     """
 

@@ -59,6 +59,7 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
 #include "elimination.h"
 #include "fronts.h"
+#include "sides.h"
 
 #include "bending.h"
 #include "elements.h"

@@ -63,9 +63,10 @@ WITH_WIDE_VECTORS void front_update(Size m, Size n, Size k, const double *__rest
 enum { PANEL = 16 };
 
 /* Factorise the first k columns of a front in place, 1/D on the diagonal, and update the rest of
- * it, U. Returns 0, or the number of the pivot that has not its sign. `room` has 5 f numbers. */
+ * it, U. Returns 0, or the number of the pivot that has not its sign, unless signs are counted:
+ * `excess` is by how many more pivots are negative than should be. `room` has 5 f numbers. */
 Size front_factor(Size f, Size k, const double *signs, double *__restrict L, double *__restrict U,
-                  double *__restrict room)
+                  double *__restrict room, Size *excess)
 {
     double *d = room, *dl = room + f;
     for (Size j = 0; j < k; j += PANEL) {
@@ -73,8 +74,12 @@ Size front_factor(Size f, Size k, const double *signs, double *__restrict L, dou
         for (Size p = j; p < end; p++) {
             double *__restrict own = L + p * f, pivot = own[p];
             /* The scaled diagonal had the size of one, or PERTURBED. */
-            if (!(pivot * signs[p] > ROUND_OFF * (signs[p] > 0 ? 1 : PERTURBED)))
-                return p + 1;
+            double least = ROUND_OFF * (signs[p] > 0 ? 1 : PERTURBED), signed_pivot = pivot * signs[p];
+            if (!(signed_pivot > least)) {
+                if (!excess || !(signed_pivot < -least))
+                    return p + 1;
+                *excess += signs[p] > 0 ? 1 : -1;
+            }
             d[p] = pivot;
             double inverse = 1 / pivot;
             for (Size c = p + 1; c < end; c++) {
@@ -94,10 +99,10 @@ Size front_factor(Size f, Size k, const double *signs, double *__restrict L, dou
 }
 
 /* Factorise the scaled lower triangle `a`. Returns 0, or the number of the first pivot that has not
- * its sign. `stack` has the room of updates, `at` n numbers, `room` 5 times those of the largest
- * front. */
+ * its sign, unless signs are counted. `stack` has the room of updates, `at` n numbers, `room` 5
+ * times those of the largest front. */
 Size fronts_factor(const Fronts *x, const double *__restrict a, double *__restrict factors,
-                   double *__restrict stack, int32_t *__restrict at, double *room)
+                   double *__restrict stack, int32_t *__restrict at, double *room, Size *excess)
 {
     double *top = stack;
     int32_t *updates = at + x->n; /* Fronts on the stack. */
@@ -127,7 +132,7 @@ Size fronts_factor(const Fronts *x, const double *__restrict a, double *__restri
                     to[at[below[i]]] += from[j * size + i];
             }
         }
-        Size failed = front_factor(f, k, x->signs + begin, L, U, room);
+        Size failed = front_factor(f, k, x->signs + begin, L, U, room, excess);
         if (failed)
             return begin + failed;
         memmove(from, U, (size_t)(u * u) * sizeof *U);
@@ -346,10 +351,31 @@ struct FrontRoom {
 };
 
 /* Scale and factorise what stands in `a`. Returns 0, or the number of the first pivot that has not
- * its sign, or 1 unless the diagonal of coordinates is positive. */
-Size fronts_factored(const Fronts *q, const FrontRoom *x, double *factors)
+ * its sign, or 1 unless the diagonal of coordinates is positive. Signs are counted in `excess`. */
+Size fronts_factored(const Fronts *q, const FrontRoom *x, double *factors, Size *excess = nullptr)
 {
     if (!fronts_scaled(q, x->a, x->scale, x->perturbed))
         return 1;
-    return fronts_factor(q, x->perturbed, factors, x->stack, x->at, x->room);
+    return fronts_factor(q, x->perturbed, factors, x->stack, x->at, x->room, excess);
+}
+
+/* The largest sum_k L_ik^2 |D_k| over the squared scale of row i; `sums` has room for n numbers. */
+double fronts_growth(const Fronts *q, const double *scale, const double *factors, double *sums)
+{
+    double growth = 0;
+    memset(sums, 0, (size_t)q->n * sizeof *sums);
+    for (Size s = 0; s < q->count; s++) {
+        Size k = q->begin[s + 1] - q->begin[s], f = q->row_at[s + 1] - q->row_at[s];
+        const int32_t *rows = q->rows + q->row_at[s];
+        const double *L = factors + q->factor_at[s];
+        for (Size j = 0; j < k; j++, L += f) {
+            double D = fabs(1 / L[j]);
+            sums[rows[j]] += D;
+            for (Size i = j + 1; i < f; i++)
+                sums[rows[i]] += L[i] * L[i] * D;
+        }
+    }
+    for (Size i = 0; i < q->n; i++)
+        growth = fmax(growth, sums[i] / (scale[i] * scale[i]));
+    return growth;
 }

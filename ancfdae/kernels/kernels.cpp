@@ -157,6 +157,8 @@ PyMethodDef methods[] = {
     SOLVER(ldl_solve),
     PLAIN(eliminate),
     PLAIN(fronts_factor),
+    PLAIN(fronts_signs),
+    PLAIN(keeps_sides),
     OF_SCALARS(fronts_solve),
     {nullptr, nullptr, 0, nullptr},
 };

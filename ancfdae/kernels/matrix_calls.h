@@ -294,6 +294,22 @@ Array<R> py_ldl_solve(Array<T, 1> factors, Indices first, Array<int64_t, 1> orde
 /* The fronts of a symmetric matrix from its entries left of the diagonal, row by row: (order, begin,
  * row_at, rows, factor_at, children, stack, most), and the multiplications of a factorisation. */
 using Longs = Array<int64_t, 1>;
+
+/* See `Sides`; without lengths the vectors are those of rigid bodies. */
+bool py_keeps_sides(Array<double, 2> q, Array<int64_t, 2> ends, Size d, Maybe<double, 1> lengths,
+                    Maybe<double, 1> least)
+{
+    Size k = q.length(0), n_q = q.length(1), n = ends.length(0), each = ends.length(1);
+    must((d == 2 || d == 3) && n_q % d == 0 && within(ends, 0, n_q / d - 1) &&
+             (lengths ? each == 4 || each == 2 * (d + 1) : each == d + 1),
+         "there must be vectors of the coordinates, of elements or of rigid bodies");
+    must(!lengths == !least && (!lengths || (lengths->size == n && least->size == n)),
+         "each element has a length and a limit");
+    const double *of = data_of(lengths), *limits = data_of(least);
+    Unlocked others;
+    return d == 2 ? Sides<2>{k, n_q, n, each, q.data, of, limits, ends.data}.kept()
+                  : Sides<3>{k, n_q, n, each, q.data, of, limits, ends.data}.kept();
+}
 using FrontsFound = std::tuple<Array<int32_t>, Array<int32_t>, Array<int64_t>, Array<int32_t>,
                                Array<int64_t>, Array<int32_t>, Size, Size>;
 std::tuple<FrontsFound, double> py_eliminate(Longs first, Indices columns)
@@ -405,10 +421,10 @@ struct FrontArguments {
 
 /* (scaled values, scale, factors), and the pivot that fails. */
 using Factored = std::tuple<Array<double>, Array<double>, Array<double>>;
-std::tuple<Factored, Size> py_fronts_factor(Terms<double> terms, Array<double> B, Indices chosen,
-                                            Indices places, FrontArguments of)
+std::tuple<Factored, Size> fronts_of(const Terms<double> &terms, const Array<double> &B,
+                                     const Indices &chosen, const Indices &places,
+                                     const Fronts &x, Size *excess)
 {
-    const Fronts &x = of.fronts;
     auto a = zeros<double>({(Size)x.column_at[x.n]}), scale = zeros<double>({x.n});
     auto factors = zeros<double>({(Size)x.factor_at[x.count]});
     auto room = room_for<double>(a.size + x.stack + 5 * x.most);
@@ -420,16 +436,38 @@ std::tuple<Factored, Size> py_fronts_factor(Terms<double> terms, Array<double> B
     Size info;
     {
         Unlocked others;
-        info = fronts_factored(&x, &own, factors.data);
+        info = fronts_factored(&x, &own, factors.data, excess);
     }
     return {Factored{std::move(a), std::move(scale), std::move(factors)}, info};
 }
 
-/* Solutions, and the largest relative residual; right sides are the last axis. */
+std::tuple<Factored, Size> py_fronts_factor(Terms<double> terms, Array<double> B, Indices chosen,
+                                            Indices places, FrontArguments of)
+{
+    return fronts_of(terms, B, chosen, places, of.fronts, nullptr);
+}
+
+/* By how many more pivots are negative than should be, and the growth, infinite where a pivot is
+ * none, or has not its sign unless they are counted. */
+std::tuple<Size, double> py_fronts_signs(Terms<double> terms, Array<double> B, Indices chosen,
+                                         Indices places, FrontArguments of, bool counted)
+{
+    const Fronts &x = of.fronts;
+    Size excess = 0;
+    auto [factored, info] = fronts_of(terms, B, chosen, places, x, counted ? &excess : nullptr);
+    auto &[a, scale, factors] = factored;
+    if (info)
+        return {excess, INFINITY};
+    auto sums = room_for<double>(x.n);
+    return {excess, fronts_growth(&x, scale.data, factors.data, sums.get())};
+}
+
+/* Solutions, and the largest relative residual; right sides are the last axis. Residuals up to
+ * `enough`, or a few units of round-off, are not refined. */
 template <class R>
 std::tuple<Array<R>, double>
 py_fronts_solve(std::tuple<Array<double, 1>, Array<double, 1>, Array<double, 1>> factored,
-                FrontArguments of, Longs order, Array<R, 1> right)
+                FrontArguments of, Longs order, Array<R, 1> right, double enough)
 {
     constexpr int parts = sizeof(R) / sizeof(double);
     const Fronts &x = of.fronts;
@@ -443,7 +481,7 @@ py_fronts_solve(std::tuple<Array<double, 1>, Array<double, 1>, Array<double, 1>>
     {
         Unlocked others;
         worst =
-            fronts_solve(TO_ROUND_OFF, &x, a.data, factors.data, order.data, scale.data, right.rows(1) * parts,
+            fronts_solve(fmax(enough, TO_ROUND_OFF), &x, a.data, factors.data, order.data, scale.data, right.rows(1) * parts,
                          parts, (const double *)right.data, work.get(), (double *)out.data);
     }
     return {std::move(out), worst};

@@ -52,10 +52,17 @@ class Designable:
 
         Raises UnknownNameError.
         """
+        return replace(self, **self.changed_fields(changes))  # type: ignore[type-var]
+
+    def changed_fields(self, changes: Mapping[str, float]) -> dict[str, Any]:
+        """Return the design fields that change with some of the `parameters`.
+
+        Raises UnknownNameError.
+        """
         unknown = [parameter for parameter in changes if parameter not in self.parameters()]
         if unknown:
             raise UnknownNameError("design target", unknown[0], self.parameters())
-        new: dict[str, object] = {}
+        new: dict[str, Any] = {}
         for name, value in self._design_values():
             design_numbers = self.numbers_of(name)
             changed = {key: changes.get(key, number) for key, number in design_numbers.items()}
@@ -66,7 +73,7 @@ class Designable:
                 new[name] = value.with_parameters(dict(inner))
             else:
                 new[name] = changed[name] if np.ndim(value) == 0 else tuple(changed.values())
-        return replace(self, **new)  # type: ignore[type-var]
+        return new
 
     def split(self, p: Array) -> list[Any]:
         """Return the values of the design fields out of those of all `parameters`, real or complex.

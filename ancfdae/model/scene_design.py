@@ -433,10 +433,16 @@ def _takes(part: _Part, changes: list[_Change]) -> bool:
         with _in_words_of(changes):
             part.refuse_values(_of_beam(changes))
         return True
+    if isinstance(part, RigidBody):
+        placement = part.placement()
+        if any(target.parameter in placement for _, target, _ in changes):
+            _with_values(part, changes)
+            return True
+        with _in_words_of(changes):
+            part.refuse_values({target.indexed: value for _, target, value in changes})
+        return True
     changed = _with_values(part, changes)
-    return isinstance(part, RigidBody) or (
-        isinstance(changed, Part) and part.points == changed.points
-    )
+    return isinstance(changed, Part) and part.points == changed.points
 
 
 def _of_beam(changes: list[_Change]) -> list[tuple[str, int | None, float]]:

@@ -11,7 +11,7 @@ from ancfdae.modes.pairs import coincident
 from ancfdae.modes.result import ModeDerivatives, ModeKind, Modes
 from ancfdae.modes.solver import GROUP, solve
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import SaddlePoint
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.statics.outcome import motions_in_words
 
 
@@ -23,13 +23,14 @@ def modes_about(
     damped: bool | None,
     pull_back: PullBack | None,
     saddle: SaddlePoint | None,
+    mass: Factorization | None,
 ) -> Modes:
     """Return modes about a configuration; InvalidInputError if it does not fit, or without inertia.
 
     Velocity forces count if `damped`, by default if there are any. `pull_back` takes derivatives in
     q, lam and b back to the design; without it they go forward, along those of the configuration.
     """
-    small = Linearised.of(system, at, damped, saddle)
+    small = Linearised.of(system, at, damped, saddle, mass)
     pairs = solve(small, count, highest, whole=system.n_b > 0)
     mu = small.multipliers(pairs.z, pairs.X)
     groups = coincident(pairs)

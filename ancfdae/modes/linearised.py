@@ -50,6 +50,7 @@ class Linearised:
     K: Array
     Phi_q: Array
     saddle: SaddlePoint
+    mass: Factorization | None = None
 
     @staticmethod
     def of(
@@ -57,11 +58,12 @@ class Linearised:
         at: LinearisationPoint,
         damped: bool | None,
         saddle: SaddlePoint | None = None,
+        mass: Factorization | None = None,
     ) -> Linearised:
         """Linearise about a configuration; velocity forces count by default if there are any.
 
-        Saddle-point matrices that are not given are made; RedundantConstraintsError if Phi_q has
-        dependent rows.
+        `mass` is the mass there with the constraints, factorised, if it is at hand. Saddle-point
+        matrices that are not given are made; RedundantConstraintsError if Phi_q has dependent rows.
 
         InvalidInputError if the configuration does not fit the system or a matrix is not finite.
         """
@@ -89,7 +91,7 @@ class Linearised:
         q_b = np.zeros((system.n_q, system.n_b)) if at.q_b is None else at.q_b
         lam_b = np.zeros((system.n_lam, system.n_b)) if at.lam_b is None else at.lam_b
         saddle = saddle or saddle_point(system, at.t, at.q)
-        return Linearised(system, at, q_b, lam_b, matrices[0], D, *matrices[1:], saddle)
+        return Linearised(system, at, q_b, lam_b, matrices[0], D, *matrices[1:], saddle, mass)
 
     def words(self, scene: str, other: str) -> str:
         """Return advice for a scene of bodies, or for a system of a user, which has no elements."""
@@ -158,7 +160,7 @@ class Linearised:
     @cached_property
     def mass_factors(self) -> Factorization:
         """The mass with the constraints, factorised."""
-        return self.saddle.factor(self.M, self.Phi_q)
+        return self.mass or self.saddle.factor(self.M, self.Phi_q)
 
     def factor_beside(self, z: complex) -> tuple[Factorization, bool]:
         """Factorise F(z) for inverse iteration; beside z if it is singular to the last bit.
@@ -186,15 +188,21 @@ class Linearised:
     def solve(self, factors: Factorization, force: Array) -> Array:
         """Return x of a saddle-point solve that keeps Phi_q x = 0; vector or columns."""
         n, none = len(force), np.zeros((self.system.n_lam, *force.shape[1:]))
-        x = factors.solve(np.concatenate([force, none]))[:n]
-        # Round-off of the forces of stiff bodies leaves a violation of the constraints.
+        return self.constrained(factors, factors.solve(np.concatenate([force, none]))[:n])
+
+    def constrained(self, factors: Factorization, x: Array) -> Array:
+        """Return motions without the violation of constraints that round-off has left.
+
+        Forces of stiff bodies round more than the constraints.
+        """
+        n = len(x)
         pattern, scale = self.system.constraint_pattern, self.saddle.scale[n:]
         left = pattern.dot(self.Phi_q, x)
         size = pattern.dot(np.abs(self.Phi_q), np.abs(x))
         violation, terms = (np.max(scale * np.abs(y).T, initial=0.0) for y in (left, size))
         if violation <= EPS * terms:
             return np.asarray(x)
-        return np.asarray(x - factors.solve(np.concatenate([0 * force, left]))[:n])
+        return np.asarray(x - factors.solve(np.concatenate([0 * x, left]))[:n])
 
     def multipliers(self, z: Array, X: Array) -> Array:
         """Return mu of F(z) x + Phi_q^T mu = 0 for modes, the columns of X."""

@@ -33,16 +33,24 @@ def sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Arra
         except SingularMatrix:
             return z, X, change
         Z = small.solve(factors, small.times(small.M, X))
-        Z = Z / np.sqrt(small.squares(Z))
-        K, M = (Z.T @ small.times(values, Z) for values in (small.K, small.M))
-        # LAPACK itself: `eigh` takes four times as long for a few shapes.
-        _, W, failed = scipy.linalg.lapack.dsygv((K + K.T) / 2, (M + M.T) / 2)
-        if failed:
+        last, found = z, ritz(small, Z)
+        if found is None:
             return z, X, change
-        X = Z @ W
-        last, z = z, np.einsum("ij,ij->j", X, small.times(small.K, X)) / small.squares(X)
+        z, X = found
         change = np.abs(z - last) / _falling(z, shift, len(z) == small.n_free)
     return z, X, change
+
+
+def ritz(small: Linearised, Z: Array) -> tuple[Array, Array] | None:
+    """Return the values and shapes of a symmetric pencil in the span of motions, increasing."""
+    Z = Z / np.sqrt(small.squares(Z))
+    K, M = (Z.T @ small.times(values, Z) for values in (small.K, small.M))
+    # LAPACK itself: `eigh` takes four times as long for a few shapes.
+    _, W, failed = scipy.linalg.lapack.dsygv((K + K.T) / 2, (M + M.T) / 2)
+    if failed:
+        return None
+    X = Z @ W
+    return np.einsum("ij,ij->j", X, small.times(small.K, X)) / small.squares(X), X
 
 
 def _falling(z: Array, shift: float, complete: bool) -> Array:

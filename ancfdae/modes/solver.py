@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import scipy
 
@@ -32,7 +34,7 @@ def solve(small: Linearised, count: int, highest: bool, whole: bool = False) -> 
         )
     wanted = min(asked + 2, n)
     while True:
-        method = undamped if small.D is None else damped
+        method = partial(undamped, asked=asked) if small.D is None else damped
         try:
             pairs = method(small, wanted, highest)
         except scipy.sparse.linalg.ArpackError as error:

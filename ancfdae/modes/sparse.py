@@ -44,7 +44,7 @@ def undamped(
     if highest:
         z, X = _highest(small, count, 0.0, known)
         return _completed(small, -z, X, lambda X: _highest(small, _MORE, 0.0, X), -1)
-    shift = -_NEAR_ZERO * largest(small)
+    shift = -_NEAR_ZERO * small.size
     z, _ = _near(small, shift, count, _ROUGH, known)
     for _ in range(_SHIFTS):
         # Below all of them: a growing motion may lie below the shift.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ancfdae.modes import dense, sparse
+from ancfdae.modes.lanczos import lowest
 from ancfdae.modes.linearised import ROUND_OFF, Linearised
 from ancfdae.modes.pairs import Eigenpairs, finished, likely_error
 from ancfdae.modes.precise import ALLOWED, NoModes, lost, precise_modes, refuse_lost
@@ -16,26 +17,31 @@ from ancfdae.modes.rigid import floor, rigid_motions, with_zeros
 from ancfdae.modes.sharpening import each_sharpened, sharpened
 from ancfdae.numerics.arrays import Array
 
-# Up to this many independent motions dense matrices are faster; damped ones have twice as many
-# exponents, all of which dense methods find (docs/measurements.md, "Modes").
-_DENSE, _DENSE_DAMPED = 300, 120
+# Up to this many independent motions dense matrices are faster than ARPACK, and for the lowest modes
+# faster than Lanczos's method with a count; damped motions have twice as many exponents, all of which
+# dense methods find (docs/measurements.md, "Modes").
+_DENSE, _DENSE_LOWEST, _DENSE_DAMPED = 300, 100, 120
 # ARPACK needs room for its basis.
 _ROOM = 40
 # Part of the next value that one counts as freed by a load at.
 _FREED = 1e-3
 
 
-def undamped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
+def undamped(small: Linearised, count: int, highest: bool, asked: int | None = None) -> Eigenpairs:
     """Return the lowest z = -s^2, or the highest, and their shapes.
 
-    NoModes if one of them could be off by more than a part of 2e-6.
+    The first that are `asked` for, by default all, and those that coincide with them have all their
+    digits. NoModes if one of them could be off by more than a part of 2e-6.
     """
     if not small.symmetric:
         return _asymmetric(small, count, highest)
-    z, X = (dense if is_small(small, count) else sparse).undamped(small, count, highest)
-    change = np.zeros(len(z))
-    if not highest:
-        z, X, change = with_zeros(small, *sharpened(small, z, X))
+    few = is_small(small, count)
+    alone = not highest and small.n_free > max(_DENSE_LOWEST, 3 * count + _ROOM)
+    found = lowest(small, count, asked or count) if alone else None
+    if found is None:
+        z, X = (dense if few else sparse).undamped(small, count, highest)
+        found = (z, X, np.zeros(len(z))) if highest else sharpened(small, z, X)
+    z, X, change = found if highest else with_zeros(small, *found)
     order = np.argsort(-z if highest else z, kind="stable")
     pairs = finished(small, z[order], X[:, order])
     left = likely_error(small, pairs, change[order])

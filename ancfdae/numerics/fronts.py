@@ -13,13 +13,12 @@ sweep. The factorisation is multifrontal (`kernels/fronts.h`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any, TypeAlias, final
 
 import numpy as np
 import scipy
 
-from ancfdae.kernels import FrontArrays, eliminate, fronts_factor, fronts_solve
+from ancfdae.kernels import FrontArrays, eliminate, fronts_factor, fronts_signs, fronts_solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
 
@@ -73,16 +72,17 @@ class Fronts:
         """The values of K in the lower triangle, places of these and of B, and the fronts."""
         return self._chosen, self._places, self._arrays
 
-    def factor(self, terms: Terms, B: Array) -> Callable[[Array], Array | None] | None:
+    def factor(self, terms: Terms, B: Array) -> Callable[..., Array | None] | None:
         """Factorise for a sum K of at most three terms; None where a pivot has not its sign.
 
-        The solver takes right sides, shape (..., n + m), and returns None for a matrix so near to
+        The solver takes right sides, shape (..., n + m), and the relative residual that need not be
+        refined; it returns None for a matrix so near to
         a singular one that refinement does not converge.
         """
         factors, failed = fronts_factor(terms, B, self._chosen, self._places, self._arrays)
 
-        def solve(right: Array) -> Array | None:
-            x, residual = fronts_solve(factors, self._arrays, self.order, right)
+        def solve(right: Array, enough: float = 0.0) -> Array | None:
+            x, residual = fronts_solve(factors, self._arrays, self.order, right, enough)
             return x if residual <= _UNREFINED else None
 
         return None if failed else solve
@@ -93,33 +93,15 @@ class Fronts:
         Relative to the diagonal of K, and to rows of B of length one: rows i of the matrix have an
         error of eps times this sum.
         """
-        (_, scale, factors), failed = fronts_factor(
-            terms, B, self._chosen, self._places, self._arrays
-        )
-        if failed:
-            return None
-        at, row, column = self._triangle
-        L, D = factors[at], 1.0 / factors[self._pivots]
-        sums = np.bincount(row, L * L * np.abs(D)[column], minlength=len(D)) + np.abs(D)
-        return float(np.max(sums / scale**2))
+        _, growth = fronts_signs(terms, B, self._chosen, self._places, self._arrays, False)
+        return growth if growth < np.inf else None
 
-    @cached_property
-    def _pivots(self) -> Array:
-        """Indices of the pivots in the factors, shape (n + m,)."""
-        begin, row_at, _, factor_at = self._arrays[:4]
-        pivots, rows = np.diff(begin), np.diff(row_at)
-        within = np.arange(len(self.order)) - np.repeat(begin[:-1], pivots)
-        return np.repeat(factor_at[:-1], pivots) + within * (np.repeat(rows, pivots) + 1)
+    def negative(self, terms: Terms, B: Array) -> tuple[int, float]:
+        """Return how many more pivots are negative than multipliers, and the growth as above.
 
-    @cached_property
-    def _triangle(self) -> tuple[Array, Array, Array]:
-        """Indices of factors below the diagonal, their rows and columns, each of shape (count,)."""
-        begin, row_at, rows, factor_at = self._arrays[:4]
-        size, front = np.diff(row_at), np.repeat(np.arange(len(row_at) - 1), np.diff(factor_at))
-        within = np.arange(len(front)) - factor_at[front]
-        column, row = within // size[front], within % size[front]
-        at = np.flatnonzero(row > column)
-        return at, rows[row_at[front] + row][at], (begin[front] + column)[at]
+        The growth is infinite where a pivot vanishes.
+        """
+        return fronts_signs(terms, B, self._chosen, self._places, self._arrays, True)
 
 
 def _places(order: Array) -> Array:

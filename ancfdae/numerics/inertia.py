@@ -141,31 +141,51 @@ class ConstrainedMatrix:
         of a multiplier, as where constraints nearly depend on each other.
         """
         # The analysis of fronts costs more than a factorisation in a band.
-        if self.pattern.wide and self._none_below(sigma):
+        if self.pattern.wide and self._all_above(-sigma):
             return 0
+        negative, growth = self._signs(sigma)
+        return negative if _EPS * growth <= 0.5 * sigma else None
+
+    def _signs(self, sigma: float) -> tuple[int, float]:
+        """Return how many eigenvalues are less than -sigma, and the growth of SuperLU's factors.
+
+        It is infinite where round-off decides the sign of the pivot of a multiplier.
+        """
         lu = self._factors(sigma, symmetric=True)
         if lu is None or np.any(lu.perm_r != lu.perm_c):
-            return None
+            return 0, np.inf
         U = lu.U
         pivots = U.diagonal()
         column = np.repeat(np.arange(len(pivots)), np.diff(U.indptr))
         reach = np.bincount(column, U.data**2 / np.abs(pivots)[U.indices])
-        if not _EPS * np.max(reach) <= 0.5 * sigma:
-            return None
         m = lu.perm_c[self.pattern.place[self.pattern.K.shape[0] :]]
         if not np.all(_ROUNDINGS * _EPS * reach[m] <= np.abs(pivots[m])):
-            return None
-        return int(np.sum(pivots < 0)) - len(m)
+            return 0, np.inf
+        return int(np.sum(pivots < 0)) - len(m), float(np.max(reach))
 
-    def _none_below(self, sigma: float) -> bool:
-        """Whether L D L^T by fronts proves that no eigenvalue is less than -sigma.
+    def definite(self, sigma: float) -> bool:
+        """Whether all eigenvalues are proven to exceed sigma/2 > 0; only in wide patterns."""
+        return self.pattern.wide and self._all_above(sigma)
+
+    def _all_above(self, bound: float) -> bool:
+        """Whether L D L^T by fronts proves that no eigenvalue is below the bound, up to half of it.
 
         Fronts have -eps, 1e-7, in place of the zeros. Pivots of coordinates are positive, and
-        pivots of multipliers negative, where K + sigma + B^T B + B^T B / eps is positive definite.
-        On the null space of B this is K + sigma. Eigenvalues below eps may remain without proof.
+        pivots of multipliers negative, where K - bound + B^T B + B^T B / eps is positive definite.
+        On the null space of B this is K - bound. Eigenvalues below eps may remain without proof.
         """
-        growth = self.pattern.fronts.growth(((1.0, self._symmetric(sigma)),), self.B)
-        return growth is not None and _EPS * growth <= 0.5 * sigma
+        growth = self.pattern.fronts.growth(((1.0, self._symmetric(-bound)),), self.B)
+        return growth is not None and _EPS * growth <= 0.5 * abs(bound)
+
+    def negative(self) -> tuple[int, float]:
+        """Return a bound of the number of negative eigenvalues of K, and the growth of factors.
+
+        Fronts count those of K + B^T B / eps, which may have more. The growth is infinite where
+        pivots vanish.
+        """
+        if not self.pattern.wide:
+            return self._signs(0.0)
+        return self.pattern.fronts.negative(((1.0, self._symmetric(0.0)),), self.B)
 
     def _symmetric(self, sigma: float) -> Array:
         """Return the symmetric part of K + sigma + B^T B, shape (nnz,) of the pattern."""

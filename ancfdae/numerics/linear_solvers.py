@@ -92,19 +92,29 @@ _IN_ORDER: dict[str, Any] = {
 _BY_COLUMNS: dict[str, Any] = {"permc_spec": "COLAMD", "diag_pivot_thresh": 0.1}
 
 
+# Residual of rough solutions.
+_ROUGH = 1e-13
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class Factorization:
     """A factorised matrix; right-hand sides are vectors or columns of an array.
 
-    `solver` takes one of them, and whether the matrix is to be transposed.
+    `solver` takes one of them, and whether the matrix is to be transposed. `rough`, if there is
+    one, is cheaper, with residuals of up to _ROUGH.
     """
 
     solver: Callable[[Array, bool], Array]
+    rough: Callable[[Array], Array] | None = None
 
     def solve(self, right: Array) -> Array:
         """Return the solution of the factorised matrix for right-hand sides, (n,) or (n, k)."""
         return self.solver(right, False)
+
+    def solve_roughly(self, right: Array) -> Array:
+        """Return the solution to twelve digits or more."""
+        return self.rough(right) if self.rough else self.solve(right)
 
     def solve_transposed(self, right: Array) -> Array:
         """Solve with the transposed (not conjugated) matrix."""
@@ -241,15 +251,15 @@ class SaddlePoint:
         kept = tuple((s, K.copy()) for s, K in terms), B.copy()
         exchanging: list[Factorization] = []
 
-        def solver(right: Array, transposed: bool) -> Array:
-            x = solve(right.T)
+        def solver(right: Array, transposed: bool, enough: float = 0.0) -> Array:
+            x = solve(right.T, enough)
             if x is not None:
                 return x.T
             if not exchanging:
                 exchanging.append(self._exchanging(*kept))
             return exchanging[0].solver(right, transposed)
 
-        return Factorization(solver)
+        return Factorization(solver, partial(solver, transposed=False, enough=_ROUGH))
 
     @cached_property
     def _storage(self) -> _Storage:

@@ -119,10 +119,8 @@ def find_equilibrium(
         derivatives = Tangent(system, 0.0, end.q, end.lam).sensitivities()
     if end.outcome.success and not near:
         _warn_of_mesh(system, end.q)
-        soft = softest(balance, 1.0, end.q, end.lam)
-        if end.outcome.stable_to is None:
-            _warn_of_neutral(soft)
-        end = replace(end, outcome=replace(end.outcome, flutter=soft.flutter))
+        if not (end.definite and system.traits.symmetric):
+            end = _judged(balance, end)
     work, seconds = balance.work, time.perf_counter() - began
     counted = (work.steps, work.iterations, work.factorisations, work.residuals)
     statistics = Statistics(*counted, 0, seconds, work.rejected)
@@ -144,6 +142,14 @@ def _warn_of_mesh(system: MechanicalSystem, q: Array) -> None:
         CoarseMeshWarning,
         stacklevel=5,
     )
+
+
+def _judged(balance: Balance, end: SearchEnd) -> SearchEnd:
+    """Return the end with the vibration that grows; warn where round-off hides the stability."""
+    soft = softest(balance, 1.0, end.q, end.lam)
+    if end.outcome.stable_to is None and not end.definite:
+        _warn_of_neutral(soft)
+    return replace(end, outcome=replace(end.outcome, flutter=soft.flutter))
 
 
 def _warn_of_neutral(soft: Softness) -> None:

@@ -27,11 +27,12 @@ _SOFT, _STEP, _PUSH, _MOVED, _STAYS = 1e-5, 0.05, 1e-3, 0.01, 1e-5
 @final
 @dataclass(frozen=True)
 class SearchEnd:
-    """The state at which a search ends."""
+    """The state at which a search ends; whether K is known to be positive definite there."""
 
     q: Array
     lam: Array
     outcome: EquilibriumOutcome
+    definite: bool = False
 
 
 def search(balance: Balance, max_steps: int) -> SearchEnd:
@@ -43,7 +44,7 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
     first, start = balance.begun(), None
     if isinstance(first, Unsolved) or not first.definite:
         start = softest(balance, 0.0, balance.q_0, balance.lam_0)
-        if not start.stable or start.free.shape[1]:
+        if not (start.definite or (start.stable and not start.free.shape[1])):
             settled = _settled(balance, start, max_steps)
             if settled.outcome.success or settled.outcome.verdict is Verdict.INTERRUPTED:
                 return settled
@@ -135,7 +136,7 @@ def _path_end(
     outcome = EquilibriumOutcome(
         verdict, last.s, len(path.places) - 1, path.residual, path.stable_to()
     )
-    return SearchEnd(last.q, last.lam, outcome)
+    return SearchEnd(last.q, last.lam, outcome, last.definite)
 
 
 def _polished(balance: Balance, end: SearchEnd) -> SearchEnd:
@@ -148,7 +149,7 @@ def _polished(balance: Balance, end: SearchEnd) -> SearchEnd:
     folded = balance.system.folded(q)
     verdict = Verdict.FOLDED if folded else end.outcome.verdict
     outcome = replace(end.outcome, verdict=verdict, residual=correction, folded=folded)
-    return SearchEnd(q, lam, outcome)
+    return SearchEnd(q, lam, outcome, end.definite)
 
 
 def _settled(balance: Balance, start: Softness | None, max_steps: int) -> SearchEnd:

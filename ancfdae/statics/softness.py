@@ -39,6 +39,8 @@ _MOTIONS, _SWEEPS = 8, 6
 _FREE, _SHIFT = 4e-15, 1e-14
 # The trace of a stiffness that one without its own is measured against.
 _TRACE, _EPS = 1e-8, float(np.finfo(float).eps)
+# K is positive definite for certain if all stiffness is proven to exceed half of this.
+_PROVEN = 1e-13
 # A negative stiffness is larger in size than the first of these with which pivots can be trusted.
 _CLEAR = tuple(1e-14 * 16.0**k for k in range(12))
 
@@ -58,8 +60,16 @@ class Softness:
     D: Array
 
     @cached_property
+    def definite(self) -> bool:
+        """Whether K is proven to be positive definite; False where that takes motions."""
+        self.balance.work.factorisations += self._matrix.pattern.wide
+        return self._matrix.definite(_PROVEN)
+
+    @cached_property
     def stable(self) -> bool:
         """Whether no motion meets a negative stiffness; of loads that turn see the module."""
+        if self.definite:
+            return True
         matrix = self._matrix
         if not negative_directions(matrix) and not np.any(self._values < -self.noise):
             return True

@@ -37,7 +37,7 @@ _SMALL = 1.0 / 128.0
 class PathPoint:
     """A point of the path with its derivatives in the load fraction s.
 
-    It is stable if no motion meets a negative stiffness.
+    It is stable if no motion meets a negative stiffness, as where K is known to be definite.
     """
 
     s: float
@@ -46,6 +46,7 @@ class PathPoint:
     q_s: Array
     lam_s: Array
     stable: bool
+    definite: bool = False
 
 
 @final
@@ -61,6 +62,8 @@ class LoadPath:
     ) -> None:
         self._balance, self._max_steps, self._fine = balance, max_steps, fine
         self.places, self.residual = [first], 0.0
+        # A solution that was too far from the place before to be told from a jump.
+        self._beyond: tuple[PathPoint, Balanced] | None = None
 
     def follow(self) -> Verdict:
         """Follow the path to its end; return why it ends."""
@@ -96,20 +99,26 @@ class LoadPath:
 
     def _attempt(self, s: float) -> tuple[PathPoint, int] | Unsolved:
         """Solve at s from the extrapolated path, and see whether it is the same path."""
-        before, balance = self.places[-1], self._balance
-        point = balance.solve(s, *self._extrapolated(s))
-        if isinstance(point, Unsolved):
-            return point
-        # Whether it is stable is asked of a place on the path only.
-        place = PathPoint(s, point.q, point.lam, *point.path, stable=False)
-        if self._jumped(before, place):
-            return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
+        before, balance, known = self.places[-1], self._balance, self._beyond
+        if known is not None and known[0].s == s and not self._jumped(before, known[0]):
+            place, point = known
+        else:
+            found = balance.solve(s, *self._extrapolated(s))
+            if isinstance(found, Unsolved):
+                return found
+            # Whether it is stable is asked of a place on the path only.
+            point, place = found, PathPoint(s, found.q, found.lam, *found.path, stable=False)
+            if self._jumped(before, place):
+                self._beyond = place, point
+                return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
         if balance.folds(before.q, place.q):
             return Unsolved(Verdict.FOLDED, 0.0)
-        stable = point.definite or softest(balance, s, place.q, place.lam).stable
+        soft = None if point.definite else softest(balance, s, place.q, place.lam)
+        definite = soft is None or soft.definite
+        stable = soft is None or soft.stable
         if stable != before.stable and s - before.s > _SMALL:
             return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
-        return replace(place, stable=stable), point.iterations
+        return replace(place, stable=stable, definite=definite), point.iterations
 
     def _jumped(self, a: PathPoint, b: PathPoint) -> bool:
         """Whether two places do not lie on one smooth path."""

@@ -13,7 +13,13 @@ import scipy
 
 from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.held import force_total, held_pull_back, held_q, held_total
+from ancfdae.equations.held import (
+    acceleration_side,
+    force_total,
+    held_pull_back,
+    held_q,
+    held_total,
+)
 from ancfdae.equations.saddle_points import saddle_point, solve, solve_transposed
 from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import (
@@ -27,8 +33,9 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.start import (
     Covectors,
-    consistent_start,
+    at_rest,
     pull_back_start,
+    start_and_mass,
     start_sensitivity,
 )
 from ancfdae.model.design import DesignVariable, as_design
@@ -101,7 +108,8 @@ def modes(
     where = place(system, at)
     back = where.pull_back if system.n_b and isinstance(method, Adjoint) else None
     configuration = where.configuration(system.n_b > 0 and back is None)
-    return modes_about(system, configuration, count, highest, damped, back, where.matrices)
+    known = where.matrices, where.mass
+    return modes_about(system, configuration, count, highest, damped, back, *known)
 
 
 @in_one_thread
@@ -137,9 +145,13 @@ At: TypeAlias = LinearisationPoint | Equilibrium | None
 
 
 class DesignedConfiguration(abc.ABC):
-    """A configuration that depends on the design; its saddle-point matrices where it has some."""
+    """A configuration that depends on the design.
+
+    Its saddle-point matrices and the factorised mass, where it has some.
+    """
 
     matrices: SaddlePoint | None = None
+    mass: Factorization | None = None
 
     @abc.abstractmethod
     def configuration(self, differentiated: bool) -> LinearisationPoint:
@@ -220,15 +232,13 @@ class _Start(DesignedConfiguration):
     def __init__(self, system: MechanicalSystem) -> None:
         self._system = system
         self.matrices: SaddlePoint = saddle_point(system, 0.0)
-        self._state = consistent_start(system, self.matrices, 0.0)
-        self._q, self._rest = self._state.q, np.zeros(system.n_q)
-        force = system.force(0.0, self._q, self._rest)
-        self._a, self._lam = solve(self._factors, force, np.zeros(system.n_lam))
-
-    @cached_property
-    def _factors(self) -> Factorization:
-        system = self._system
-        return self.matrices.factor(system.mass(self._q), system.constraint_q(0.0, self._q))
+        self._state, self._factors = start_and_mass(system, self.matrices, 0.0)
+        self.mass = self._factors
+        _, q, v, self._a, self._lam = self._state
+        self._q, self._rest = q, np.zeros(system.n_q)
+        if not at_rest(v, acceleration_side(system, 0.0, q, v)):
+            force = system.force(0.0, q, self._rest)
+            self._a, self._lam = solve(self._factors, force, np.zeros(system.n_lam))
 
     def configuration(self, differentiated: bool) -> LinearisationPoint:
         if not differentiated:

@@ -208,8 +208,8 @@ def test_negative_directions_are_those_of_eigenvalues_on_the_null_space(seed):
         matrix = pattern.scaled(values, B[1], ones)
         assert matrix.below(0.5 * away) == 1
         assert matrix.below(2.0 * away) == 0
-    assert matrix._none_below(2.0 * away)
-    assert not matrix._none_below(0.5 * away)
+    assert matrix._all_above(-2.0 * away)
+    assert not matrix._all_above(-0.5 * away)
     small = 1e-10 * kappa[-1]
     values[diagonal] += away - small
     matrix = pattern.scaled(values, B[1], ones)

@@ -246,6 +246,15 @@ class RigidBody(Placed, Designable):
         self._check_frame(where)
         self._check_turn(where)
 
+    def refuse_values(self, changes: Mapping[str, float]) -> None:
+        """Raise what `with_parameters` raises; for masses and densities without making the body."""
+        new = self.changed_fields(changes)
+        if not new.keys() <= {"mass", "density"}:
+            replace(self, **new)
+        rules = dict(self.design_fields)
+        for name, value in new.items():
+            rules[name](f"body {self.name!r}, {name}", value)
+
     @property
     def dimension(self) -> int:
         """Dimension of space, 2 or 3."""

@@ -369,8 +369,7 @@ class _CableIntegrals(ElementIntegrals):
 
     def __init__(self, batch: Batch) -> None:
         self._batch, self._moduli, self._units = batch, _moduli(batch), _integrals()
-        of_g = _N_POWER[list(upper_triangle(3))].sum(axis=0)
-        self.powers = of_g[:, None] + of_g + 1, _S_POWER[:, None] + _S_POWER + 1, _NO_POWER
+        self.powers = _powers()
         self.values = self._times(self._moduli)
 
     def partial(self, which: ElementParameter) -> tuple[Array, ...]:
@@ -398,6 +397,13 @@ def _shape(xi: Array) -> Array:
     """s_a at unit length, shape (n_p, 4)."""
     s5, (p2, p6) = end_weight(xi), slope_weights(xi)
     return np.stack([1 - s5, p2, s5, p6], axis=-1)
+
+
+@cache
+def _powers() -> tuple[Array, Array, Array]:
+    """Return the powers of the length in A, m and the flexural stiffness."""
+    of_g = _N_POWER[list(upper_triangle(3))].sum(axis=0)
+    return of_g[:, None] + of_g + 1, _S_POWER[:, None] + _S_POWER + 1, _NO_POWER
 
 
 @cache
