@@ -7,6 +7,8 @@ carried on by double reflection, of fourth order in the distance of neighbouring
 B. Juttler, D. Zheng, Y. Liu, ACM Transactions on Graphics 27, 2008).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np
