@@ -12,7 +12,7 @@ from ancfdae.plotting.fields import (
     VonMisesStress,
 )
 from ancfdae.plotting.history import history
-from ancfdae.plotting.pictures import animate, snapshots
+from ancfdae.plotting.pictures import Film, animate, snapshots
 from ancfdae.plotting.vtk import write_vtk
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "BendingMoment",
     "Field",
     "Figure",
+    "Film",
     "Panel",
     "Scale",
     "Sensitivity",
