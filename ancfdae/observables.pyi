@@ -8,6 +8,7 @@ from ancfdae.sensitivity.observables.mass import (
     mass,
 )
 from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.orientation import orientation, rotation_angle
 from ancfdae.sensitivity.observables.points import (
     acceleration,
     angular_velocity,
@@ -69,8 +70,10 @@ __all__ = [
     "maximum_von_mises",
     "multiplier",
     "observe",
+    "orientation",
     "position",
     "reaction",
+    "rotation_angle",
     "shear_force",
     "slope",
     "slope_angle",

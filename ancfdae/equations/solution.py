@@ -22,7 +22,6 @@ from ancfdae.equations.solution_parts import (
 from ancfdae.errors.checks import (
     require_array,
     require_flag,
-    require_function,
     require_path,
     require_text,
 )
@@ -124,20 +123,38 @@ class Solution:
         """
         return self._known_naming().reaction(self.lam, joint)
 
-    def derivative(self, function: Callable[[Solution], Array]) -> Array:
-        """Total design derivative of anything computed from a solution, shape (n_t, ..., n_b).
+    def derivative(
+        self, of: Callable[[Solution], Array] | object, variable: str | None = None
+    ) -> Array:
+        """Return the design derivative of a position, or of anything computed from a solution.
 
-        The function takes a solution and returns an array, shape (n_t, ...), by operations that
-        accept complex numbers (no abs, norm or comparison): it is evaluated at q + i eps q_b, which
-        is exact to round-off.
+        Parameters
+        ----------
+        of : MaterialPoint or function
+            A point such as ``rod.at_end``, whose position is differentiated; or a function that
+            takes a solution and returns an array, shape (n_t, ...), by operations that accept
+            complex numbers (no abs, norm or comparison): it is evaluated at q + i eps q_b, which is
+            exact to round-off.
+        variable : str, optional
+            Name of one design variable.
+
+        Returns
+        -------
+        array, shape (n_t, ...) for one variable, (n_t, ..., n_b) for all
+            Of a position m per unit of the variable.
 
         Raises
         ------
-        InvalidInputError
-            If the solution has no sensitivities, or the function drops the imaginary part.
+        InvalidInputError, UnknownNameError
+            If the solution has no sensitivities, none in the variable, or the function drops the
+            imaginary part.
         """
-        require_function("derivative, function", function)
-        s = self._known_sensitivities()
+        if not callable(of):
+            point = of
+            return self.derivative(lambda solution: solution.position(point), variable)
+        if variable is not None:
+            return np.asarray(self.derivative(of)[..., self.design_index(variable)])
+        function, s = of, self._known_sensitivities()
         if not s.names:
             return np.zeros((*np.shape(function(self)), 0))
         columns, states_b = [], {"q": s.q_b, "v": s.v_b, "a": s.a_b, "lam": s.lam_b}

@@ -2,7 +2,7 @@
 
 from ancfdae.plotting.charts import Figure, Panel, Scale, Series, draw, save
 from ancfdae.plotting.derivatives import gradient_bars, history
-from ancfdae.plotting.pictures import animate, snapshots
+from ancfdae.plotting.pictures import Film, animate, snapshots
 from ancfdae.plotting.shapes import (
     AxialForce,
     BendingMoment,
@@ -19,6 +19,7 @@ __all__ = [
     "BendingMoment",
     "Field",
     "Figure",
+    "Film",
     "Panel",
     "Scale",
     "Sensitivity",

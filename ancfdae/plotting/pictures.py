@@ -4,13 +4,17 @@ An animation may be one HTML file that contains data and viewer and loads no oth
 kept as 16 bit integers over the extent of the film, colours as 8 bit.
 """
 
+from __future__ import annotations
+
 import base64
+import html
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
@@ -152,6 +156,8 @@ def _signs(shown: Mechanism) -> tuple[Array, list[dict[str, Any]]]:
 
 # Instants of a picture where none are asked for, and the faintest of them.
 _INSTANTS, _FAINT = 5, 0.22
+# Look of the frame in which a notebook shows a page.
+_FRAME = "width: 100%; height: 32rem; border: 0"
 
 
 def snapshots(
@@ -206,6 +212,34 @@ def snapshots(
     return figure
 
 
+@final
+@dataclass(frozen=True)
+class Film:
+    """A film that `animate` wrote, which shows in the cell of a notebook.
+
+    Attributes
+    ----------
+    path : Path
+        The file: ``.gif``, ``.mp4`` or ``.html``.
+    """
+
+    path: Path
+
+    def __fspath__(self) -> str:
+        """Return the name of the file, so that `open` and `Path` take the film."""
+        return str(self.path)
+
+    def _repr_html_(self) -> str:
+        """Return the film itself, embedded, so that the notebook needs no other file."""
+        if self.path.suffix == ".html":
+            text = html.escape(self.path.read_text(encoding="utf-8"))
+            return f'<iframe srcdoc="{text}" style="{_FRAME}"></iframe>'
+        data = base64.b64encode(self.path.read_bytes()).decode("ascii")
+        if self.path.suffix == ".mp4":
+            return f'<video controls src="data:video/mp4;base64,{data}"></video>'
+        return f'<img src="data:image/gif;base64,{data}">'
+
+
 def animate(
     scene: Scene,
     solution: Solution,
@@ -218,8 +252,10 @@ def animate(
     limits: Sequence[float] | None = None,
     camera: Sequence[float] | None = None,
     progress: bool = False,
-) -> Path:
+) -> Film:
     """Write a film of a motion: GIF, MP4, or a page to turn and zoom, by the suffix of the path.
+
+    A notebook shows the film where the call is the last line of a cell.
 
     Parameters
     ----------
@@ -254,10 +290,10 @@ def animate(
         file.parent.mkdir(parents=True, exist_ok=True)
     if file.suffix == ".html":
         write_page(shown, file, seconds, title, seen)
-        return file
+        return Film(file)
     with settings():
         _film(shown, file, frames / seconds, title, dpi, seen, progress)
-    return file
+    return Film(file)
 
 
 def _require_ffmpeg() -> None:

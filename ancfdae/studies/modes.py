@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeAlias, final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, final
 
 import numpy as np
 import scipy
@@ -55,6 +57,9 @@ from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.equilibrium import Equilibrium, NoEquilibriumError
 from ancfdae.studies.calls import as_system
 from ancfdae.studies.statics import equilibrium
+
+if TYPE_CHECKING:
+    from ancfdae.plotting import Panel
 
 
 @in_one_thread
@@ -328,6 +333,48 @@ class Campbell(PrintedTable):
         circles = np.abs(self.whirl) >= _CIRCLES
         turned = self.rates[:, None] + np.sign(self.whirl) * self.frequencies
         return np.where(circles, turned, self.frequencies)
+
+    @property
+    def critical_speeds(self) -> Array:
+        """Rates at which a mode stands still in the rotating frame, ascending, shape (n,); rad/s.
+
+        A load that turns with the frame, such as an unbalance, then acts at the frequency of the
+        mode. They are found between neighbouring `rates` by cubics through the exponents and their
+        derivatives. A shaft that is not alike in all directions has two for each mode, between
+        which it is unstable.
+        """
+        found = [x for k in range(len(self.rates) - 1) for x in self._standing(k)]
+        return np.array(sorted(found))
+
+    def _standing(self, k: int) -> Iterator[float]:
+        """Return the rates between two neighbouring ones at which an exponent passes zero."""
+        circles = np.all(np.abs(self.whirl[k : k + 2]) >= _CIRCLES, axis=0)
+        s, s_b = self.exponents[k : k + 2], self.exponents_b[k : k + 2, :, 0]
+        sense = np.sign(self.whirl[k : k + 2])
+        # Of circles the frequency changes its sense; of other motions s^2 changes its sign.
+        values = np.where(circles, sense * s.imag, (s * s).real)
+        slopes = np.where(circles, sense * s_b.imag, 2 * (s * s_b).real)
+        for j in np.flatnonzero(np.sign(values[0]) * np.sign(values[1]) < 0):
+            line = scipy.interpolate.CubicHermiteSpline(
+                self.rates[k : k + 2], values[:, j], slopes[:, j]
+            )
+            yield from line.roots(extrapolate=False).tolist()
+
+    def plot(self, path: str | os.PathLike[str]) -> tuple[Path, ...]:
+        """Draw the Campbell diagram, as `panels`, and save it; return the files written."""
+        from ancfdae import plotting
+
+        return plotting.save(plotting.draw(self.panels()), path)
+
+    def panels(self) -> list[Panel]:
+        """Return the panel of `plot`: whirl speeds over the rate, and the rate itself."""
+        from ancfdae.plotting import Panel, Series
+
+        speeds = np.abs(self.whirl_speeds).T
+        lines = [Series(f"mode {j}", self.rates, line) for j, line in enumerate(speeds)]
+        lines.append(Series("rate of the frame", self.rates, self.rates, dashed=True))
+        axes = "rate of the frame [rad/s]", "speed of whirl seen at rest [rad/s]"
+        return [Panel("Campbell diagram", *axes, lines)]
 
     def to_dataframe(self) -> Any:
         """Return `frequencies` as a table of pandas: a row for each rate, a column a mode."""

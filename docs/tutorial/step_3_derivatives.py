@@ -22,13 +22,13 @@ design = ["beam.height", "beam.youngs_modulus"]
 solution = differentiate(scene, 0.5, HHT(2**-9), design=design)
 
 # %%
-# ``derivative`` takes any function of a solution; its last axis counts the design variables.
-# Times one per cent of the value, it says how far the tip moves if the height is one per cent
-# larger.
+# ``derivative`` takes a point, or any function of a solution; without the name of a variable its
+# last axis counts them. Times one per cent of the height, it says how far the tip moves if the
+# height is one per cent larger.
 
-y_b = solution.derivative(lambda run: run.position(beam.at_end)[:, 1])
-change = 0.01 * solution.sensitivities.values * y_b
-print(f"one per cent of height moves the tip by up to {1e3 * abs(change[:, 0]).max():.2f} mm")
+r_b = solution.derivative(beam.at_end, "beam.height")
+change = 0.01 * 0.02 * r_b[:, 1]
+print(f"one per cent of height moves the tip by up to {1e3 * abs(change).max():.2f} mm")
 
 # %%
 # `history` draws observables with bands: their change if a variable changes by `percent` per cent.

@@ -504,12 +504,12 @@ def test_bodies_of_a_plane_cover_each_other_in_their_order(planar, tmp_path):
     assert np.all(bodies == bodies[:, :1])
     assert np.all(np.diff(bodies[:, 0]) >= 0)
     # One depth has no order: the page tests depth in space only.
-    text = animate(*planar, tmp_path / "a.html", frames=2).read_text(encoding="utf-8")
+    text = animate(*planar, tmp_path / "a.html", frames=2).path.read_text(encoding="utf-8")
     assert re.findall(r".*DEPTH_TEST.*", text)[0].strip().startswith("if (data.d === 3)")
 
 
 def test_a_page_starts_from_the_camera(spatial, tmp_path):
-    path = animate(*spatial, tmp_path / "a.html", frames=2, camera=(10, 30))
+    path = animate(*spatial, tmp_path / "a.html", frames=2, camera=(10, 30)).path
     text = path.read_text(encoding="utf-8")
     assert json.loads(re.search(r"const data = (.*);\n", text)[1])["camera"] == [10, 30]
     assert "azimuth: data.camera[1], elevation: data.camera[0]" in text
@@ -585,7 +585,7 @@ def test_films_are_what_drawing_each_frame_whole_gives(
     assert "2/2" in capsys.readouterr().err
     monkeypatch.setattr(pictures, "_freeze", lambda *_: None)
     whole = animate(*motion, tmp_path / "whole.gif", Speed(), **settings)
-    assert quick.read_bytes() == whole.read_bytes()
+    assert quick.path.read_bytes() == whole.path.read_bytes()
     assert not capsys.readouterr().err
 
 
@@ -608,7 +608,7 @@ def test_page_needs_nothing_and_holds_the_motion(moving, tmp_path):
     scene, solution = moving
     path = animate(
         scene, solution, tmp_path / "motion.html", Speed(), frames=3, title="</script> & co"
-    )
+    ).path
     text = path.read_text(encoding="utf-8")
     assert not re.search(r"https?://|src=|@import|<link", text)
     assert text.count("</script>") == 1

@@ -47,7 +47,10 @@ CALLS = {
         "observe, system: must be of type Mech",
     ),
     "times that are text": (lambda s: s.at("x"), "times: must be an array of finite numbers"),
-    "derivative of a number": (lambda s: s.derivative(3), "derivative, function: must be a func"),
+    "derivative of a number": (
+        lambda s: s.derivative(3),
+        "point: must be of type MaterialPoint; got 3",
+    ),
     "file that is a number": (lambda s: s.save(3), "path of a solution: must be of type str or"),
     "load of a number": (lambda s: load_solution(3), "path of a solution: must be of type str or"),
     "no such folder": (lambda s: s.save("no/such/folder.npz"), "must lie in a folder that exists"),

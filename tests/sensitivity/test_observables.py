@@ -43,6 +43,7 @@ from ancfdae.sensitivity.observables.mass import (
     mass,
 )
 from ancfdae.sensitivity.observables.observable import Leaf, States, observe, states_of
+from ancfdae.sensitivity.observables.orientation import orientation, rotation_angle
 from ancfdae.sensitivity.observables.points import (
     acceleration,
     angular_velocity,
@@ -147,6 +148,9 @@ LEAVES = {
     "velocity": velocity(INNER, 1),
     "acceleration": acceleration(INNER, 1),
     "angular velocity": angular_velocity(INNER),
+    "direction": orientation(INNER, (1.0, 0.3, 0.0), 1),
+    "angle of rotation": rotation_angle(INNER),
+    "angle of rotation against another body": rotation_angle(INNER, other=ARM.at(0.3)),
     "tangent between nodes": slope(INNER, 0, 0),
     "height axis": slope(ROD.at(0.3), 1, 0),
     "axial strain": axial_strain(ROD.at_end),

@@ -88,8 +88,8 @@ def slope_angle(point: MaterialPoint) -> Observable:
     tangent turns by less than half a turn between neighbouring instants.
     """
     t_x, t_y = slope(point, 0, 0), slope(point, 0, 1)
-    angle = t_x.combined(Function("slope_angle", _angle, edged=False), (t_x, t_y))
-    return angle + Turns(point)
+    angle = t_x.combined(Function("slope_angle", angle_of, edged=False), (t_x, t_y))
+    return angle + Turns(angle)
 
 
 def axial_strain(point: MaterialPoint) -> Observable:
@@ -102,8 +102,8 @@ def axial_strain(point: MaterialPoint) -> Observable:
     return 0.5 * ((x * x + y * y + z * z) / ReferenceSquare(point) - 1.0)
 
 
-def _angle(x: Array, y: Array) -> Array:
-    """Angle of (x, y) between -pi and pi; analytic, because the angle left over is small."""
+def angle_of(x: Array, y: Array) -> Array:
+    """Return the angle of (x, y) from -pi to pi; analytic, as the remaining angle is small."""
     turn = np.arctan2(y.real, x.real)
     c, s = np.cos(turn), np.sin(turn)
     angle: Array = turn + np.arctan((c * y - s * x) / (c * x + s * y))
@@ -113,20 +113,19 @@ def _angle(x: Array, y: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class Turns(Leaf):
-    """Full turns of a tangent in the x-y plane since the start of the run, as an angle."""
+    """Full turns since the start of the run of an angle that lies between -pi and pi; rad."""
 
     remembers: ClassVar[bool] = True
 
-    point: MaterialPoint
+    angle: Observable
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a point that does not exist."""
-        slope(self.point, 0, 0).check(system)
+        """Refuse an angle that the system does not have."""
+        self.angle.check(system)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Add or take a turn where the angle would jump by more than half of one."""
-        t_x, t_y = (slope(self.point, 0, i).value(system, states).real for i in range(2))
-        angle = np.arctan2(t_y, t_x)
+        angle = self.angle.value(system, states).real
         turns = 2 * np.pi * np.round((np.unwrap(angle) - angle) / (2 * np.pi))
         return np.asarray(turns + states.past.get(self, 0.0))
 
