@@ -362,7 +362,7 @@ def fades(system: MechanicalSystem, run: Solution) -> bool:
 
 def speed(problem: InitialValueProblem) -> float:
     """Return the largest |s| about the start; zero where nothing vibrates; 1/s."""
-    from ancfdae.modes.configuration import LinearisationPoint
+    from ancfdae.modes.linearised import LinearisationPoint
     from ancfdae.modes.periods import fastest
 
     initial = problem.initial
