@@ -92,6 +92,9 @@ def proportional_exponents(tau: float, z: Array, noise: Array) -> tuple[Array, A
     return s, moved / np.where(slope == 0, 1.0, slope) + EPS * np.abs(s), number
 
 
+# -- completeness ------------------------------------------------------------------------------
+
+
 # Each part of the half circle at first, over the one before, and how many parts there may be.
 _GROWTH, _MOST = 1.5, 400
 # Change of log q over a part that is not halved.
@@ -195,6 +198,9 @@ def _measured(small: Linearised, s: complex) -> ConstrainedMatrix:
     size = abs(s)
     pattern = small.saddle.constrained
     return pattern.scaled(small.matrix(s), small.Phi_q, size**2 * M + size * D + K)
+
+
+# -- modes -------------------------------------------------------------------------------------
 
 
 # Up to this many independent motions dense matrices take over where Arnoldi's method fails or may

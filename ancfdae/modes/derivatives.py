@@ -90,6 +90,9 @@ class Totals:
         return small.system.constraint_total(at.t, (at.q, x), motion_b)
 
 
+# -- transposed --------------------------------------------------------------------------------
+
+
 # Takes covectors on q, lam and b; returns the design derivative, shape (n_b,).
 PullBack: TypeAlias = Callable[[Array, Array, Array], Array]
 
@@ -155,6 +158,9 @@ def pulled_back(small: Linearised, pull_back: PullBack, total: Array) -> Array:
 def _bilinear(product: Callable[[Array, Array], Array], y: Array, x: Array) -> Array:
     """Apply a product that is bilinear over the real numbers to complex vectors."""
     return split(lambda y: split(lambda x: product(y, x), x), y)
+
+
+# -- derivatives of modes ----------------------------------------------------------------------
 
 
 #: z_b, shape (count, n_b), and for each mode X_b, shape (n_q, n_b): None for a mode that coincides

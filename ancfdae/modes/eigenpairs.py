@@ -134,6 +134,9 @@ def _beside(small: Linearised, shift: float) -> Factorization:
             shift *= 4.0
 
 
+# -- solutions ---------------------------------------------------------------------------------
+
+
 # Round-off is estimated as _MARGIN times the change of a value under other rounding.
 _MARGIN, _TINY = 4.0, float(np.finfo(float).tiny)
 

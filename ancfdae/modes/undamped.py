@@ -107,6 +107,9 @@ def _quotients(small: Linearised, s: Array, X: Array) -> Array:
     return np.asarray(np.where(np.abs(ends[0] - s) <= np.abs(ends[1] - s), *ends))
 
 
+# -- modes -------------------------------------------------------------------------------------
+
+
 # Up to this many independent motions dense matrices are faster; damped ones have twice as many
 # exponents, all of which dense methods find (docs/measurements.md, "Modes").
 _DENSE, _DENSE_DAMPED = 300, 120

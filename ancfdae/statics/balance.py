@@ -114,6 +114,9 @@ class CompiledRest:
         return RestEnd(Rest(why), q, lam, (path[0], path[1]), count, size, bool(definite))
 
 
+# -- equations ---------------------------------------------------------------------------------
+
+
 # Estimated error after the last iteration, relative to positions and to forces: near round-off.
 _TOLERANCE = 1e-13
 _ITERATIONS = 25

@@ -150,6 +150,9 @@ class Tangent:
         return np.asarray(np.sqrt(self._system.weights @ (x * x)))
 
 
+# -- equilibria --------------------------------------------------------------------------------
+
+
 # Attempted steps of the load.
 MAX_STEPS = 1000
 

@@ -228,6 +228,9 @@ class Settling:
         return b.length(a) / (_FIRST * b.extent) or 1.0
 
 
+# -- the search --------------------------------------------------------------------------------
+
+
 # Endings of a path that say nothing about the load.
 _FAILED = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.SINGULAR, Verdict.FOLDED)
 

@@ -255,6 +255,9 @@ class _Start(DesignedConfiguration):
         return pull_back_start(system, self.matrices, self._state, on)
 
 
+# -- Campbell diagram --------------------------------------------------------------------------
+
+
 # Target of the rate, the first of all design variables.
 _RATE = "scene.rate"
 # Weight of decay beside distance where a line has two ways to go on.

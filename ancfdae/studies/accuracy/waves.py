@@ -337,6 +337,9 @@ def _of_a_derivative(
         lost.whole[k].slope[j] += scale * largest[1]
 
 
+# -- motions that fade -------------------------------------------------------------------------
+
+
 # Coordinates up to which dense matrices take milliseconds.
 _DENSE: Final = 60
 # Steps of HHT-I3 resolve motions of less than this, |s| h.
