@@ -5,7 +5,7 @@ from ancfdae.equations import ErrorEstimates, Sensitivities, Solution, Statistic
 from ancfdae.equations.conformance import SystemCheck
 from ancfdae.equations.event_solution import EventRecord, EventSolution
 from ancfdae.errors.outcomes import RunOutcome, Verdict
-from ancfdae.modes.configuration import LinearisationPoint
+from ancfdae.modes.linearised import LinearisationPoint
 from ancfdae.modes.periods import StepSuggestion
 from ancfdae.modes.result import ModeKind, Modes
 from ancfdae.sensitivity.method import Accuracy, Gradient

@@ -10,8 +10,7 @@ from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator, Seeds
 from ancfdae.numerics.arrays import Array
-from ancfdae.statics.derivatives import Tangent
-from ancfdae.statics.equilibrium import MAX_STEPS, find_equilibrium
+from ancfdae.statics.equilibrium import MAX_STEPS, Tangent, find_equilibrium
 
 
 @final

@@ -13,8 +13,8 @@ import numpy as np
 import scipy
 
 from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.modes.eigenpairs import undamped_part
 from ancfdae.modes.linearised import Linearised
-from ancfdae.modes.rigid import undamped_part
 from ancfdae.numerics.arrays import Array
 
 

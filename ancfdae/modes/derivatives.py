@@ -1,4 +1,4 @@
-"""Design derivatives of modes.
+"""Design derivatives of modes, direct and transposed.
 
 With R_b the derivative of [F(z) x + Phi_q^T mu, Phi_q x] at z, x and mu held, and a solution
 [y, nu] of the transposed equations (itself [x, mu] where K and D are symmetric),
@@ -12,21 +12,156 @@ infinite where the shapes coincide too.
 Shapes follow from the derivative of F(z) x + Phi_q^T mu = 0, singular along x: with the largest
 entry k of x held and equation k left out it is regular and keeps its pattern (Nelson 1976). The
 rest, c x, follows from the norm.
+
+**Totals.** With f = M a + Phi_q^T lam - Q at rest, K x and D x are its derivatives along the
+directions (0, x, 0) and (0, 0, x) of (t, q, v).
+
+**Transposed**, without a design variable until the end: the product of an adjoint vector [y, nu]
+with the derivative of [F(z) x + Phi_q^T mu, Phi_q x], z, x and mu held, is linear in q_b and lam_b:
+on_q . q_b + on_lam . lam_b + on_b. Its parts are the transposed rates of f along motions.
 """
 
-from typing import TypeAlias
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias, final
 
 import numpy as np
 import scipy
 
+from ancfdae.equations import StateDirection
+from ancfdae.equations.held import held_pull_back, held_q, held_total
+from ancfdae.equations.system import constraint_q_along
 from ancfdae.errors.kinds import SingularMatrix
-from ancfdae.modes.adjoint import PullBack, Transposed, pulled_back
-from ancfdae.modes.linearised import EPS, Linearised
-from ancfdae.modes.pairs import Eigenpairs, largest_entries
+from ancfdae.modes.eigenpairs import Eigenpairs, largest_entries
+from ancfdae.modes.linearised import EPS, Linearised, split
 from ancfdae.modes.precise import NoModes
-from ancfdae.modes.totals import Totals
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
+
+
+@final
+@dataclass(frozen=True)
+class Totals:
+    """Total design derivatives along q_b and lam_b of a configuration."""
+
+    small: Linearised
+
+    def stiffness(self, x: Array) -> Array:
+        """Return the derivative of K x, shape (n_q, n_b)."""
+        still = np.zeros(self.small.system.n_q)
+        return split(lambda x: self._along(StateDirection(0.0, x, still)), x)
+
+    def damping(self, x: Array) -> Array:
+        """Return the derivative of D x, shape (n_q, n_b)."""
+        still = np.zeros(self.small.system.n_q)
+        return split(lambda x: self._along(StateDirection(0.0, still, x)), x)
+
+    def _along(self, direction: StateDirection) -> Array:
+        small, at = self.small, self.small.at
+        still, held = np.zeros(small.system.n_q), np.zeros_like(small.q_b)
+        states, states_b = (at.q, still, still, at.lam), (small.q_b, held, held, small.lam_b)
+        return small.system.along_total(at.t, states, direction, states_b, (held, held))
+
+    def mass(self, x: Array) -> Array:
+        """Return the derivative of M x, shape (n_q, n_b)."""
+        none = np.zeros(self.small.system.n_lam)
+        return split(lambda x: self._held(x, none), x)
+
+    def _held(self, a: Array, lam: Array) -> Array:
+        small, at = self.small, self.small.at
+        return held_total(small.system, at.t, at.q, a, lam, small.q_b)
+
+    def pencil(self, z: complex, x: Array, mu: Array) -> tuple[Array, Array]:
+        """Return the derivatives of F(z) x + Phi_q^T mu and of Phi_q x with z, x and mu held."""
+        system = self.small.system
+        force, mass = self.stiffness(x), self.mass(x)
+        if self.small.D is None:
+            force = force - z * mass
+        else:
+            force = force + z * z * mass + z * self.damping(x)
+        still = np.zeros(system.n_q)
+        reactions = split(lambda mu: self._held(still, mu), mu)
+        return force + reactions, split(lambda x: self._rate(x) - self._rate(0 * x), x)
+
+    def _rate(self, x: Array) -> Array:
+        """Differentiate Phi' along a velocity x that is held."""
+        small, at = self.small, self.small.at
+        motion_b = small.q_b, np.zeros_like(small.q_b)
+        return small.system.constraint_total(at.t, (at.q, x), motion_b)
+
+
+# -- transposed --------------------------------------------------------------------------------
+
+
+# Takes covectors on q, lam and b; returns the design derivative, shape (n_b,).
+PullBack: TypeAlias = Callable[[Array, Array, Array], Array]
+
+
+@final
+@dataclass(frozen=True)
+class Transposed:
+    """Products of covectors with total derivatives, each (on_q, on_lam, on_b) in one array."""
+
+    small: Linearised
+
+    def pencil(self, y: Array, z: complex, x: Array, mu: Array) -> Array:
+        """Pull back [y, nu]^T [F(z) x + Phi_q^T mu, Phi_q x], with z, x and mu held."""
+        n = self.small.system.n_q
+        force, nu = y[:n], y[n:]
+        total = _bilinear(self._stiffness, force, x)
+        if self.small.D is None:
+            total = total - z * _bilinear(self._mass, force, x)
+        else:
+            total = total + z * z * _bilinear(self._mass, force, x)
+            total = total + z * _bilinear(self._damping, force, x)
+        return total + _bilinear(self._joints, force, mu) + _bilinear(self._joints, x, nu)
+
+    def _stiffness(self, y: Array, x: Array) -> Array:
+        """Pull back y^T K x."""
+        still = np.zeros(self.small.system.n_q)
+        return self._along(y, StateDirection(0.0, x, still))
+
+    def _damping(self, y: Array, x: Array) -> Array:
+        """Pull back y^T D x."""
+        still = np.zeros(self.small.system.n_q)
+        return self._along(y, StateDirection(0.0, still, x))
+
+    def _along(self, y: Array, direction: StateDirection) -> Array:
+        system, at = self.small.system, self.small.at
+        still = np.zeros(system.n_q)
+        states = at.q, still, still, at.lam
+        on_q, _, on_b = system.along_pull_back(at.t, states, direction, y)
+        on_lam = system.constraint_pattern.dot(constraint_q_along(system, at.t, at.q, direction), y)
+        return np.concatenate([on_q, on_lam, on_b])
+
+    def _mass(self, y: Array, x: Array) -> Array:
+        return self._held(y, x, np.zeros(self.small.system.n_lam))
+
+    def _joints(self, x: Array, mu: Array) -> Array:
+        """Return the gradient of x^T Phi_q^T mu in q, lam and b, at fixed x and mu."""
+        return self._held(x, np.zeros(self.small.system.n_q), mu)
+
+    def _held(self, y: Array, a: Array, lam: Array) -> Array:
+        """Return the gradient of y^T (M a + Phi_q^T lam) in q, lam and b, at fixed y, a and lam."""
+        system, at = self.small.system, self.small.at
+        on_b = held_pull_back(system, at.t, at.q, a, lam, y)
+        on_q = system.pattern.dot_transposed(held_q(system, at.t, at.q, a, lam), y)
+        return np.concatenate([on_q, np.zeros(system.n_lam), on_b])
+
+
+def pulled_back(small: Linearised, pull_back: PullBack, total: Array) -> Array:
+    """Return the design derivative of a packed covector, real or complex, shape (n_b,)."""
+    n, m = small.system.n_q, small.system.n_lam
+    return split(lambda on: pull_back(on[:n], on[n : n + m], on[n + m :]), total)
+
+
+def _bilinear(product: Callable[[Array, Array], Array], y: Array, x: Array) -> Array:
+    """Apply a product that is bilinear over the real numbers to complex vectors."""
+    return split(lambda y: split(lambda x: product(y, x), x), y)
+
+
+# -- derivatives of modes ----------------------------------------------------------------------
+
 
 #: z_b, shape (count, n_b), and for each mode X_b, shape (n_q, n_b): None for a mode that coincides
 #: with another, whose shape is not unique, and by adjoints.

@@ -9,9 +9,8 @@ import scipy
 from ancfdae.equations import MechanicalSystem, Solution, reaction
 from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
 from ancfdae.errors.outcomes import Verdict
-from ancfdae.modes.configuration import LinearisationPoint
-from ancfdae.modes.linearised import Linearised
-from ancfdae.modes.solver import solve
+from ancfdae.modes.analysis import solve
+from ancfdae.modes.linearised import LinearisationPoint, Linearised
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.threads import in_one_thread
 

@@ -6,7 +6,7 @@ h/L = 1e-6. Element by element, K x is the force of strains, in which what turns
 before it meets a stiffness: right to eps (l/h)^2, l the length of an element, which 8 elements
 make 4,096 times less. Coordinates, too, are too coarse: nodes that round to eps |q| leave an axial
 force of eps EA. Where forces are in balance to round-off, what Newton's method would add below the
-last digit takes it out (as in `statics.derivatives`).
+last digit takes it out (as in `statics.equilibrium`).
 
 Inverse iteration on a block finds the modes: such products give its residual, the factorised
 matrix turns it into a correction, and Ritz's method gives the values. Their round-off is estimated
@@ -24,8 +24,8 @@ from ancfdae.equations import reaction
 from ancfdae.equations.held import held_q
 from ancfdae.equations.saddle_points import solve
 from ancfdae.errors.kinds import AncfdaeError, SingularMatrix
+from ancfdae.modes.eigenpairs import distinct
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
-from ancfdae.modes.rigid import distinct
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.statics.balance import Balance
@@ -46,7 +46,7 @@ _STIFF = 1e-10
 _FIRST, _MORE, _CLEANED = 8, 4, 3
 # Round-off is estimated as _MARGIN times the largest change under _ROUNDINGS other roundings.
 _MARGIN, _ROUNDINGS = 4.0, 3
-# As in `statics.derivatives`.
+# As in `statics.equilibrium`.
 _MAGNIFIED = 2.0**17
 
 _TOO_THIN = (

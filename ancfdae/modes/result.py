@@ -10,7 +10,7 @@ from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_index
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import PrintedTable, TableText, listed
-from ancfdae.modes.configuration import LinearisationPoint
+from ancfdae.modes.linearised import LinearisationPoint
 from ancfdae.numerics.arrays import Array
 
 

@@ -15,8 +15,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import scipy
 
+from ancfdae.modes.eigenpairs import undamped_part
 from ancfdae.modes.linearised import Linearised
-from ancfdae.modes.rigid import undamped_part
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
 

@@ -34,6 +34,8 @@ from ancfdae.equations.files import replacing, saving
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
 
+__all__ = ["Figure", "Panel", "Scale", "Series", "draw", "save"]
+
 # Okabe and Ito (2008), without the yellow: it is too faint for a line on white.
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#E69F00", "#56B4E9")
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h")
@@ -138,8 +140,6 @@ def _one(match: re.Match[str]) -> str:
     symbol = _OTHERS.get(parts["symbol"], parts["symbol"])
     return rf"${parts['d']}\{symbol}{index}$"
 
-
-__all__ = ["Figure", "Panel", "Scale", "Series", "draw", "save"]
 
 Scale = Literal["linear", "log"]
 

@@ -129,6 +129,9 @@ def _checked_sensitivities(system: MechanicalSystem, solution: Solution) -> Sens
     return sensitivities
 
 
+# -- bars --------------------------------------------------------------------------------------
+
+
 # Of the extent of the picture: the longest bar.
 _LONGEST = 0.22
 _RAISES, _LOWERS = "#b2182b", "#2166ac"

@@ -113,6 +113,9 @@ def _circle_arrow(sense: float) -> Array:
     return np.concatenate([arc, head])
 
 
+# -- painters ----------------------------------------------------------------------------------
+
+
 #: Body, outline, joints, loads, ground.
 BODY, EDGE, JOINT, LOAD, GROUND = "#9db4c8", "#33404d", "#111111", "#c1272d", "#7a7a7a"
 #: Of a field whose sign counts, and of others.

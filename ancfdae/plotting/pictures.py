@@ -154,6 +154,9 @@ def _signs(shown: Mechanism) -> tuple[Array, list[dict[str, Any]]]:
     return np.concatenate([none, *parts], axis=1), items
 
 
+# -- pictures and films ------------------------------------------------------------------------
+
+
 # Instants of a picture where none are asked for, and the faintest of them.
 _INSTANTS, _FAINT = 5, 0.22
 # Look of the frame in which a notebook shows a page.

@@ -260,6 +260,9 @@ def _radius(shape: BodyShape) -> float:
     return float(np.sqrt(5 * np.mean(means)))
 
 
+# -- fields ------------------------------------------------------------------------------------
+
+
 # Of the forces and moments in a section, as `SectionLaw.forces` has them.
 _AXIAL, _TORQUE = 0, 3
 

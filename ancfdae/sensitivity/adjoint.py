@@ -127,6 +127,9 @@ class Adjoint(GradientMethod):
         return results
 
 
+# -- parts of a run ----------------------------------------------------------------------------
+
+
 _UNITS = {"B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9}
 # A part is held with its partials and, while these are made, what they are made of.
 _COPIES = 3

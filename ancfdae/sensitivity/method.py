@@ -108,6 +108,9 @@ def warn_near_singular(
     )
 
 
+# -- results and runs --------------------------------------------------------------------------
+
+
 # Derivatives of this size are infinite: derivatives of lists replace 1/0 by 1e150.
 _INFINITE = 1e100
 

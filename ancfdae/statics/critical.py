@@ -27,8 +27,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.balance import Balance
-from ancfdae.statics.derivatives import Tangent
-from ancfdae.statics.equilibrium import Equilibrium, find_equilibrium, resting
+from ancfdae.statics.equilibrium import Equilibrium, Tangent, find_equilibrium, resting
 from ancfdae.statics.held_coordinate import HeldPoint, HeldSystem, stiffness_total
 from ancfdae.statics.outcome import FreeMotionError
 from ancfdae.statics.softness import softest

@@ -1,4 +1,9 @@
-"""Which way a search for an equilibrium goes: along the path of loads, or downhill."""
+"""The search for an equilibrium: along the path of loads, in steps that adapt, or downhill.
+
+A mechanism that its weight holds, such as a pendulum that starts level, has no stiffness at
+s = 0 and no path that begins there. Under the full load M_0 q' = Q - Phi_q^T lam goes downhill, in
+steps 1/mu that grow until mu vanishes; what is left is Newton's method at mu = 0.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +13,232 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations.saddle_points import solve
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance, Balanced, Unsolved
 from ancfdae.statics.outcome import EquilibriumOutcome, free_mechanism
 from ancfdae.statics.softness import Softness, softest
-from ancfdae.statics.ways import LoadPath, PathPoint, Settling
+
+# Steps of the load fraction below this one are given up; on a path that closes gaps of joints those
+# below this part of the fraction, or below its square: a thin wire slackens in so small a part.
+_LEAST = 1e-6
+# A step is followed by a larger one if Newton's method took no more iterations.
+_EASY = 6
+# On one smooth path the secant of a step is the mean of its tangents up to this part, and the
+# tangents differ by no more than the smaller one. Else it may have jumped to another path.
+_BEND = 0.25
+# The load has a limit point if |dq/ds| exceeds _FASTER times its smallest value: q moves with the
+# root of the remaining load.
+_FASTER = 20.0
+# A loss of stability is accepted if the step is no larger than this; else the step is divided.
+_SMALL = 1.0 / 128.0
+
+
+@final
+@dataclass(frozen=True)
+class PathPoint:
+    """A point of the path with its derivatives in the load fraction s.
+
+    It is stable if no motion meets a negative stiffness, as where K is known to be definite.
+    """
+
+    s: float
+    q: Array
+    lam: Array
+    q_s: Array
+    lam_s: Array
+    stable: bool
+    definite: bool = False
+
+
+@final
+class LoadPath:
+    """Follows the path from s = 0 to s = 1 in at most `max_steps` attempted steps.
+
+    `places` are what converged, the start first, `residual` is the size of the last correction of
+    the last failure. A `fine` path takes smaller steps near s = 0.
+    """
+
+    def __init__(
+        self, balance: Balance, first: PathPoint, max_steps: int, fine: bool = False
+    ) -> None:
+        self._balance, self._max_steps, self._fine = balance, max_steps, fine
+        self.places, self.residual = [first], 0.0
+        # A solution that was too far from the place before to be told from a jump.
+        self._beyond: tuple[PathPoint, Balanced] | None = None
+
+    def follow(self) -> Verdict:
+        """Follow the path to its end; return why it ends."""
+        size, verdict = 1.0, Verdict.EQUILIBRIUM
+        try:
+            for _ in range(self._max_steps):
+                before = self.places[-1]
+                s = 1.0 if before.s + size > 1.0 - 0.1 * size else before.s + size
+                attempt = self._attempt(s)
+                if isinstance(attempt, Unsolved):
+                    self._balance.work.rejected += 1
+                    verdict, self.residual = attempt.verdict, attempt.residual
+                    size = 0.5 * (s - before.s)
+                    if size < _LEAST * (max(before.s, _LEAST) if self._fine else 1.0):
+                        return Verdict.LIMIT_POINT if self._ran_away() else verdict
+                    continue
+                self._balance.work.steps += 1
+                place, iterations = attempt
+                self.places.append(place)
+                if s == 1.0:
+                    return Verdict.EQUILIBRIUM
+                size = (2.0 if iterations <= _EASY else 1.0) * (s - before.s)
+        except KeyboardInterrupt:
+            return Verdict.INTERRUPTED
+        return Verdict.STEP_LIMIT
+
+    def stable_to(self) -> float | None:
+        """Return the load fraction of the last stable place, None if that is the last one."""
+        stable = [place.s for place in self.places if place.stable]
+        if stable and stable[-1] == self.places[-1].s:
+            return None
+        return stable[-1] if stable else 0.0
+
+    def _attempt(self, s: float) -> tuple[PathPoint, int] | Unsolved:
+        """Solve at s from the extrapolated path, and see whether it is the same path."""
+        before, balance, known = self.places[-1], self._balance, self._beyond
+        if known is not None and known[0].s == s and not self._jumped(before, known[0]):
+            place, point = known
+        else:
+            found = balance.solve(s, *self._extrapolated(s))
+            if isinstance(found, Unsolved):
+                return found
+            # Whether it is stable is asked of a place on the path only.
+            point, place = found, PathPoint(s, found.q, found.lam, *found.path, stable=False)
+            if self._jumped(before, place):
+                self._beyond = place, point
+                return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
+        if balance.folds(before.q, place.q):
+            return Unsolved(Verdict.FOLDED, 0.0)
+        soft = None if point.definite else softest(balance, s, place.q, place.lam)
+        definite = soft is None or soft.definite
+        stable = soft is None or soft.stable
+        if stable != before.stable and s - before.s > _SMALL:
+            return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
+        return replace(place, stable=stable, definite=definite), point.iterations
+
+    def _jumped(self, a: PathPoint, b: PathPoint) -> bool:
+        """Whether two places do not lie on one smooth path."""
+        length, secant, ds = self._balance.length, b.q - a.q, b.s - a.s
+        bend = length(secant - (0.5 * ds) * (a.q_s + b.q_s))
+        # Round-off of a motion too small to see is no bend.
+        if bend <= 1e-9 * self._balance.position:
+            return False
+        slower = min(length(a.q_s), length(b.q_s))
+        return bend > _BEND * length(secant) or length(b.q_s - a.q_s) > slower
+
+    def _ran_away(self) -> bool:
+        speeds = [self._balance.length(place.q_s) for place in self.places]
+        return speeds[-1] > _FASTER * min(speeds)
+
+    def _extrapolated(self, s: float) -> tuple[Array, Array]:
+        """Cubic through the last two places and their tangents, or the tangent of the start."""
+        b = self.places[-1]
+        if len(self.places) == 1:
+            return b.q + (s - b.s) * b.q_s, b.lam + (s - b.s) * b.lam_s
+        a = self.places[-2]
+        h, x = b.s - a.s, (s - b.s) / (b.s - a.s)
+        w_a, w_b = x * x * (3 + 2 * x), (1 + x) ** 2 * (1 - 2 * x)
+        d_a, d_b = h * x * x * (1 + x), h * x * (1 + x) ** 2
+        q = w_a * a.q + w_b * b.q + d_a * a.q_s + d_b * b.q_s
+        return q, w_a * a.lam + w_b * b.lam + d_a * a.lam_s + d_b * b.lam_s
+
+
+# The first step moves by about this part of the size of the system.
+_FIRST = 0.1
+# A step has settled that moves no more than this part, and holds no more of the load by its mu;
+# one that ends farther away has left.
+_SETTLED, _HELD, _GONE = 1e-10, 1e-6, 100.0
+# 4^30 is no reason to try once more.
+_FAILURES = 30
+
+
+@final
+class Settling:
+    """Goes downhill under the full load; q and lam are the state reached.
+
+    Constraints that are violated at the start close at once, or where a step cannot, or folds an
+    element, in parts that adapt; or not at all, as the balance says. `steps` have converged, the
+    last of the size `residual`; `gone` is whether it grew without bound.
+    """
+
+    def __init__(self, balance: Balance, max_steps: int) -> None:
+        self._balance, self._max_steps = balance, max_steps
+        self.q, self.lam = balance.q_0, balance.lam_0
+        self.steps, self.residual, self.gone = 0, 0.0, False
+
+    def run(self) -> Verdict:
+        """Settle; return the verdict."""
+        try:
+            return self._run()
+        except KeyboardInterrupt:
+            return Verdict.INTERRUPTED
+
+    def _run(self) -> Verdict:
+        balance, mu, failures = self._balance, self._first_mu(), 0
+        closes = balance.closes
+        left, closed = 1.0, float(closes)
+        for _ in range(self._max_steps):
+            gap = max(0.0, left - closed)
+            solved = balance.solve(1.0, self.q, self.lam, mu, self.q, gap)
+            if isinstance(solved, Balanced) and balance.folds(self.q, solved.q):
+                solved = Unsolved(Verdict.FOLDED, 0.0)
+            if isinstance(solved, Unsolved):
+                balance.work.rejected += 1
+                self.residual, failures, mu = solved.residual, failures + 1, 4.0 * mu
+                closed *= 0.25
+                if failures > _FAILURES:
+                    return solved.verdict
+                continue
+            moved, held = self._share(solved.q - self.q), self._held(mu, solved.q - self.q)
+            if moved > _SETTLED and not (
+                solved.definite or softest(balance, 1.0, solved.q, solved.lam, mu).stable
+            ):
+                # A step this long goes uphill.
+                balance.work.rejected += 1
+                mu *= 4.0
+                continue
+            balance.work.steps += 1
+            self.steps += 1
+            self.q, self.lam, self.residual, failures = solved.q, solved.lam, moved, 0
+            if self._share(self.q - balance.q_0) > _GONE:
+                self.gone = True
+                return Verdict.NO_CONVERGENCE
+            left, closed = gap, 2.0 * closed
+            if moved <= _SETTLED and held <= _HELD and not (left and closes):
+                return Verdict.EQUILIBRIUM
+            mu /= 8.0 if solved.iterations <= _EASY else 2.0
+        return Verdict.STEP_LIMIT
+
+    def _held(self, mu: float, dq: Array) -> float:
+        """Return |mu M_0 dq| over the load: the part that the step leaves unbalanced."""
+        b = self._balance
+        return b.strength(mu * b.system.pattern.dot(b.M_0, dq)) / b.load
+
+    def _share(self, dq: Array) -> float:
+        return self._balance.length(dq) / self._balance.extent
+
+    def _first_mu(self) -> float:
+        """Mu with which the accelerations at the start move it by a tenth of its size."""
+        b = self._balance
+        force = b.held_back(b.q_0)
+        try:
+            a = solve(b.factor(b.M_0, b.Phi_q(b.q_0)), force, 0 * b.Phi_0)[0]
+        except SingularMatrix:
+            a = force / b.system.weights
+        # Where nothing is to move any mu does.
+        return b.length(a) / (_FIRST * b.extent) or 1.0
+
+
+# -- the search --------------------------------------------------------------------------------
+
 
 # Endings of a path that say nothing about the load.
 _FAILED = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.SINGULAR, Verdict.FOLDED)

@@ -268,6 +268,9 @@ class MeasuredFit(ResidualFunction, Generic[R]):
         return Evaluations(names, self.count, self.computed, progress=shown)
 
 
+# -- misfits -----------------------------------------------------------------------------------
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class Misfit:

@@ -316,6 +316,9 @@ def error(difference: Array, exact: Array, of: ErrorOf) -> float:
     return ratio(size, whole)
 
 
+# -- measurements ------------------------------------------------------------------------------
+
+
 # Share of the tolerance that the step of the finest run may take, or the last doubled mesh.
 _SHARE = 1 / 8
 # A model that errs by more needs its value no better than to this share of that.

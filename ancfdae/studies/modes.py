@@ -44,8 +44,7 @@ from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.model.turning_frame import RotatingFrame
 from ancfdae.modes.analysis import modes_about
-from ancfdae.modes.configuration import LinearisationPoint
-from ancfdae.modes.linearised import EPS
+from ancfdae.modes.linearised import EPS, LinearisationPoint
 from ancfdae.modes.periods import StepSuggestion, suggestion
 from ancfdae.modes.result import ModeKind, Modes
 from ancfdae.numerics.arrays import Array, Numbers
@@ -53,8 +52,7 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
-from ancfdae.statics.derivatives import Tangent
-from ancfdae.statics.equilibrium import Equilibrium, NoEquilibriumError
+from ancfdae.statics.equilibrium import Equilibrium, NoEquilibriumError, Tangent
 from ancfdae.studies.calls import as_system
 from ancfdae.studies.statics import equilibrium
 
@@ -270,6 +268,9 @@ class _Start(DesignedConfiguration):
         on_b = on_b - held_pull_back(system, 0.0, q, rest, z, a)
         on = Covectors(on_q, rest, rest, none, on_b)
         return pull_back_start(system, self.matrices, self._state, on)
+
+
+# -- Campbell diagram --------------------------------------------------------------------------
 
 
 # Target of the rate, the first of all design variables.

@@ -172,6 +172,9 @@ def _names(code: CodeType) -> set[str]:
     return set(code.co_names).union(*inner)
 
 
+# -- rows and their file -----------------------------------------------------------------------
+
+
 @final
 @dataclass(frozen=True)
 class SweepRow:

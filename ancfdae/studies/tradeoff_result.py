@@ -151,6 +151,9 @@ def _energy(system: MechanicalSystem, solution: Solution, rows: Array) -> tuple[
     return system.energies.total(q, v), float(np.max(system.energies.kinetic(v)))
 
 
+# -- errors ------------------------------------------------------------------------------------
+
+
 ErrorKind = Literal["states", "multipliers", "objective", "gradient"]
 _KINDS: Final[tuple[ErrorKind, ...]] = ("states", "multipliers", "objective", "gradient")
 # Processor times over the least that count as no more: those of one run differ by a tenth and more.

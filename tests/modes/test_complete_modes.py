@@ -14,9 +14,10 @@ from ancfdae import (
     assemble,
     modes,
 )
-from ancfdae.modes import completeness, damped, dense, sparse, undamped
+from ancfdae.modes import damped, dense, sparse, undamped
+from ancfdae.modes import damped as completeness
+from ancfdae.modes.eigenpairs import Eigenpairs
 from ancfdae.modes.linearised import Linearised
-from ancfdae.modes.pairs import Eigenpairs
 from ancfdae.modes.precise import NoModes
 from ancfdae.results import LinearisationPoint
 from ancfdae.sections import Rectangle

@@ -24,8 +24,8 @@ from ancfdae import (
     modes,
     suggest_step,
 )
+from ancfdae.modes.eigenpairs import with_zeros
 from ancfdae.modes.linearised import Linearised
-from ancfdae.modes.rigid import with_zeros
 from ancfdae.results import LinearisationPoint, ModeKind
 from ancfdae.sections import Rectangle
 

@@ -63,7 +63,7 @@ def test_the_names_of_a_first_program_load_no_study_of_another_kind() -> None:
     loaded = set(run.stdout.split())
     others = ("fit", "ladder", "modes", "responses", "sweep", "tradeoff")
     unused = {f"ancfdae.studies.{name}" for name in others}
-    unused |= {"ancfdae.modes.solver", "ancfdae.statics.critical", "ancfdae.plotting"}
+    unused |= {"ancfdae.modes.damped", "ancfdae.statics.critical", "ancfdae.plotting"}
     unused |= {f"ancfdae.integrators.sundials.{name}" for name in ("ida", "idas")}
     # A tenth of a second of the 0.25 s that these names may take (report `performance`).
     unused |= {"ancfdae.studies.accuracy", "ancfdae.integrators.radau", "ancfdae.statics"}
@@ -94,7 +94,7 @@ def test_a_public_name_stands_in_one_module():
 
 
 def test_a_module_of_the_name_of_a_function_does_not_replace_it() -> None:
-    program = "import ancfdae.modes.solver, ancfdae; print(type(ancfdae.modes).__name__)"
+    program = "import ancfdae.modes.analysis, ancfdae; print(type(ancfdae.modes).__name__)"
     call = [sys.executable, "-c", program]
     run = subprocess.run(call, capture_output=True, text=True, check=True)
     assert run.stdout.split() == [types.FunctionType.__name__]

@@ -25,7 +25,7 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError, ToleranceWarning
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.laws import ConstantAcceleration
-from ancfdae.modes.configuration import LinearisationPoint
+from ancfdae.modes.linearised import LinearisationPoint
 from ancfdae.modes.periods import fastest
 from ancfdae.observables import custom, position
 from ancfdae.sections import Rectangle

@@ -73,16 +73,16 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "opens with what": 52,
+    "opens with what": 51,
     "as far as": 5,
     "is none": 71,
-    "that of, those of": 526,
+    "that of, those of": 525,
     "inversion": 1,
     "tells": 79,
     "all of them": 50,
     "the other": 33,
     "instants": 508,
-    "array without a shape": 330,
+    "array without a shape": 327,
     "long sentence": 270,
 }
 

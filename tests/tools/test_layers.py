@@ -74,9 +74,9 @@ INJECTIONS = [
         "from ancfdae.sensitivity.objectives import Integral",
         "Layers of the sensitivities",
     ),
-    ("modes/dense.py", "from ancfdae.modes.solver import solve", "Layers of modes"),
+    ("modes/dense.py", "from ancfdae.modes.analysis import solve", "Layers of modes"),
     (
-        "modes/solver.py",
+        "modes/analysis.py",
         "from ancfdae.model.scene import Scene",
         "Integrators and sensitivity methods know the equations, no scene and no beam",
     ),

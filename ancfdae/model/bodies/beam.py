@@ -221,6 +221,9 @@ class Beam(BeamBody):
         return np.array([axis, across, cross(axis, across)])
 
 
+# -- curved beams ------------------------------------------------------------------------------
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class CurvedBeam(BeamBody):

@@ -79,7 +79,7 @@ def through(
 ) -> tuple[Array, Array]:
     """Return nodes, (n + 1, d), and frames of the cubic spline through points, shape (k, d).
 
-    Its parameter is the length of the chords. Without a number of elements nodes are the points.
+    Its parameter is the length of the chords. The points are the nodes if `elements` is None.
     """
     points = require_array(f"{where}, points", points)
     if points.ndim != 2 or len(points) < 2 or points.shape[1] not in (2, 3):

@@ -93,6 +93,9 @@ class Placed(abc.ABC):
         require_axial(f"{where}, turn", self.turn, self.dimension)
 
 
+# -- shapes and bodies -------------------------------------------------------------------------
+
+
 class BodyShape(Designable, abc.ABC):
     """A solid that is symmetric to the planes of its axes, so that these are principal ones.
 

@@ -137,6 +137,9 @@ def _gradient(Z: Array) -> Array:
     return np.asarray(_T.T @ (rule * on_t) + _H.T @ (rule * across / square))
 
 
+# -- section forces and stresses ---------------------------------------------------------------
+
+
 _THIRD = np.array([-12.0, 6.0, 6.0])
 
 
@@ -303,6 +306,9 @@ def _smoothing(xi: Array) -> tuple[Array, Array]:
     places = corner[:, 0]
     weights = rule * (end_weight_xi(places) + 6 * (xi[:, None] - 0.5) * (2 * places - 1))
     return places, weights
+
+
+# -- elements ----------------------------------------------------------------------------------
 
 
 # Powers of l in s_a, in the tangent, and in the flexural stiffness.

@@ -204,6 +204,9 @@ def widened(narrow: Invariants, element: BeamElement, wider: BeamElement) -> Inv
     return Invariants(**fields(narrow, "A", "g_o"), bending=narrow.bending, partials=partials)
 
 
+# -- elements ----------------------------------------------------------------------------------
+
+
 # Straight reference: the integrand of A has degree 8 in xi, that of m degree 6; 5 Gauss points are
 # exact. Curved reference: it is rational; 12 points leave 3e-15 when the element turns by 0.5 rad,
 # 4e-13 at 1 rad and 3e-9 at a right angle.

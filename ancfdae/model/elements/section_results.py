@@ -115,6 +115,9 @@ def _axes(slopes: Array) -> Array:
     return np.stack([normal, y, np.cross(normal, y)], axis=-2)
 
 
+# -- stresses ----------------------------------------------------------------------------------
+
+
 _AXIS_PLACES, _ = gauss_rule(AXIS_POINTS)
 #: Strain that stresses are taken together with, so that their norm has a derivative where they
 #: vanish: far above the round-off of strains, 1e-16 to 1e-14, and far below what matters.

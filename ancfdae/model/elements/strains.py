@@ -284,6 +284,9 @@ def _refuse_folds(stretch: Array, owners: Array) -> None:
         )
 
 
+# -- strains of sections -----------------------------------------------------------------------
+
+
 @lru_cache(maxsize=8)
 def upper_triangle(n_y: int) -> tuple[Array, Array]:
     """Row and column of each packed entry."""
@@ -447,6 +450,9 @@ def _gram(u: Array, v: Array) -> Array:
     rows, columns = upper_triangle(u.shape[-1])
     product = u[..., rows] * v[..., columns] + u[..., columns] * v[..., rows]
     return product * np.where(rows == columns, 0.5, 1.0)
+
+
+# -- strains at fibres -------------------------------------------------------------------------
 
 
 @final

@@ -157,6 +157,9 @@ class MovingSupport(Travelling):
         return (c,)
 
 
+# -- points ------------------------------------------------------------------------------------
+
+
 @final
 @dataclass(frozen=True)
 class Pin(Joint):

@@ -77,6 +77,9 @@ def require_law(where: str, value: object) -> None:
     require_kind(where, value, (Law,), "For example ConstantAcceleration(speed=2).")
 
 
+# -- elementary laws ---------------------------------------------------------------------------
+
+
 @final
 @dataclass(frozen=True)
 class Constant(Law):
@@ -131,6 +134,9 @@ class Harmonic(Law):
         sign = -1.0 if order >= 2 else 1.0
         x: Array = sign * amplitude * frequency**order * wave
         return offset + x if order == 0 else x
+
+
+# -- passages ----------------------------------------------------------------------------------
 
 
 # The polynomial of least degree from 0 to 1 whose first three derivatives vanish at both ends.

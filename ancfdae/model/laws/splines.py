@@ -81,6 +81,9 @@ class BSpline(Law):
         return scipy.interpolate.BSpline(knots, np.eye(count), _LOCAL_DEGREE)
 
 
+# -- curves through values ---------------------------------------------------------------------
+
+
 # The least odd degree whose ends can have three given derivatives.
 _SPLINE_DEGREE = 7
 

@@ -146,6 +146,9 @@ class TranslationAxis(ControlAxis):
         return travel(U, U_o, self.direction, self.other is not None)
 
 
+# -- controllers -------------------------------------------------------------------------------
+
+
 @final
 class ControllerInput(NamedTuple):
     """Input of the equations of a controller at one time; each field has one number per item.

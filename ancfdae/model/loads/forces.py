@@ -98,6 +98,9 @@ class FollowerForce(Load):
         return concatenate([F, 0.0 * axes])
 
 
+# -- torques -----------------------------------------------------------------------------------
+
+
 @final
 @dataclass(frozen=True)
 class Moment(SectionLoad):

@@ -205,6 +205,9 @@ def require_smaller(where: str, wall: float, outer: float, rule: str) -> None:
         raise InvalidInputError(where, rule, f"{wall} against {outer}", "Use a thinner wall.")
 
 
+# -- spread of stress --------------------------------------------------------------------------
+
+
 # exp(-23 pi/2) is round-off.
 _ODD = np.arange(1, 24, 2)
 _SIGN = np.array([1.0, -1.0] * 6)

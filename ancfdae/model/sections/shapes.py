@@ -139,6 +139,9 @@ class Tube(_Round):
         return np.asarray(sizes[:, 0] - sizes[:, 1])
 
 
+# -- rectangles --------------------------------------------------------------------------------
+
+
 # Points a side: 3 integrate the degree 5 of straight beams. Curved ones have a rational integrand;
 # with a radius of curvature R the error of A falls like (height / 4R)^(2 n): measured with 6
 # points, 1e-15 at height = R / 10, 6e-14 at R / 5, 4e-9 at R / 2.
@@ -250,6 +253,9 @@ def rectangle_torsion(h: Array, w: Array) -> Array:
     decay = np.exp(-n * np.pi * a / b)
     series = 31 / 32 * 1.0369277551433699 - np.sum(2 * decay / (1 + decay) / n**5, axis=0)
     return a * b**3 * (1 / 3 - 64 / np.pi**5 * (b / a) * series)
+
+
+# -- general sections --------------------------------------------------------------------------
 
 
 @final

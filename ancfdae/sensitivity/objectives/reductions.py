@@ -328,6 +328,9 @@ class SmoothUpperBound(_Maximum):
         return np.asarray(scipy.special.softmax(self.sharpness * x))
 
 
+# -- integrals taken beside the motion ---------------------------------------------------------
+
+
 # Relative size of the value below which errors of its derivatives in ln b do not count.
 _SMALL = 1e-2
 

@@ -137,6 +137,9 @@ def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -
         raise InvalidInputError(where, "must work instant by instant", got, repair)
 
 
+# -- expressions -------------------------------------------------------------------------------
+
+
 K = TypeVar("K", bound="Expression[Any]")
 
 

@@ -117,6 +117,9 @@ def known_scene(system: Named) -> AncfSystem:
     return system
 
 
+# -- observables -------------------------------------------------------------------------------
+
+
 @final
 @dataclass(frozen=True)
 class Columns:

@@ -210,6 +210,9 @@ class VectorComponent(Leaf):
         return columns, vector.weights[used], vector.weights_b[used]
 
 
+# -- accelerations -----------------------------------------------------------------------------
+
+
 def acceleration(point: MaterialPoint, axis: int) -> Observable:
     """Return a component of the acceleration of a point; m/s^2.
 
@@ -284,6 +287,9 @@ def _applied_forces(scene: AncfSystem, states: States) -> Array:
     Q = [scene.force(*state) for state in zip(states.t.tolist(), states.q, states.v, strict=True)]
     held = [pattern.dot_transposed(Phi_q, lam) for Phi_q, lam in zip(rows, states.lam, strict=True)]
     return np.array(Q) - np.array(held)
+
+
+# -- angular velocity --------------------------------------------------------------------------
 
 
 def angular_velocity(point: MaterialPoint, axis: int = 2) -> Observable:

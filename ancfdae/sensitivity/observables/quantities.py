@@ -215,6 +215,9 @@ class Design(Leaf):
         return LeafGradient(b=b)
 
 
+# -- drives and loads --------------------------------------------------------------------------
+
+
 def driver_torque(joint: str) -> Observable:
     """Return the torque of a `RotationDriver` on what it turns, in the sense of its angle; N m.
 
@@ -304,6 +307,9 @@ class DriveWork(Leaf):
         q, lam, b = work.partials(states.t, states.q, states.lam)
         columns = np.arange(work.rows.start, work.rows.stop)
         return LeafGradient(q=Columns(slice(None), q), lam=Columns(columns, lam), b=b)
+
+
+# -- controllers -------------------------------------------------------------------------------
 
 
 def state(controller: str, name: str) -> Observable:

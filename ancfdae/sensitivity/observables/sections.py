@@ -147,6 +147,9 @@ class SectionForce(Leaf):
         return LeafGradient.of(forces.partials(self.component, states.q, states.v, system.n_b))
 
 
+# -- stress ------------------------------------------------------------------------------------
+
+
 def von_mises(point: MaterialPoint) -> Observable:
     """Return von Mises' stress at a point of a beam, ``rod.at(0.3, y=0.01)`` say; Pa."""
     return VonMises(point)

@@ -109,6 +109,9 @@ def _held(problem: InitialValueProblem, observables: Sequence[Observable], t: Ar
     return np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
 
 
+# -- transitions -------------------------------------------------------------------------------
+
+
 # Steps about which forces are sampled at most, intervals of each, and how often these are divided;
 # intervals of a first look at a step, which most do not pass.
 _LOOKED_AT: Final = 6

@@ -130,6 +130,9 @@ class RadauRuns(FixedStepRuns):
         return super().judged() if self.agrees(self._seer) else []
 
 
+# -- DOP853 ------------------------------------------------------------------------------------
+
+
 # The first tolerance of DOP853 over the one asked for; what the next is tighter by, at least and
 # at most.
 _FIRST, _TIGHTER, _TIGHTEST = 0.1, 10.0, 1e3

@@ -190,6 +190,9 @@ def _over(x: float, size: float) -> float:
     return 0.0 if x == 0 else x / size if size > x / _BEYOND else _BEYOND
 
 
+# -- fixed steps -------------------------------------------------------------------------------
+
+
 # States and their derivatives of a run at fixed steps, bytes.
 _MEMORY = 5e8
 # Least factor of the steps from a run to the next.

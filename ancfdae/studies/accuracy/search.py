@@ -224,6 +224,9 @@ def _passed_over(spent: _Spent, best: Runs, why: str) -> Found:
     return _found(spent, best, unknown, False, f"{why}.")
 
 
+# -- gradients ---------------------------------------------------------------------------------
+
+
 # Up to _DIRECT variables HHT differentiates directly, which also shows whether waves are resolved.
 _DIRECT = 6
 # Intervals of high order where objectives read the end only, and else, or where
@@ -340,6 +343,9 @@ def _results(reached: Found, scale: Array, tolerance: float) -> list[Gradient]:
         numbers = {"value": float(value.x[0]), "gradient": slope.x / scale}
         done.append(replace(each, **numbers, accuracy=accuracy))
     return done
+
+
+# -- observables -------------------------------------------------------------------------------
 
 
 # Instants of a run where none are asked for, and intervals of those of high order.

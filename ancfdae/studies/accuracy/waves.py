@@ -337,6 +337,9 @@ def _of_a_derivative(
         lost.whole[k].slope[j] += scale * largest[1]
 
 
+# -- motions that fade -------------------------------------------------------------------------
+
+
 # Coordinates up to which dense matrices take milliseconds.
 _DENSE: Final = 60
 # Steps of HHT-I3 resolve motions of less than this, |s| h.
@@ -362,7 +365,7 @@ def fades(system: MechanicalSystem, run: Solution) -> bool:
 
 def speed(problem: InitialValueProblem) -> float:
     """Return the largest |s| about the start; zero where nothing vibrates; 1/s."""
-    from ancfdae.modes.configuration import LinearisationPoint
+    from ancfdae.modes.linearised import LinearisationPoint
     from ancfdae.modes.periods import fastest
 
     initial = problem.initial
