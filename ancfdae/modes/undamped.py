@@ -19,7 +19,7 @@ from ancfdae.numerics.arrays import Array
 
 # Up to this many independent motions dense matrices are faster than ARPACK, and for the lowest
 # modes faster than Lanczos's method with a count; damped motions have twice as many exponents, all
-# of which dense methods find (docs/measurements.md, section 12).
+# of which dense methods find (docs/measurements.md, "Modes").
 _DENSE, _DENSE_LOWEST, _DENSE_DAMPED = 300, 100, 120
 # ARPACK needs room for its basis.
 _ROOM = 40
