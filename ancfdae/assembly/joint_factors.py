@@ -13,14 +13,17 @@ from ancfdae.numerics.arrays import STEP, Array
 _ORDERS = 4
 # Number of times whose factors are kept; a start and the checks of a run ask for four.
 _KEPT = 8
+# Tables of factors are kept for as many times: designs of a sweep often share their steps.
+_FEW = 1000
 
 
 @final
 class JointFactors:
     """Factors at instants, (orders, k, n_parts); of the first part, which stays, one and zeros.
 
-    Of a scene without driven joints there is one row for all times. Factors at single times are
-    kept: an iteration asks for the same again and again, and so does each design of a sweep.
+    Of a scene without driven joints there is one row for all times. Factors at single times and
+    short tables are kept: an iteration asks for the same again and again, and so does each design
+    of a sweep.
     """
 
     def __init__(self, slots: Sequence[Slot]) -> None:
@@ -29,6 +32,7 @@ class JointFactors:
         self.driven = len(self._slots) > 0
         self._still = np.eye(_ORDERS, 1)[:, :, None]
         self._known: dict[float, Array] = {}
+        self._tables: dict[tuple[bytes, int], Array] = {}
 
     @property
     def active(self) -> set[int]:
@@ -45,7 +49,7 @@ class JointFactors:
         factors = self._known.get(t)
         if factors is None or len(factors) < orders:
             # A start asks for one order after the other.
-            factors = self.over(np.array([t]), orders if factors is None else _ORDERS)
+            factors = self._over(np.array([t]), orders if factors is None else _ORDERS)
             if len(self._known) >= _KEPT:
                 self._known = {}
             self._known[t] = factors
@@ -55,6 +59,21 @@ class JointFactors:
         """Return the factors and their rates at times t, s; one row if no joint is driven."""
         if not self.driven:
             return self._still[:orders]
+        return self._table(t, orders)
+
+    def _table(self, t: Array, orders: int) -> Array:
+        """Return the factors and their rates, or for no order what `by_turn` returns; kept."""
+        key = t.tobytes(), orders
+        table = self._tables.get(key)
+        if table is None:
+            table = self._over(t, orders) if orders else self._by_turn(t)
+            if len(self._tables) >= _KEPT:
+                self._tables = {}
+            if len(t) <= _FEW:
+                self._tables[key] = table
+        return table
+
+    def _over(self, t: Array, orders: int) -> Array:
         each = [[slot.item.factors(t, order).T for order in range(orders)] for slot in self._slots]
         still = np.zeros((orders, len(t), 1))
         still[0] = 1.0
@@ -72,6 +91,9 @@ class JointFactors:
 
     def by_turn(self, t: Array) -> Array:
         """Return the derivatives of the factors in prescribed angles, (1, k, n_parts)."""
+        return self._table(t, 0)
+
+    def _by_turn(self, t: Array) -> Array:
         each = [slot.item.by_turn(t).T for slot in self._slots]
         return np.concatenate([np.zeros((len(t), 1)), *each], axis=1)[None]
 

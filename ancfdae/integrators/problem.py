@@ -118,7 +118,7 @@ class InitialValueProblem:
         """Return the problem of a system up to t_end, with its consistent start and scales."""
         require_positive("t_end", t_end)
         matrices = saddle_point(system, 0.0)
-        initial = consistent_start(system, matrices, 0.0)
+        initial = consistent_start(system, matrices, 0.0)[0]
         scales = Scales.of(system, initial, t_end)
         return cls(system, matrices, initial, scales)
 

@@ -69,12 +69,7 @@ class InitialSensitivity(NamedTuple):
     lam_b: Array
 
 
-def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) -> InitialState:
-    """Solve steps 1 to 3 of the module description; see `start_and_mass`."""
-    return start_and_mass(system, matrices, t)[0]
-
-
-def start_and_mass(
+def consistent_start(
     system: MechanicalSystem, matrices: SaddlePoint, t: float
 ) -> tuple[InitialState, Factorization]:
     """Solve steps 1 to 3 of the module description; return the state, and M with Phi_q factorised.

@@ -1,8 +1,8 @@
 """Lowest modes of symmetric pencils by Lanczos's method, and a count that none lacks.
 
 The inverse of F(shift) within the constraints maps every force to a motion that keeps them. Motions
-are rows here, orthonormal in M. The space of a single motion takes fewest solutions, but holds one
-of several modes that coincide. Where the count shows that one lacks, blocks of motions find them.
+are rows here, orthonormal in M. Of modes that coincide a space holds one, and the others by
+round-off, which may come too late: the count shows whether one lacks.
 """
 
 from __future__ import annotations
@@ -15,8 +15,6 @@ import scipy
 from ancfdae.modes.linearised import EPS, Linearised
 from ancfdae.numerics.arrays import Array
 
-# Motions of a block, tried in this order: fronts solve four side by side.
-_BLOCKS = (1, 4)
 # First shift, relative to the largest entry of K: round-off leaves zero at 1e-16 of it.
 _NEAR_ZERO = 1e-12
 # A pair theta, x has converged where |F^-1 M x - theta x| is this part of theta; and has enough
@@ -26,23 +24,23 @@ _CONVERGED, _ENOUGH, _NEXT_TO, _EACH, _BESIDE = 1e-13, 1e-5, 0.01, 4, 120
 # The number of modes is counted at this part of the distance to the next one, if round-off may
 # move modes by _TRUSTED of that at most.
 _BETWEEN, _TRUSTED = 0.25, 0.1
-# Rows of which less than this part is left beside the others are taken apart from them again.
+# Motions of which less than this part is left beside the others are taken apart from them again.
 _LEFT = 0.5
 
 
 @final
 class Lanczos:
-    """Ritz's values of F(shift)^-1 M in a space that grows by blocks; `count` are sought."""
+    """Ritz's values of F(shift)^-1 M in a space that grows; `count` are sought."""
 
-    def __init__(self, small: Linearised, shift: float, count: int, block: int) -> None:
-        self._small, self.shift, self._count, self._block = small, shift, count, block
+    def __init__(self, small: Linearised, shift: float, count: int) -> None:
+        self._small, self.shift, self._count = small, shift, count
         self.factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
-        self._most = min(small.n_free, _EACH * count + _BESIDE) // block * block
+        self._most = min(small.n_free, _EACH * count + _BESIDE)
         self._V, self._MV = np.empty((2, self._most, small.system.n_q))
         self._T, self._m = np.zeros((self._most, self._most)), 0
-        generator, root = np.random.default_rng(1), np.sqrt(small.system.weights)
-        self._next = self._solved(generator.standard_normal((block, len(root))) * root)
-        self._left = self._squares(self._next)
+        root = np.sqrt(small.system.weights)
+        self._next = self._solved(np.random.default_rng(1).standard_normal(len(root)) * root)
+        self._left = self._size(self._next)
 
     def converge(self, asked: int) -> bool:
         """Extend the space until the values have converged, if they can; all of them roughly."""
@@ -56,8 +54,8 @@ class Lanczos:
             theta, S = np.linalg.eigh(self._T[: self._m, : self._m])
             order = np.argsort(-np.abs(theta))
             self._theta, self._S = theta[order], S[:, order]
-            size, last = np.abs(self._theta[: self._count]), self._S[-self._block :, : self._count]
-            residuals = np.sqrt(np.abs(np.einsum("ji,jk,ki->i", last, self._left, last)))
+            size = np.abs(self._theta[: self._count])
+            residuals = self._left * np.abs(self._S[-1, : self._count])
             near = (
                 size >= (1.0 - _NEXT_TO) * size[asked - 1] if asked else np.zeros(len(size), bool)
             )
@@ -76,67 +74,60 @@ class Lanczos:
         return np.asarray((self._S[:, : self._count].T @ self._V[: self._m]).T)
 
     def _extend(self) -> None:
-        """Add a block to the space."""
-        first, self._m = self._m, self._m + self._block
-        X, MX = self._normal(first)
-        self._V[first : self._m], self._MV[first : self._m] = X, MX
-        Y = self._solved(MX)
-        H = Y @ self._MV[: self._m].T
-        self._T[first : self._m, : self._m] = H
-        self._T[: self._m, first : self._m] = H.T
-        self._next = Y - H @ self._V[: self._m]
-        self._left = self._squares(self._next)
+        """Add a motion to the space."""
+        m, self._m = self._m, self._m + 1
+        self._V[m], self._MV[m] = self._normal(m)
+        y = self._solved(self._MV[m])
+        along = self._MV[: m + 1] @ y
+        self._T[m, : m + 1] = self._T[: m + 1, m] = along
+        self._next = y - along @ self._V[: m + 1]
+        self._left = self._size(self._next)
 
     def _normal(self, m: int) -> tuple[Array, Array]:
-        """Return the next rows orthonormal in M, beside the first m too, and M times them."""
-        X, before = self._next, np.max(np.diagonal(self._left))
+        """Return the next motion x of unit length, orthogonal to the first m, and M x."""
+        x, before = self._next, self._left
         for _ in range(3):
-            X = X - (X @ self._MV[:m].T) @ self._V[:m]
-            MX = self._times(X)
-            products = X @ MX.T
-            squares, U = np.linalg.eigh(products) if self._block > 1 else (products[0], 1.0)
-            # What is left of a row that depends on the others is round-off, a motion like any.
-            W = (U / np.sqrt(np.maximum(squares, EPS**2 * squares[-1]))).T
-            X, MX = (W @ X, W @ MX) if self._block > 1 else (W * X, W * MX)
-            if np.all(squares >= _LEFT * before):
+            x = x - (self._MV[:m] @ x) @ self._V[:m]
+            Mx = self._small.times(self._small.M, x)
+            size = float(np.sqrt(x @ Mx))
+            # What is left of a motion that depends on the others is round-off, a motion like any.
+            x, Mx = x / size, Mx / size
+            if size >= _LEFT * before:
                 break
             before = 1.0
-        return X, MX
+        return x, Mx
 
-    def _squares(self, X: Array) -> Array:
-        """Return the products of rows in M, (k, k)."""
-        return np.asarray(X @ self._times(X).T)
+    def _size(self, x: Array) -> float:
+        return float(np.sqrt(x @ self._small.times(self._small.M, x)))
 
-    def _times(self, X: Array) -> Array:
-        return self._small.times(self._small.M, X.T).T
-
-    def _solved(self, forces: Array) -> Array:
-        """Return motions for forces; they keep the constraints to the round-off of stiff bodies."""
-        none = np.zeros((len(forces), self._small.system.n_lam))
-        right = np.concatenate([forces, none], axis=1)
-        return np.array(self.factors.solve_roughly(right.T).T[:, : forces.shape[1]])
+    def _solved(self, force: Array) -> Array:
+        """Return a motion for a force; it keeps constraints to the round-off of stiff bodies."""
+        right = np.zeros(self._small.saddle.size)
+        right[: len(force)] = force
+        return self.factors.solve_roughly(right)[: len(force)]
 
 
 def lowest(small: Linearised, count: int, asked: int) -> tuple[Array, Array, Array] | None:
     """Return the lowest z = -s^2 of a symmetric pencil, increasing, shapes, and errors left in z.
 
     None unless they have converged, the first that are `asked` for and those that coincide with
-    them to all digits, and a count of negative eigenvalues shows that none lacks.
+    them to all digits, and a count of negative eigenvalues shows that none of these lacks.
     """
-    for block in _BLOCKS:
-        space = Lanczos(small, -_NEAR_ZERO * small.size, count, block)
-        if not space.converge(0):
-            return None
-        if np.min(space.z) <= -space.shift:
-            # Beside motions without stiffness the others would have no digits.
-            space = Lanczos(small, -1.5 * float(np.max(np.abs(space.z[:-1]))), count, block)
-        if not space.converge(asked) or np.min(space.z) <= space.shift:
-            return None
-        *z, beyond = space.z
-        if _all_below(small, z[-1], beyond, space.X):
-            found = ritz(small, small.constrained(space.factors, space.X))
-            return None if found is None else (*found, np.abs(found[0] - z))
-    return None
+    space = Lanczos(small, -_NEAR_ZERO * small.size, count)
+    if not space.converge(0):
+        return None
+    if np.min(space.z) <= -space.shift:
+        # Beside motions without stiffness the others would have no digits.
+        space = Lanczos(small, -1.5 * float(np.max(np.abs(space.z[:-1]))), count)
+    if not space.converge(asked) or np.min(space.z) <= space.shift:
+        return None
+    z, X = space.z, space.X
+    # The widest gap behind those asked for: a group of modes that coincide is not cut.
+    known = asked + int(np.argmax(np.diff(z[asked - 1 :]) / np.abs(z[asked:])))
+    if not _all_below(small, z[known - 1], z[known], X[:, :known]):
+        return None
+    found = ritz(small, small.constrained(space.factors, X))
+    return None if found is None else (*found, np.abs(found[0] - z[:-1]))
 
 
 def _all_below(small: Linearised, last: float, beyond: float, X: Array) -> bool:

@@ -274,7 +274,7 @@ class _BackwardRun:
     def _start_terms(self, first: _Adjoint) -> Array:
         """mu^T M v_b - (H_v + (M mu)' - f_v^T mu) q_b at t_1, with mu' = -mu_tau."""
         system = self._system
-        initial = consistent_start(system, self._matrices, 0.0)
+        initial = consistent_start(system, self._matrices, 0.0)[0]
         dot = system.pattern.dot_transposed
         on_q = self._H_v[0] - dot(self._mass(0), first.mu_tau)
         if self._P is not None:

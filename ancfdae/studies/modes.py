@@ -36,8 +36,8 @@ from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.start import (
     Covectors,
     at_rest,
+    consistent_start,
     pull_back_start,
-    start_and_mass,
     start_sensitivity,
 )
 from ancfdae.model.design import DesignVariable, as_design
@@ -235,7 +235,7 @@ class _Start(DesignedConfiguration):
     def __init__(self, system: MechanicalSystem) -> None:
         self._system = system
         self.matrices: SaddlePoint = saddle_point(system, 0.0)
-        self._state, self._factors = start_and_mass(system, self.matrices, 0.0)
+        self._state, self._factors = consistent_start(system, self.matrices, 0.0)
         self.mass = self._factors
         _, q, v, self._a, self._lam = self._state
         self._q, self._rest = q, np.zeros(system.n_q)

@@ -58,7 +58,7 @@ CASES = {
 
 
 def scales_of(system, t_end):
-    return Scales.of(system, consistent_start(system, saddle_point(system, 0.0), 0.0), t_end)
+    return Scales.of(system, consistent_start(system, saddle_point(system, 0.0), 0.0)[0], t_end)
 
 
 @pytest.mark.parametrize("case", CASES)

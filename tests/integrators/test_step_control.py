@@ -27,7 +27,7 @@ class ImplicitEuler(OneStepMethod):
 
     def __init__(self, system, steps, t_end):
         self.system, self.correction, self.solved, self.errors = system, np.inf, 0, []
-        self.initial = consistent_start(system, saddle_point(system, 0.0), 0.0)
+        self.initial = consistent_start(system, saddle_point(system, 0.0), 0.0)[0]
         sizes = Scales.of(system, self.initial, t_end).q
         self.tolerance = steps.tolerance(t_end, sizes, np.zeros(0))
 

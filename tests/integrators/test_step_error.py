@@ -96,7 +96,7 @@ def test_the_larger_error_counts_whether_of_motion_or_derivatives():
 
 def test_sizes_of_derivatives():
     system = CartesianPendulum(b=(1.0, 1e-6))
-    scales = Scales.of(system, consistent_start(system, saddle_point(system, 0.0), 0.0), 1.0)
+    scales = Scales.of(system, consistent_start(system, saddle_point(system, 0.0), 0.0)[0], 1.0)
     # The largest instant counts, which is not the last. The second variable is so small that a
     # change of it by its own size is round-off where the same derivative in the first is not.
     q_b = np.zeros((3, 2, 2))
