@@ -1,4 +1,4 @@
-"""Flips in the compiled kernels (docs/mutation.md).
+"""Flips in the compiled kernels (.github/CONTRIBUTING.md).
 
 Run as ``python -m tests.tools.kernel_mutation NUMBER SEED``. Writes one wrong sign, number,
 comparison or index at a time into the C++ sources, compiles without optimisation, and tells which

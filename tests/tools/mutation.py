@@ -1,4 +1,4 @@
-"""Mutation testing with cosmic-ray (docs/mutation.md): a sample of mutants, and their tests.
+"""Mutation testing with cosmic-ray (.github/CONTRIBUTING.md): a sample of mutants, and their tests.
 
 python -m tests.tools.mutation sample SESSION NUMBER SEED    keeps NUMBER mutants of every package
 python -m tests.tools.mutation baseline                      runs every selection without a mutation
