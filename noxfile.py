@@ -55,6 +55,14 @@ def report(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
+def benchmarks(session: nox.Session) -> None:
+    """Keep the speed of the newest commit beside earlier ones, in out/asv: ``asv publish``."""
+    session.install("asv>=0.6", "virtualenv")
+    session.run("asv", "machine", "--yes")
+    session.run("asv", *(session.posargs or ["run"]))
+
+
+@nox.session(default=False)
 def wheels(session: nox.Session) -> None:
     """Build and test the wheels of this system into out/wheels."""
     session.run("bash", ".ci/wheels", external=True)

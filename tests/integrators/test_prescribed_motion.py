@@ -107,8 +107,8 @@ def test_a_driven_rod_is_on_its_circle_between_instants_too(rate, rtol):
     assert run.statistics.steps >= rate  # at most a radian in a step
 
 
-@pytest.mark.parametrize("d", [2, 3])
-def test_integrals_over_a_prescribed_swing_and_their_gradient(d):
+@pytest.mark.parametrize(("d", "t_end"), [(2, 1.0), (3, 0.25)])
+def test_integrals_over_a_prescribed_swing_and_their_gradient(d, t_end):
     """Integral of sin^2(sin w t): quadrature of the closed form, once 0.42110 for 0.38621."""
     beam, scene = rod(Harmonic(1.0, 60.0), d)
 
@@ -118,15 +118,15 @@ def test_integrals_over_a_prescribed_swing_and_their_gradient(d):
     def by_rate(t):
         return np.sin(2 * np.sin(60 * t)) * np.cos(60 * t) * t
 
-    value, slope = (scipy.integrate.quad(f, 0, 1, limit=400)[0] for f in (swing, by_rate))
+    value, slope = (scipy.integrate.quad(f, 0, t_end, limit=400)[0] for f in (swing, by_rate))
     objective, design = Integral(position(beam.at_end, 1) ** 2), ["motor.frequency"]
     integrator = Radau(rtol=1e-4)
-    run = gradient(scene, objective, 1.0, integrator, design=design, method=Adjoint())
+    run = gradient(scene, objective, t_end, integrator, design=design, method=Adjoint())
     # The sum over 60/2pi periods of errors of order five, each below the tolerance.
     assert run.value == pytest.approx(value, rel=1e-4)
     assert run.gradient[0] == pytest.approx(slope, abs=1e-4)
     direct = gradient(
-        scene, objective, 1.0, integrator, design=design, method=DirectDifferentiation()
+        scene, objective, t_end, integrator, design=design, method=DirectDifferentiation()
     )
     assert run.gradient[0] == pytest.approx(direct.gradient[0], rel=1e-11)
 
@@ -229,8 +229,7 @@ def test_half_a_turn_off_is_no_success(integrator, stands):
     assert f"{1 / rate:.2g} s or less" in text
 
 
-@pytest.mark.parametrize("d", [2, 3])
-@pytest.mark.parametrize("other", [False, True])
+@pytest.mark.parametrize(("d", "other"), [(2, True), (3, False)])
 def test_a_wrong_root_within_a_packet_of_steps_is_found_at_its_step(d, other):
     """A drive that speeds up, in space and against another body too: what is kept is right."""
     z = (0.0,) * (d - 2)
@@ -329,7 +328,7 @@ def test_a_start_from_rest_without_forces_does_not_shrink_the_step(atol):
     assert run.outcome.success
 
 
-@pytest.mark.parametrize(("duration", "t_end"), [(0.1, 0.3), (0.02, 0.5)])
+@pytest.mark.parametrize(("duration", "t_end"), [(0.1, 0.3), (0.02, 0.3)])
 def test_a_step_whose_velocities_miss_what_is_prescribed_is_repeated(duration, t_end):
     """The first step of a run-up is long, and what it leaves disturbs any step after it alike.
 

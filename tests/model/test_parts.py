@@ -1,10 +1,10 @@
 """Every joint and load, alone in the plane, in space and on cables, keeps what it promises.
 
-The rows are the parts (`tests.support.parts`), the columns the promises below: rates in time
-against an interpolated curve, every derivative of the protocol against a complex step of the
-values (tolerances: `setting`), along one random direction of the coordinates or of the design. A
-wrong entry changes the derivative along a random direction; zeros that are declared are looked at
-entry by entry. What the values mean is in `test_joints`, `test_joint_kinematics` and `test_loads`.
+The rows are the parts (`tests.support.parts`), the columns the promises below. Rates in time are
+compared with an interpolated curve. Every derivative of the protocol is compared with a complex
+step of the values (tolerances: `setting`), along one random direction of the coordinates or of the
+design: a wrong entry changes the derivative along it. Zeros that are declared are looked at entry
+by entry. What the values mean is in `test_joints`, `test_joint_kinematics` and `test_loads`.
 """
 
 from dataclasses import fields

@@ -1014,7 +1014,7 @@ def test_a_link_that_is_pushed_aside_against_a_spring_across_snaps(q):
     np.testing.assert_allclose(found.gradient, [-l * cosine, cosine / sine], rtol=1e-6)
 
 
-@pytest.mark.parametrize(("n", "across"), [(8, 0.1), (8, 1.0), (8, 5.0), (16, 1.0), (16, 5.0)])
+@pytest.mark.parametrize(("n", "across"), [(8, 0.1), (8, 5.0), (16, 1.0)])
 def test_a_column_that_is_pushed_aside_bends_and_has_no_critical_load(n, across):
     # Elastica: E I turn'' = -P sin turn - F cos turn has one solution bent to the side of F.
     for to in (-600.0, -1000.0):
@@ -1040,7 +1040,7 @@ def test_a_modulus_falls_until_a_column_buckles_under_its_own_weight(E_0, to):
     np.testing.assert_allclose(logs, [-2.0, 1.0], rtol=2e-3)
 
 
-@pytest.mark.parametrize("share", [0.9, 0.99, 0.9999, 1.001, 1.01, 1.1, 3.0, 100.0])
+@pytest.mark.parametrize("share", [0.9, 0.9999, 1.001, 1.1, 100.0])
 @pytest.mark.parametrize("scene", [column(2), lee(6)], ids=["column", "frame"])
 def test_no_value_beyond_the_range_is_tried(scene, share, monkeypatch):
     name = "load.force_x" if len(scene.beams) == 1 else "load.force_y"

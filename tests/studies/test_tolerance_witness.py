@@ -319,7 +319,7 @@ def of_rubbing(coulomb, smooth_speed, at):
 # third sticks.
 @pytest.mark.parametrize(
     ("coulomb", "smooth_speed", "tolerance"),
-    [(3.0, 1e-3, 1e-3), (3.0, 1e-3, 1e-1), (5.0, 1e-3, 1e-2), (8.0, 1e-3, 1e-2)],
+    [(3.0, 1e-3, 1e-3), (3.0, 1e-3, 1e-1), (5.0, 1e-3, 1e-2)],
 )
 def test_transitions_of_friction_are_not_stepped_over(coulomb, smooth_speed, tolerance):
     """d/dk was three times too large, with bars of a thousandth of the error."""
@@ -518,11 +518,9 @@ def test_kinds_of_runs_that_contradict_each_other_are_not_believed():
         ("pulse", 8, 1e-4),
         ("window", 1, 1e-3),
         ("cable", 0, 1e-3),
-        ("damped rod", 1, 1e-3),
         ("damped rod", 1004, 1e-2),
         ("ringing", 9, 1e-2),
         ("slider", 3, 1e-2),
-        ("slider", 8, 1e-3),
         ("springs", 7001, 1e-2),
         ("stiff rod", 5003, 1e-3),
     ],

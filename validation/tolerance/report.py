@@ -57,7 +57,8 @@ def run(report: Report, quick: bool) -> None:
     report.heading("Method")
     report.text(_METHOD)
     tolerances = _TOLERANCES[:2] if quick else _TOLERANCES
-    rows = [row for case in _cases(quick) for row in _measured(case, tolerances)]
+    times = 1 if quick else _TIMES
+    rows = [row for case in _cases(quick) for row in _measured(case, tolerances, times)]
     _table(report, rows)
     _picture(report, rows)
     _verdict(report, rows)
@@ -71,7 +72,8 @@ def random_scenes(report: Report, seeds: Sequence[int], key: str, quick: bool) -
     """Add calls on random scenes: what errs without a word, and how many bars hold."""
     families = ("pulse", "window") if quick else FAMILIES
     cases = [generated(x, seed) for x in families for seed in seeds]
-    rows = [row for each in cases for row in _asked(each, _exact(each), _TOLERANCES[:2])]
+    times = 1 if quick else _TIMES
+    rows = [row for each in cases for row in _asked(each, _exact(each), _TOLERANCES[:2], times)]
     header = [
         "scene",
         "tolerance",
@@ -120,22 +122,22 @@ def _cases(quick: bool) -> list[Case]:
     return [*known, *HELD_OUT()]
 
 
-def _measured(case: Case, tolerances: Sequence[float]) -> Iterator[_Row]:
+def _measured(case: Case, tolerances: Sequence[float], times: int) -> Iterator[_Row]:
     exact = gradient(case.system, case.objective, case.t_end, case.reference)
-    known = list(_hindsight(case, exact))
-    for row in _asked(case, exact, tolerances):
+    known = list(_hindsight(case, exact, times))
+    for row in _asked(case, exact, tolerances, times):
         kept = [x for x in known if x.error <= row.tolerance]
         best = min(kept, key=lambda x: x.seconds, default=None)
         yield replace(row, best=best)
 
 
-def _asked(case: Case, exact: Gradient, tolerances: Sequence[float]) -> Iterator[_Row]:
+def _asked(case: Case, exact: Gradient, tolerances: Sequence[float], times: int) -> Iterator[_Row]:
     """Call with tolerances; the best settings are not known."""
     for tolerance in tolerances:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             asked = partial(gradient, case.system, case.objective, case.t_end, tolerance=tolerance)
-            seconds, found = timed(asked, _TIMES, long=_SHORT)
+            seconds, found = timed(asked, times, long=_SHORT)
         accuracy = found.accuracy
         assert accuracy is not None
         held = [abs(found.value - exact.value) <= accuracy.value_bar]
@@ -144,7 +146,7 @@ def _asked(case: Case, exact: Gradient, tolerances: Sequence[float]) -> Iterator
         yield _Row(case.name, tolerance, done, accuracy.reached, held, None)
 
 
-def _hindsight(case: Case, exact: Gradient) -> Iterator[_Run]:
+def _hindsight(case: Case, exact: Gradient, times: int) -> Iterator[_Run]:
     """Measure settings of every kind, from coarse to fine."""
     T = case.t_end
     kinds: list[list[Integrator]] = [
@@ -158,7 +160,7 @@ def _hindsight(case: Case, exact: Gradient) -> Iterator[_Run]:
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
-                    seconds, found = timed(call, _TIMES, long=_SHORT)
+                    seconds, found = timed(call, times, long=_SHORT)
             except (AncfdaeError, ArithmeticError):
                 if isinstance(setting, DOP853):  # Tighter tolerances take more steps.
                     break

@@ -1,0 +1,1 @@
+"""Figures of report `performance` whose history asv keeps: ``nox -s benchmarks``."""
