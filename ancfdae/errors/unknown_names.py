@@ -22,8 +22,8 @@ _ACCELERATION = (
     "solution.acceleration(point) returns the vectors, (n_t, d)."
 )
 _ROTATION = (
-    "Rotations are observed by slope_angle(point) in the plane, by slope(point, along, axis) in "
-    "space; the slope vectors of a section turn with it."
+    "Rotations are observed by rotation_angle(point, axis), also against another body, by "
+    "orientation(point, direction, axis) and angular_velocity(point)."
 )
 _RUN = "simulate(scene, t_end, HHT(step=...)) integrates the motion (docs/howto/integrator.md)."
 _GROUND = "The ground needs no object: joints and loads take ground=(x, y), a place."
@@ -56,9 +56,7 @@ _ANSWERS = {
     "friction": "Friction is RotationalFriction in a joint, TranslationalFriction along a line.",
     **dict.fromkeys(("gear", "gears", "rackandpinion", "screw", "belt", "coupler"), _GEAR),
     "accelerations": _ACCELERATION,
-    **dict.fromkeys(
-        ("angle", "rotation", "orientation", "angularvelocity", "quaternion", "omega"), _ROTATION
-    ),
+    **dict.fromkeys(("angle", "rotation", "angularvelocity", "quaternion", "omega"), _ROTATION),
     **dict.fromkeys(("time", "t"), "The time since the start is the observable elapsed_time()."),
     **dict.fromkeys(("solve", "integrate", "run", "step", "dynamicsolver", "simulation"), _RUN),
     **dict.fromkeys(("ground", "fixed", "base", "world", "objectground"), _GROUND),

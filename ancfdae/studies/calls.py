@@ -478,7 +478,7 @@ def without_end(
     design: Sequence[str | DesignVariable] | None,
 ) -> tuple[Sequence[str | DesignVariable] | None, bool]:
     """Return a design without the end time ``"t_end"``, and whether it was there."""
-    if isinstance(design, str) or design is None or "t_end" not in list(design):
+    if not isinstance(design, (list, tuple)) or "t_end" not in design:
         return design, False
     return [variable for variable in design if variable != "t_end"] or None, True
 

@@ -50,6 +50,7 @@ def orientation(point: MaterialPoint, direction: Sequence[float], axis: int) -> 
         Component, 0, 1 and 2 for x, y and z. ``orientation(p, e_j, i)`` is the entry ij of the
         rotation matrix of a rigid body.
     """
+    require_direction("orientation, direction", direction)
     return Orientation((point,), tuple(direction), axis)
 
 
@@ -73,6 +74,7 @@ def rotation_angle(
     other : MaterialPoint, optional
         Point of the body against which the angle is taken; by default the ground.
     """
+    require_direction("rotation_angle, axis", axis, (3,))
     points = (point,) if other is None else (point, other)
     angle = RotationAngle(points, tuple(axis))
     return angle + Turns(angle)
