@@ -23,7 +23,7 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform
 from ancfdae.model.parts import Sign
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.mechanism import Mechanism
-from ancfdae.plotting.shapes import BeamMesh, Mesh
+from ancfdae.plotting.shapes import BeamMesh
 from ancfdae.plotting.symbols import GROUND as GROUND_SIGN
 from ancfdae.plotting.symbols import Arrows, Line
 
@@ -227,10 +227,6 @@ class Painter(abc.ABC):
     def _coloured(self, values: Array) -> Array:
         return self.colours.to_rgba(np.ma.masked_invalid(values))
 
-    @final
-    def _thin(self, mesh: Mesh) -> bool:
-        return isinstance(mesh, BeamMesh) and bool(np.max(mesh.y) < _THIN / 2 * self.extent)
-
 
 @final
 class PlanePainter(Painter):
@@ -261,7 +257,8 @@ class PlanePainter(Painter):
             loop = np.append(mesh.loop, mesh.loop[0])
             edge = faded(np.array([to_rgba(EDGE)]), strength)[0]
             artists += self.axes.plot(*x[k][loop].T, color=edge, lw=0.8, zorder=3)
-            if self._thin(mesh):
+            thin = _THIN / 2 * self.extent
+            if isinstance(mesh, BeamMesh) and np.max(mesh.y) < thin:
                 artists.append(self.axes.add_collection(self._stroke(number, k, strength)))
         return artists
 

@@ -313,7 +313,9 @@ class Balance:
         With a `gap`, that part of Phi_0 is left instead of what s leaves. Corrections that stop
         shrinking lead to a solution if they correct round-off.
         """
-        left, taken = self._left(s) if gap is None else gap, 0
+        # The part of Phi_0 that is left at s.
+        left = 1.0 - s if self.closes else 1.0
+        left, taken = left if gap is None else gap, 0
         gaps = left, float(self.closes)
         while taken < _ITERATIONS:
             end = self._kernel.solve(s, q, lam, gaps, mu, anchor, _ITERATIONS - taken)
@@ -332,10 +334,6 @@ class Balance:
             if end.why == Rest.NO_CONVERGENCE:
                 return solved
         return Unsolved(Verdict.NO_CONVERGENCE, end.correction)
-
-    def _left(self, s: float) -> float:
-        """Part of Phi_0 that is left at s."""
-        return 1.0 - s if self.closes else 1.0
 
     def _counted(self, s: float, end: RestEnd) -> Balanced | Unsolved:
         self.work.iterations += end.iterations

@@ -143,7 +143,9 @@ class CriticalLoad:
                 break
             change = -found.tau / found.tau_b[k]
             if abs(change) >= 0.5 * last and last <= _CONVERGED * abs(p):
-                return p, resting(found.system, found.q, found.lam, _stable(found))
+                x = found.q, found.lam
+                stable = softest(Balance(found.system, 0.0, *x), 1.0, *x).stable
+                return p, resting(found.system, *x, stable)
             p, q, lam, last = p + change, found.q, found.lam, abs(change)
         raise NoCriticalPointError(f"branch of {self.name!r}: no convergence at size={size:g}.")
 
@@ -177,10 +179,6 @@ def find_critical(
     value = float(point.system.b[k])
     gradient = np.delete(_gradient(point, k, kind, (begin, to)), k)
     return CriticalLoad(system.design_names[k], value, kind, motion, at, names, gradient, point, k)
-
-
-def _stable(x: HeldPoint) -> bool:
-    return softest(Balance(x.system, 0.0, x.q, x.lam), 1.0, x.q, x.lam).stable
 
 
 def _moved(system: MechanicalSystem, k: int, p: float) -> MechanicalSystem:

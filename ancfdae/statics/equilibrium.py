@@ -137,7 +137,7 @@ class Tangent:
         last = np.array(np.inf)
         for _ in range(_REFINEMENTS):
             change = solver(self._factors, *left(*x))
-            size = self._size(change[0])
+            size = np.sqrt(self._system.weights @ change[0] ** 2)
             shrinking = size < 0.5 * last
             on_q, on_lam = (np.where(shrinking, part, 0.0) for part in change)
             x = x[0] + on_q, x[1] + on_lam
@@ -145,9 +145,6 @@ class Tangent:
                 break
             last = np.where(shrinking, size, 0.0)
         return x
-
-    def _size(self, x: Array) -> Array:
-        return np.asarray(np.sqrt(self._system.weights @ (x * x)))
 
 
 # -- equilibria --------------------------------------------------------------------------------

@@ -230,7 +230,7 @@ class Controller(Load):
     def vectors(self, elements: Elements) -> Vectors:
         """Return the vectors of the axes, and a vector for each state."""
         states = (StateVector(self.name, k) for k in range(len(self.states)))
-        axes = self.axes(self._declared_values())
+        axes = self.axes(np.array(list(self.parameters().values()), dtype=float))
         if not all(isinstance(axis, ControlAxis) for axis in axes):
             where, repair = f"axes of {self.kind} {self.name!r}", "Return (RotationAxis(point),)."
             raise InvalidInputError(where, "must return axes", repr(axes), repair)
@@ -276,9 +276,6 @@ class Controller(Load):
             where = f"{method} of {self.kind} {self.name!r}"
             rule, repair = f"must return {len(wanted)} {what}", f"Return one for each {each}."
             raise InvalidInputError(where, rule, len(given), repair)
-
-    def _declared_values(self) -> Array:
-        return np.array(list(self.parameters().values()), dtype=float)
 
     @final
     def efforts_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:

@@ -319,7 +319,7 @@ def _seen(objectives: Sequence[Objective]) -> tuple[Seen, ...]:
 
 def _paired_norms(vectors: Sequence[Array]) -> list[float]:
     """Return the sizes for pairs of a value and a scaled gradient."""
-    norms = [float(np.linalg.norm(each)) for each in vectors]
+    norms = _norms(vectors)
     pairs = zip(norms[::2], norms[1::2], strict=True)
     return [size for value, slope in pairs for size in (max(value, slope), slope)]
 
