@@ -13,6 +13,15 @@ struct Numbers {
     }
 };
 
+/* What is held for the scalar T. */
+template <class T, class R, class C> const auto &held_in(const R &in_real, const C &in_complex)
+{
+    if constexpr (std::is_same<T, double>::value)
+        return in_real;
+    else
+        return in_complex;
+}
+
 /* Indices and numbers in the order of `ConstraintTable` and `ConstraintNumbers`. */
 struct ConstraintPlan {
     static constexpr const char *NAME = "ancfdae.kernels._kernels.ConstraintPlan";
@@ -111,13 +120,7 @@ struct ConstraintPlan {
         return good && curved == x[10].size && within(x[10], 0, p->n_curved - 1);
     }
 
-    template <class T> const ConstraintNumbers<T> &in() const
-    {
-        if constexpr (std::is_same<T, double>::value)
-            return in_real;
-        else
-            return in_complex;
-    }
+    template <class T> const auto &in() const { return held_in<T>(in_real, in_complex); }
 };
 
 /* Rows of states with factors of time, (orders, k or 1, n_parts), and lam, if any. */
@@ -312,13 +315,7 @@ struct LoadPlan {
              "these are not the indices of a load");
     }
 
-    template <class T> const LoadNumbers<T> *in() const
-    {
-        if constexpr (std::is_same<T, double>::value)
-            return &in_real;
-        else
-            return &in_complex;
-    }
+    template <class T> const auto *in() const { return &held_in<T>(in_real, in_complex); }
 };
 
 /* Run f(factors, offset of q and v, work, row of out) at each time; `lanes` as in `load_work`. */

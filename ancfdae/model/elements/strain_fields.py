@@ -47,7 +47,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.kernels import gram
+from ancfdae.kernels import strain
 from ancfdae.model.elements.hermite import curvature_weights, end_weight_xi, slope_weights_xi
 from ancfdae.numerics.arrays import Array
 
@@ -61,7 +61,7 @@ def upper_triangle(n_y: int) -> tuple[Array, Array]:
 
 def packed_gram(Y: Array) -> Array:
     """Packed Y Y^T; Y of shape (..., n_y, d), result (..., n_g)."""
-    return gram(Y, Y) / 2
+    return strain(None, Y, Y, None) / 2
 
 
 @final
