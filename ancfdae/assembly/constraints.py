@@ -160,11 +160,12 @@ class JointConstraints:
         """Values of (Phi_q^T lam)_q for rows of q and lam, shape (k, nnz)."""
         return constraint_curvature(self.plan, self.factors.over(t), lam, q)
 
-    def constraints_q(self, q: Array, t: Array) -> Array:
-        """Values of Phi_q, shape (k, nnz)."""
-        if self._tangent is not None:
-            return np.repeat(self._tangent[None], len(q), axis=0)
-        return constraints(self.plan, Constraints.VALUES, self.factors.over(t), None, q)
+    def constraints_q(self, t: Array, *motion: Array) -> Array:
+        """Values of Phi_q or its time derivative, shape (k, nnz)."""
+        if self._tangent is not None and len(motion) == 1:
+            return np.repeat(self._tangent[None], len(t), axis=0)
+        factors = self.factors.over(t, len(motion))
+        return constraints(self.plan, Constraints.VALUES, factors, None, *motion)
 
     def pull_back(self, q: Array, lam: Array, t: Array, mu: Array, zeta: Array) -> Array:
         """Sum over instants of (Phi_q^T lam)_b^T mu + Phi_b^T zeta, shape (n_b,)."""

@@ -332,9 +332,9 @@ class AncfSystem(PlannedSystem):
         """Values of Phi_q, or of its time derivative, on `constraint_pattern`."""
         return self._constraints.constraint_q(t, *motion)
 
-    def constraints_q(self, t: Array, q: Array) -> Array:
-        """Return the values of the constraint Jacobian Phi_q at k instants, shape (k, nnz)."""
-        return self._constraints.constraints_q(q, t)
+    def constraints_q(self, t: Array, *motion: Array) -> Array:
+        """Return the values of Phi_q or its time derivative at k time points, shape (k, nnz)."""
+        return self._constraints.constraints_q(t, *motion)
 
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
@@ -386,7 +386,7 @@ class AncfSystem(PlannedSystem):
         if not self.traits.linear_constraints:
             f_q = f_q + self._constraints.constraint_force_q(q, lam, t)
         M = self._inertia.values[None]
-        return Linearisation(M, f_q, f_v, self._constraints.constraints_q(q, t))
+        return Linearisation(M, f_q, f_v, self._constraints.constraints_q(t, q))
 
     def design_partials(
         self, t: Array, q: Array, v: Array | None, a: Array, lam: Array

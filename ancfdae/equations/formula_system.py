@@ -432,9 +432,11 @@ class FormulaSystem(ListedSystem):
         at = self._motion(motion)
         return self._values(Formulas.constraint_q, len(motion) - 1, t=[t], **at)[0]
 
-    def constraints_q(self, t: Array, q: Array) -> Array:
-        """Return Phi_q at k time points on its pattern, shape (k, nnz)."""
-        return self._values(Formulas.constraint_q, 0, rows=len(t), t=t[:, None], q=q)[0]
+    def constraints_q(self, t: Array, *motion: Array) -> Array:
+        """Return Phi_q or its time derivative at k time points on its pattern, shape (k, nnz)."""
+        at = self._motion(motion)
+        orders = len(motion) - 1
+        return self._values(Formulas.constraint_q, orders, rows=len(t), t=t[:, None], **at)[0]
 
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None

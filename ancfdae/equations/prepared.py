@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, final
 
 import numpy as np
 
 from ancfdae.equations.system import MechanicalSystem, planned
-from ancfdae.kernels import ComplexModel, MatrixLayout, Model, real_part
+from ancfdae.kernels import ComplexModel, March, MatrixLayout, Model, real_part
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 
@@ -34,6 +35,19 @@ class Prepared:
         layout = self._matrices.layout(band=True)
         assert layout is not None
         self._prepare(layout)
+
+    def go(self, passed: Callable[[Model, int], tuple[int, int]], done: int) -> int:
+        """Run a pass of the kernel from step `done` on; return the step that it ends before.
+
+        `passed` takes the model of the real parts and a step, and returns the step that it ends
+        before and why, as `March`. The pass goes on in a band where a matrix is not positive
+        definite.
+        """
+        done, end = passed(self.real, done)
+        if end == March.INDEFINITE:
+            self.add_band()
+            done, _ = passed(self.real, done)
+        return done
 
     def _prepare(self, layout: MatrixLayout) -> None:
         is_complex = self.dtype.kind == "c"

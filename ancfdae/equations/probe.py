@@ -77,7 +77,7 @@ class Probe:
         ]
 
     def many(self) -> list[Given]:
-        """Return arguments at several instants, with and without velocities."""
+        """Return arguments at several time points, of three orders, with and without velocities."""
         states = [self.m.plus(0.1 * k, self.d) for k in range(_INSTANTS)]
         given = {name: np.array([x._asdict()[name] for x in states]) for name in Motion._fields}
         changes = [self.change() for _ in range(_INSTANTS)]
@@ -85,8 +85,8 @@ class Probe:
         return [
             given
             | {"v": v, "states": (given["q"], v, given["a"], given["lam"])}
-            | {"covectors": covectors}
-            for v in (given["v"], None)
+            | {"covectors": covectors, "motion": (given["q"], given["v"], given["a"])[:order]}
+            for order, v in ((1, None), (2, given["v"]), (3, given["v"]))
         ]
 
     def _sizes_of_terms(self) -> Sizes:

@@ -303,9 +303,9 @@ class MechanicalSystem(ComplexSteps):
         """Return the parts strained beyond the range of their laws at q, each with its strain."""
         return {}
 
-    def constraints_q(self, t: Array, q: Array) -> Array:
-        """Return the values of Phi_q at k instants, shape (k, nnz); q are rows, (k, n_q)."""
-        return np.array([self.constraint_q(s, x) for s, x in zip(t.tolist(), q, strict=True)])
+    def constraints_q(self, t: Array, *motion: Array) -> Array:
+        """Return the values of `constraint_q` at k time points, (k, nnz), from rows, (k, n_q)."""
+        return np.array([self.constraint_q(*x) for x in zip(t.tolist(), *motion, strict=True)])
 
     def constraint_total(
         self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None

@@ -254,9 +254,9 @@ class PhaseSystem(LaterSystem):
         """Return the Jacobians of the system; at a complex design they serve Newton's method."""
         return self.base.linearise(self._times(t), q, v, a, lam)
 
-    def constraints_q(self, t: Array, q: Array) -> Array:
-        """Return the values of Phi_q at k time points, shape (k, nnz)."""
-        return self.base.constraints_q(self._times(t), q)
+    def constraints_q(self, t: Array, *motion: Array) -> Array:
+        """Return the values of Phi_q or its time derivative at k time points, shape (k, nnz)."""
+        return self.base.constraints_q(self._times(t), *motion)
 
     # -- derivatives with respect to the design ----------------------------------------------------
 

@@ -15,7 +15,6 @@ M (v - V) + Phi_q^T sigma with v - V and sigma held, and (Phi')_q = Phi_q', (Phi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias, final
@@ -46,11 +45,10 @@ class Completion:
     """k completed states, linearised.
 
     `moved` holds v - V and sigma. `rates` are Phi'_q and Phi''_q, `held_q` is f_0,q; both None
-    where they vanish. `factors` are one matrix for each state.
+    where they vanish.
     """
 
     system: MechanicalSystem
-    factors: Sequence[Factorization]
     t: Array
     states: States
     moved: tuple[Array, Array]
@@ -60,25 +58,20 @@ class Completion:
 
     @staticmethod
     def of(
-        system: MechanicalSystem,
-        factors: Sequence[Factorization],
-        t: Array,
-        states: States,
-        moved: tuple[Array, Array],
+        system: MechanicalSystem, t: Array, states: States, moved: tuple[Array, Array]
     ) -> Completion:
-        """Linearise accelerations and multipliers at states; `factors` are those of M and Phi_q."""
+        """Linearise accelerations and multipliers at states."""
         traits, held_q, rates = system.traits, None, None
         if not (traits.constant_mass and traits.linear_constraints):
             held_q = system.linearise(t, states[0], None, *moved).f_q
         if not traits.constant_constraints:
-            motion = list(zip(t.tolist(), *states[:3], strict=True))
-            first = np.array([system.constraint_q(s, q, v) for s, q, v, _ in motion])
-            rates = first, np.array([system.constraint_q(*x) for x in motion])
+            q, v, a, _ = states
+            rates = system.constraints_q(t, q, v), system.constraints_q(t, q, v, a)
         local = system.linearise(t, *states)
-        return Completion(system, factors, t, states, moved, local, held_q, rates)
+        return Completion(system, t, states, moved, local, held_q, rates)
 
     @cached_property
-    def _partials(self) -> tuple[Array, Array, Array]:
+    def partials(self) -> tuple[Array, Array, Array]:
         """Design partials of f_0 and f, and of Phi' and Phi''."""
         system, t, (q, v, a, lam) = self.system, self.t, self.states
         held = system.design_partials(t, q, None, *self.moved).f_b
@@ -89,45 +82,45 @@ class Completion:
                 sides[1, k] = system.constraint_total(s, (q[k], v[k], a[k]))
         return held, system.design_partials(t, q, v, a, lam).f_b, sides
 
-    def total(self, k: int, q_b: Array, V_b: Array) -> tuple[Array, Array, Array]:
-        """Return v_b, a_b and lam_b of state k from q_b and V_b."""
-        system, local, (held_b, f_b, sides) = self.system, self.local, self._partials
+    def total(self, factors: Factorization, q_b: Array, V_b: Array) -> tuple[Array, Array, Array]:
+        """Return v_b, a_b and lam_b of one state from q_b and V_b, by the factors of M and Phi_q.
+
+        The kernel completes the stages of runs (`stage_passes.h`).
+        """
+        system, local, (held_b, f_b, sides) = self.system, self.local, self.partials
         K, B = system.pattern.dot, system.constraint_pattern.dot
-        right, side, side_a = system.mass_times(self.states[0][k], V_b) - held_b[k], *sides[:, k]
+        right, side, side_a = system.mass_times(self.states[0][0], V_b) - held_b[0], *sides[:, 0]
         if self.held_q is not None:
-            right = right - K(self.held_q[k], q_b)
+            right = right - K(self.held_q[0], q_b)
         if self.rates is not None:
-            side = side + B(self.rates[0][k], q_b)
-        v_b = solve(self.factors[k], right, -side)[0]
-        right = f_b[k] + K(local.f_q[k], q_b)
+            side = side + B(self.rates[0][0], q_b)
+        v_b = solve(factors, right, -side)[0]
+        right = f_b[0] + K(local.f_q[0], q_b)
         if local.f_v is not None:
-            right = right + K(local.f_v[k], v_b)
+            right = right + K(local.f_v[0], v_b)
         if self.rates is not None:
-            side_a = side_a + B(self.rates[1][k], q_b) + 2 * B(self.rates[0][k], v_b)
-        return v_b, *solve(self.factors[k], -right, -side_a)
+            side_a = side_a + B(self.rates[1][0], q_b) + 2 * B(self.rates[0][0], v_b)
+        return v_b, *solve(factors, -right, -side_a)
 
     def back(
-        self, k: int, on_q: Array, on_v: Array, on_a: Array | None, on_lam: Array | None
+        self, factors: Factorization, on_q: Array, on_v: Array, on_a: Array, on_lam: Array
     ) -> tuple[Array, ...]:
         """Transpose of `total`: return covectors on q and V, and four that `pull_back` takes."""
-        system, local, factors = self.system, self.local, self.factors[k]
+        system, local = self.system, self.local
         K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
-        w, y = still, none = np.zeros(system.n_q), np.zeros(system.n_lam)
-        if on_a is not None or on_lam is not None:
-            parts = (zero if x is None else x for x, zero in ((on_a, still), (on_lam, none)))
-            w, y = solve_transposed(factors, *parts)
-            on_q = on_q - K(local.f_q[k], w)
-            if local.f_v is not None:
-                on_v = on_v - K(local.f_v[k], w)
-            if self.rates is not None:
-                on_q = on_q - B(self.rates[1][k], y)
-                on_v = on_v - 2 * B(self.rates[0][k], y)
-        m, z = solve_transposed(factors, on_v, none)
-        if self.held_q is not None:
-            on_q = on_q - K(self.held_q[k], m)
+        w, y = solve_transposed(factors, on_a, on_lam)
+        on_q = on_q - K(local.f_q[0], w)
+        if local.f_v is not None:
+            on_v = on_v - K(local.f_v[0], w)
         if self.rates is not None:
-            on_q = on_q - B(self.rates[0][k], z)
-        return on_q, system.mass_times(self.states[0][k], m), m, z, w, y
+            on_q = on_q - B(self.rates[1][0], y)
+            on_v = on_v - 2 * B(self.rates[0][0], y)
+        m, z = solve_transposed(factors, on_v, np.zeros_like(on_lam))
+        if self.held_q is not None:
+            on_q = on_q - K(self.held_q[0], m)
+        if self.rates is not None:
+            on_q = on_q - B(self.rates[0][0], z)
+        return on_q, system.mass_times(self.states[0][0], m), m, z, w, y
 
     def pull_back(self, m: Array, z: Array, w: Array, y: Array) -> Array:
         """Return the direct part of the gradient, (n_b,), from adjoint vectors `back`, (k, n)."""

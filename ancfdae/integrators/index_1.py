@@ -23,7 +23,7 @@ import numpy as np
 from ancfdae.equations import ListedSystem, MechanicalSystem, reaction
 from ancfdae.equations.held import acceleration_side, held_totals
 from ancfdae.errors.kinds import SingularMatrix
-from ancfdae.kernels import SINGULAR, OperationList, index_1_projected, index_1_rows
+from ancfdae.kernels import SINGULAR, OperationList, index_1
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
@@ -193,7 +193,7 @@ class ListedAccelerations(Accelerations):
 
     def rows_of(self, t: Array, states: Array) -> Array:
         """Return `rows` of k states, (k, 2, rows, n_q)."""
-        return self._found(index_1_rows(*self._of, t, states), t, states, self._matrices.size)
+        return self._found(index_1(*self._of, False, t, states), t, states, self._matrices.size)
 
     def projected(self, t: float, rows: Array) -> Array:
         """Return the rows of a state moved onto the constraints."""
@@ -201,7 +201,7 @@ class ListedAccelerations(Accelerations):
 
     def projected_of(self, t: Array, states: Array) -> Array:
         """Return `projected` of k states."""
-        return self._found(index_1_projected(*self._of, t, states), t, states, states.shape[3])
+        return self._found(index_1(*self._of, True, t, states), t, states, states.shape[3])
 
     def _found(self, found: Array | int, t: Array, states: Array, size: int) -> Array:
         """Return what a kernel found: no numbers where a value is not finite."""

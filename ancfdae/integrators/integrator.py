@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, Self, TypeAlias, final
 
 import numpy as np
 
@@ -109,6 +109,10 @@ class QuadratureIntegrator(Integrator):
         return self
 
 
+#: Covectors of an objective on q, v and lam, rows of states; None for zeros.
+OnStates: TypeAlias = tuple[Array | None, Array | None, Array | None]
+
+
 @final
 @dataclass(frozen=True)
 class Seeds:
@@ -122,7 +126,7 @@ class Seeds:
     lam: Array | None
     densities: tuple[tuple[float, Density], ...] = ()
 
-    def rows(self, part: slice) -> tuple[Array | None, Array | None, Array | None]:
+    def rows(self, part: slice) -> OnStates:
         """Return the seeds on q, v and lam of the states `part`."""
         q, v, lam = (
             None if x is None else np.ascontiguousarray(x[part], dtype=float)

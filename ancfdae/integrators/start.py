@@ -118,7 +118,7 @@ def start_sensitivity(
     t, q, _, _, lam = state
     q_start, _ = system.start()
     q_sb, v_sb = system.start_b()
-    sigma_q, moving, completion = _projections(system, matrices, state)
+    sigma_q, moving, factors, completion = _projections(system, matrices, state)
 
     # 1. (M (q - q_start) + Phi_q^T sigma_q)_total = 0, M at q_start; sigma_q held on the right.
     none, still = np.zeros_like(lam), np.zeros_like(q)
@@ -127,7 +127,7 @@ def start_sensitivity(
     right = right - held_total(system, t, q, still, sigma_q, np.zeros_like(q_sb))
     q_b, _ = solve(moving, right, -system.constraint_total(t, (q,)))
     # 2. and 3.
-    derivatives = InitialSensitivity(q_b, *completion.total(0, q_b, v_sb))
+    derivatives = InitialSensitivity(q_b, *completion.total(factors, q_b, v_sb))
     if type(system).start_pull_back is MechanicalSystem.start_pull_back:
         _refuse_inconsistent_derivatives(system, state, q_sb, v_sb, derivatives)
     return derivatives
@@ -171,8 +171,8 @@ def _refuse_inconsistent_derivatives(
 
 def _projections(
     system: MechanicalSystem, matrices: SaddlePoint, state: InitialState
-) -> tuple[Array, Factorization, Completion]:
-    """Return sigma_q with the matrix of 1, and 2 and 3."""
+) -> tuple[Array, Factorization, Factorization, Completion]:
+    """Return sigma_q with the matrix of 1, and 2 and 3 with theirs."""
     q_start, v_start = system.start()
     sigma_q = _project_position(system, matrices, q_start, state.t)[1]
     moving = _factor_position(system, matrices, q_start, state.q, sigma_q, state.t)
@@ -182,7 +182,7 @@ def _projections(
     t, *states = (np.asarray(x)[None] for x in state)
     q, v, a, lam = states
     moved = dv[None], sigma_v[None]
-    return sigma_q, moving, Completion.of(system, [factors], t, (q, v, a, lam), moved)
+    return sigma_q, moving, factors, Completion.of(system, t, (q, v, a, lam), moved)
 
 
 class Covectors(NamedTuple):
@@ -258,9 +258,9 @@ def pull_back_start(
         start_sensitivity(system, matrices, state)
     t, q, _, _, lam = state
     q_start, _ = system.start()
-    sigma_q, moving, completion = _projections(system, matrices, state)
+    sigma_q, moving, factors, completion = _projections(system, matrices, state)
     K, none = system.pattern.dot_transposed, np.zeros_like(lam)
-    on_q, on_v_start, *covectors = completion.back(0, on.q, on.v, on.a, on.lam)
+    on_q, on_v_start, *covectors = completion.back(factors, on.q, on.v, on.a, on.lam)
     on_b = on.b + completion.pull_back(*(x[None] for x in covectors))
 
     m, z = solve_transposed(moving, on_q, none)

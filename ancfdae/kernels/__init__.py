@@ -15,137 +15,53 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 import numpy.typing as npt
 
+# isort: off
 try:
     from ancfdae.kernels._kernels import (
         ComplexModel as ComplexModel,
-    )
-    from ancfdae.kernels._kernels import (
         ConstraintPlan as ConstraintPlan,
-    )
-    from ancfdae.kernels._kernels import (
         LoadPlan as LoadPlan,
-    )
-    from ancfdae.kernels._kernels import (
         Model as Model,
-    )
-    from ancfdae.kernels._kernels import (
         OperationList as OperationList,
-    )
-    from ancfdae.kernels._kernels import (
-        add_scaled as add_scaled,
-    )
-    from ancfdae.kernels._kernels import (
         band_factor as band_factor,
-    )
-    from ancfdae.kernels._kernels import (
         band_solve as band_solve,
-    )
-    from ancfdae.kernels._kernels import (
         constraint_curvature as constraint_curvature,
-    )
-    from ancfdae.kernels._kernels import (
         constraint_gradient as constraint_gradient,
-    )
-    from ancfdae.kernels._kernels import (
         constraint_totals as constraint_totals,
-    )
-    from ancfdae.kernels._kernels import (
         constraints as constraints,
-    )
-    from ancfdae.kernels._kernels import (
         csr_rows as csr_rows,
-    )
-    from ancfdae.kernels._kernels import (
-        csr_rows_transposed as csr_rows_transposed,
-    )
-    from ancfdae.kernels._kernels import (
         eliminate as eliminate,
-    )
-    from ancfdae.kernels._kernels import (
         explicit_march as explicit_march,
-    )
-    from ancfdae.kernels._kernels import (
         explicit_stages as explicit_stages,
-    )
-    from ancfdae.kernels._kernels import (
         finite as finite,
-    )
-    from ancfdae.kernels._kernels import (
         force_partials as force_partials,
-    )
-    from ancfdae.kernels._kernels import (
         force_totals as force_totals,
-    )
-    from ancfdae.kernels._kernels import (
         forces as forces,
-    )
-    from ancfdae.kernels._kernels import (
         forces_along as forces_along,
-    )
-    from ancfdae.kernels._kernels import (
         fronts_factor as fronts_factor,
-    )
-    from ancfdae.kernels._kernels import (
         fronts_signs as fronts_signs,
-    )
-    from ancfdae.kernels._kernels import (
         fronts_solve as fronts_solve,
-    )
-    from ancfdae.kernels._kernels import (
-        gram as gram,
-    )
-    from ancfdae.kernels._kernels import (
-        index_1_projected as index_1_projected,
-    )
-    from ancfdae.kernels._kernels import (
-        index_1_rows as index_1_rows,
-    )
-    from ancfdae.kernels._kernels import (
+        index_1 as index_1,
         keeps_sides as keeps_sides,
-    )
-    from ancfdae.kernels._kernels import (
         ldl_factor as ldl_factor,
-    )
-    from ancfdae.kernels._kernels import (
         ldl_solve as ldl_solve,
-    )
-    from ancfdae.kernels._kernels import (
         lifted as lifted,
-    )
-    from ancfdae.kernels._kernels import (
         list_values as list_values,
-    )
-    from ancfdae.kernels._kernels import (
         load_forces as load_forces,
-    )
-    from ancfdae.kernels._kernels import (
         load_forces_along as load_forces_along,
-    )
-    from ancfdae.kernels._kernels import (
         load_tangents as load_tangents,
-    )
-    from ancfdae.kernels._kernels import (
         narrow_order as narrow_order,
-    )
-    from ancfdae.kernels._kernels import (
         norm as norm,
-    )
-    from ancfdae.kernels._kernels import (
         relative as relative,
-    )
-    from ancfdae.kernels._kernels import (
         strain as strain,
-    )
-    from ancfdae.kernels._kernels import (
         stressed as stressed,
-    )
-    from ancfdae.kernels._kernels import (
         tangents as tangents,
     )
 except ImportError as error:  # a checkout that was updated since it was installed
     raise ImportError(
         "the kernels of ancfdae are not compiled; run `python -m pip install -e .` in the checkout"
     ) from error
+# isort: on
 
 Array = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 

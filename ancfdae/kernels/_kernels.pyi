@@ -81,11 +81,11 @@ def tangents(
     `index`, (n, (n_a d)^2), holds the place among `size` values of each entry of an element.
     """
 
-def gram(Y: Array, U: Array, /) -> Array:
-    """Return Y U^T + U Y^T, packed: the derivative of Y Y^T at Y in direction U."""
+def strain(g_o: Array | None, Y: Array, V: Array | None, tau: Array | None, /) -> Array:
+    """Return g(Y) - g_o + tau g', what stresses are proportional to.
 
-def strain(g_o: Array, Y: Array, V: Array | None, tau: Array | None, /) -> Array:
-    """Return g(Y) - g_o + tau g', what stresses are proportional to."""
+    Without g_o return Y V^T + V Y^T, packed: the derivative of Y Y^T at Y in direction V.
+    """
 
 def stressed(p: Array, Y: Array, /) -> Array:
     """Return W(p) Y, the gradient of p . g(Y)."""
@@ -189,20 +189,21 @@ class OperationList:
 def list_values(operations: OperationList, inputs: Array, /) -> Array:
     """Return the outputs of a list, (..., n_outputs), at inputs, (..., n_inputs)."""
 
-def index_1_rows(
-    lists: tuple[OperationList, ...], b: Array, scale: Array, t: Array, states: Array, /
+def index_1(
+    lists: tuple[OperationList, ...],
+    b: Array,
+    scale: Array,
+    projected: bool,
+    t: Array,
+    states: Array,
+    /,
 ) -> Array | int:
     """Return (a, lam) above its design derivatives, (k, rows, n + m), or what prevents it.
 
-    `index_1.h` says what the lists are. States are (k, 2, rows, n), rows 1 or 1 + n_b; `scale`,
-    (n + m,), makes the matrix free of units. A number is 1 where a value is not finite, and 2 where
-    the matrix is singular.
+    With `projected` return the states moved onto the constraints. `index_1.h` says what the lists
+    are. States are (k, 2, rows, n), rows 1 or 1 + n_b; `scale`, (n + m,), makes the matrix free of
+    units. A number is 1 where a value is not finite, and 2 where the matrix is singular.
     """
-
-def index_1_projected(
-    lists: tuple[OperationList, ...], b: Array, scale: Array, t: Array, states: Array, /
-) -> Array | int:
-    """Return states moved onto the constraints, or what prevents it."""
 
 def explicit_march(
     equations: tuple[object, ...],
@@ -257,13 +258,10 @@ def load_forces_along(
 def load_tangents(plan: LoadPlan, factors: Array, q: Array, v: Array, velocity: bool, /) -> Array:
     """Return values of Q_q, or with `velocity` of Q_v, (k, n_values)."""
 
-def csr_rows(first: Array, columns: Array, values: Array, x: Array, /) -> Array:
-    """Return M x for rows of x; M in compressed sparse rows."""
-
-def csr_rows_transposed(
-    first: Array, columns: Array, values: Array, x: Array, size: int, /
+def csr_rows(
+    first: Array, columns: Array, values: Array, x: Array, transposed: int | None, /
 ) -> Array:
-    """Return M^T x for rows of x; M has `size` columns."""
+    """Return M x for rows of x, or M^T x with `transposed` columns of M, in sparse rows."""
 
 def narrow_order(first_K: Array, columns_K: Array, first_B: Array, columns_B: Array, /) -> Array:
     """Return an order of coordinates and multipliers in which [K, B^T; B, 0] has a narrow band.
@@ -378,9 +376,6 @@ def fronts_solve(
     The residual is relative to the largest entries of the scaled right side and solution.
     """
 
-def add_scaled(x: Array, s: Any, y: Array, /) -> Array:
-    """Return x + s y for arrays of one shape, or whatever NumPy makes of it."""
-
 def finite(x: Array, /) -> bool:
     """Tell whether every entry is finite."""
 
@@ -397,6 +392,22 @@ Steps: TypeAlias = tuple[
     Array,
     tuple[Array, Array, Array | None, Array] | None,
     tuple[Array, Array, Array] | None,
+]
+
+#: Steps of Radau IIA for derivatives: sizes, (k,); M, Phi_q, f_q and f_v at stages, 3 k rows,
+#: with one row of M where it is constant; f_q and f_v of completed stages; f_0,q; Phi'_q and
+#: Phi''_q, None where these vanish; and places, A^-1 and A^-2 of the method, (21,).
+ComputedStages: TypeAlias = tuple[
+    Array,
+    Array,
+    Array,
+    Array,
+    Array | None,
+    Array,
+    Array | None,
+    Array | None,
+    tuple[Array, Array] | None,
+    Array,
 ]
 
 class Drivers:
@@ -505,6 +516,62 @@ class Model(Drivers):
         Returns how many are left, and why it ends as `march`. Seeds are rows on q, v and lam, `on`,
         (6, n_q), is overwritten; written are rows of mu and zeta, and of covectors on the defects
         of q, v and A, (k, 3, n_q), if asked for.
+        """
+
+    def find_stages(
+        self,
+        of_joints: Array,
+        of_loads: Array,
+        q: Array,
+        V: Array,
+        A: Array,
+        found: Array,
+        first: int,
+        /,
+    ) -> tuple[int, int]:
+        """Find a and lam, and v - V and sigma, of stages from a first one on.
+
+        Returns the number of the next stage, and why it ends as `march`. Rows of q, V and rough
+        accelerations A belong to stages, as do the factors of loads, (k, n_loads), and those of
+        joints with one derivative, (2, k, n_parts), or any where nothing is driven. Written are
+        rows of `found`, (k, 2, n).
+        """
+
+    def differentiate_stages(
+        self,
+        coupled: CoupledArrays,
+        steps: ComputedStages,
+        known: tuple[Array, Array, Array],
+        states: Array,
+        lam_b: Array,
+        x_b: Array,
+        first: int,
+        /,
+    ) -> tuple[int, int]:
+        """Take steps of Radau IIA of direct differentiation from a first one on.
+
+        Returns the number of the next step, and why it ends as `march`. Known are f_b with Phi_b of
+        stages, and the negated right sides of v_b and of a_b without what the states give, (3 k,
+        n_b, n) each, and overwritten. Written are states, (3 k + 1, 3, n_b, n_q), and lam_b,
+        (3 k + 1, n_b, n_lam), but their rows before the first step, and x_b, (3 k, n_b, n_q).
+        """
+
+    def pull_back_stages(
+        self,
+        coupled: CoupledArrays,
+        steps: ComputedStages,
+        seeds: tuple[Array | None, Array | None, Array | None],
+        on: Array,
+        covectors: tuple[Array, ...],
+        count: int,
+        /,
+    ) -> tuple[int, int]:
+        """Take the first `count` steps of Radau IIA of the transposed recurrence, the last first.
+
+        Returns how many are left, and why it ends as `march`. Seeds are rows on q, v and lam of
+        stages; `on`, (2, n_q), is overwritten. Written are three covectors, (3 k, n) each: mu with
+        zeta, and those on the right sides of v_b and of a_b; the last one only where there are
+        seeds on lam.
         """
 
 class ComplexModel(Drivers):

@@ -61,6 +61,13 @@ class Unlocked
     }
 };
 
+/* What f returns; meanwhile other threads may run Python. */
+template <class F> auto unlocked(F f)
+{
+    Unlocked others;
+    return f();
+}
+
 template <class T> std::unique_ptr<T[]> room_for(Size size)
 {
     return std::unique_ptr<T[]>(new T[(size_t)size]);

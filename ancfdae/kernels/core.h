@@ -86,5 +86,6 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "passes.h"
 #include "rest.h"
 #include "stages.h"
+#include "stage_passes.h"
 
 } // namespace

@@ -144,12 +144,11 @@ Array<T> py_force_partials(BlockArguments<T> of, Array<T, 1> q, Maybe<T, 1> v, M
 
 /* Strains where there is a g_o, else products, of node vectors Y, (..., n, n_y, d). */
 template <class T>
-Array<T> packed_of(const Maybe<T, 1> &g_o, const Array<T, 2> &Y, const Maybe<T, 2> &U,
-                   const Maybe<T, 1> &tau)
+Array<T> py_strain(Maybe<T, 1> g_o, Array<T, 2> Y, Maybe<T, 2> U, Maybe<T, 1> tau)
 {
     Size n_y = Y.length(-2), d = Y.length(-1), n_g = n_y * (n_y + 1) / 2;
     Size n = Y.axes > 2 ? Y.length(-3) : 1, laws = g_o ? g_o->rows(1) : 1;
-    must(!U || U->alike(Y), "node vectors must have one shape");
+    must((g_o || (U && !tau)) && (!U || U->alike(Y)), "node vectors must have one shape");
     must(n_y >= 1 && n_y <= MOST_Y && d >= 1 && d <= 3,
          "an element has at most 8 relative node vectors of 3 numbers");
     must((!g_o || (g_o->ends({n_g}) && (laws == 1 || laws == n))) && (!tau || tau->size == n),
@@ -159,17 +158,6 @@ Array<T> packed_of(const Maybe<T, 1> &g_o, const Array<T, 2> &Y, const Maybe<T, 
     auto out = zeros_like<T>(Y, 2, {n_g});
     packed<T>((int)n_y, (int)d, &b, laws == 1, Y.data, data_of(U), out.data);
     return out;
-}
-
-template <class T> Array<T> py_gram(Array<T, 2> Y, Array<T, 2> U)
-{
-    return packed_of<T>({}, Y, std::move(U), {});
-}
-
-template <class T>
-Array<T> py_strain(Array<T, 1> g_o, Array<T, 2> Y, Maybe<T, 2> U, Maybe<T, 1> tau)
-{
-    return packed_of<T>(std::move(g_o), Y, U, tau);
 }
 
 template <class T> Array<T> py_stressed(Array<T, 1> p, Array<T, 2> Y)

@@ -130,7 +130,6 @@ PyMethodDef methods[] = {
     OF_SCALARS(force_totals),
     OF_SCALARS(force_partials),
     OF_SCALARS(tangents),
-    OF_SCALARS(gram),
     OF_SCALARS(strain),
     OF_SCALARS(stressed),
     OF_SCALARS(constraints),
@@ -141,15 +140,12 @@ PyMethodDef methods[] = {
     OF_SCALARS(load_forces_along),
     OF_SCALARS(load_tangents),
     OF_SCALARS(list_values),
-    method<Bound<&py_index_1<false>>>("index_1_rows"),
-    method<Bound<&py_index_1<true>>>("index_1_projected"),
+    PLAIN(index_1),
     PLAIN(explicit_march),
     PLAIN(explicit_stages),
-    PLAIN(add_scaled),
     PLAIN(norm),
     PLAIN(finite),
     OF_SCALARS(csr_rows),
-    OF_SCALARS(csr_rows_transposed),
     PLAIN(narrow_order),
     OF_SCALARS(band_factor),
     SOLVER(band_solve),
@@ -177,9 +173,10 @@ PyMODINIT_FUNC PyInit__kernels(void)
           type_added<OperationList>(module, {}) &&
           type_added<Model, &py_march<double, Model>, &py_rest<double, Model>,
                      &py_solve_stages<double, Model>, &py_differentiate_steps,
-                     &py_pull_back_steps>(
-              module,
-              {"march", "rest", "solve_stages", "differentiate_steps", "pull_back_steps"}) &&
+                     &py_pull_back_steps, &py_find_stages, &py_differentiate_stages,
+                     &py_pull_back_stages>(
+              module, {"march", "rest", "solve_stages", "differentiate_steps", "pull_back_steps",
+                       "find_stages", "differentiate_stages", "pull_back_stages"}) &&
           type_added<ComplexModel, &py_march<Complex, ComplexModel>,
                      &py_rest<Complex, ComplexModel>, &py_solve_stages<Complex, ComplexModel>>(
               module, {"march", "rest", "solve_stages"})))

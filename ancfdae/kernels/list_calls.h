@@ -93,10 +93,8 @@ struct OperationList {
 
     template <class T> const T *constants() const
     {
-        if constexpr (std::is_same<T, double>::value)
-            return std::get<1>(of).in_real->data;
-        else
-            return std::get<1>(of).in_complex.data;
+        const Numbers &x = std::get<1>(of);
+        return held_in<T>(*x.in_real, x.in_complex).data;
     }
 };
 
@@ -144,9 +142,8 @@ struct Index1Model : Index1System {
 };
 
 /* Rows of (a, lam), or with `projected` states moved onto the constraints; else what prevents it. */
-template <bool projected>
 Ref py_index_1(std::vector<Kept<OperationList>> lists, Array<double, 1> b, Array<double, 1> scale,
-               Array<double, 1> t, Array<double, 4> states)
+               bool projected, Array<double, 1> t, Array<double, 4> states)
 {
     Index1Model s(lists, b, scale, states.shape + states.axes - 3);
     must(states.axes == 4, "states must have four axes");

@@ -351,8 +351,9 @@ int banded_sum(const Plan<double> *p, Room<double> *r, const StepCoefficients *c
 void placed_sum(const Plan<double> *p, const StepCoefficients *c, const double *f_q,
                 const double *B, double *to)
 {
-    ldl_placed<double>(p->n_chosen, p->chosen, p->places, c->in_A, p->K.values, to);
-    ldl_placed<double>(p->n_chosen, p->chosen, p->places, c->in_q, f_q, to);
+    const int32_t *__restrict chosen = p->chosen, *__restrict places = p->places;
+    for (Size i = 0; i < p->n_chosen; i++)
+        to[places[i]] = c->in_A * p->K.values[chosen[i]] + c->in_q * f_q[chosen[i]];
     ldl_placed<double>(p->constraints->n_values, nullptr, p->places + p->n_chosen, 1, B, to);
 }
 

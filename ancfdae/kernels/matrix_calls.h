@@ -34,28 +34,6 @@ double py_norm(Rest<Ref> pairs)
     return total;
 }
 
-/* x + s y; NumPy's own operators where these are not real arrays alike. */
-Ref py_add_scaled(Ref x, Ref s, Ref y)
-{
-    auto plain = [](const Ref &of) {
-        auto *own = (PyArrayObject *)of.get();
-        return PyArray_Check(of.get()) && PyArray_TYPE(own) == NPY_DOUBLE &&
-               PyArray_ISCARRAY_RO(own);
-    };
-    if (!PyFloat_Check(s.get()) || !plain(x) || !plain(y) ||
-        !PyArray_SAMESHAPE((PyArrayObject *)x.get(), (PyArrayObject *)y.get())) {
-        Ref product = made(PyNumber_Multiply(s.get(), y.get()));
-        return made(PyNumber_Add(x.get(), product.get()));
-    }
-    Array<double> from(x.get()), added(y.get());
-    auto out = Array<double>(
-        made(PyArray_SimpleNew(from.axes, const_cast<npy_intp *>(from.shape), NPY_DOUBLE)));
-    double factor = PyFloat_AsDouble(s.get());
-    for (Size i = 0; i < out.size; i++)
-        out.data[i] = from.data[i] + factor * added.data[i];
-    return Ref(out.release());
-}
-
 bool py_finite(Parts x)
 {
     Size size = x.size * x.stride, i = 0;
@@ -83,38 +61,21 @@ void check_csr(const Indices &first, const Indices &columns, Size values, Size n
          "these are not the compressed sparse rows of a matrix of this size");
 }
 
-/* Add s M x, or s M^T x, to rows of `width` numbers. */
+/* M x for rows of x, or M^T x; `transposed` is the number of columns of M. */
 template <class T>
-void csr_added(const Indices &first, const Indices &columns, const Array<T, 1> &values,
-               const Array<T, 1> &x, bool transposed, double s, Size width, T *out)
+Array<T> py_csr_rows(Indices first, Indices columns, Array<T, 1> values, Array<T, 1> x,
+                     std::optional<Size> transposed)
 {
-    Size n = first.size - 1, k = x.rows(1);
-    if (transposed) {
-        csr_rows_transposed<T>(n, first.data, columns.data, values.data, k, x.data, s, width, out);
-        return;
-    }
-    auto work = room_for<T>(k > 1 ? 8 * x.length(-1) : 0);
-    csr_rows<T>(n, first.data, columns.data, values.data, k, x.length(-1), x.data, work.get(), s,
-                width, out);
-}
-
-template <class T>
-Array<T> py_csr_rows(Indices first, Indices columns, Array<T, 1> values, Array<T, 1> x)
-{
-    check_csr(first, columns, values.size, x.length(-1));
-    auto out = zeros_like<T>(x, 1, {first.size - 1});
-    csr_added<T>(first, columns, values, x, false, 1, first.size - 1, out.data);
-    return out;
-}
-
-template <class T>
-Array<T> py_csr_rows_transposed(Indices first, Indices columns, Array<T, 1> values, Array<T, 1> x,
-                                Size size)
-{
-    must(x.ends({first.size - 1}), "x must have one number for each row of the matrix");
-    check_csr(first, columns, values.size, size);
-    auto out = zeros_like<T>(x, 1, {size});
-    csr_added<T>(first, columns, values, x, true, 1, size, out.data);
+    Size n = first.size - 1, k = x.rows(1), width = transposed ? *transposed : x.length(-1);
+    must(!transposed || x.ends({n}), "x must have one number for each row of the matrix");
+    check_csr(first, columns, values.size, width);
+    auto out = zeros_like<T>(x, 1, {transposed ? width : n});
+    if (transposed)
+        csr_rows_transposed<T>(n, first.data, columns.data, values.data, k, x.data, 1, width,
+                               out.data);
+    else
+        csr_rows<T>(n, first.data, columns.data, values.data, k, width, x.data,
+                    room_for<T>(k > 1 ? 8 * width : 0).get(), 1, n, out.data);
     return out;
 }
 
@@ -434,10 +395,7 @@ std::tuple<Factored, Size> fronts_of(const Terms<double> &terms, const Array<dou
         a.data,  scale.data, room.get(), room.get() + a.size, room.get() + a.size + x.stack,
         at.get()};
     Size info;
-    {
-        Unlocked others;
-        info = fronts_factored(&x, &own, factors.data, excess);
-    }
+    info = unlocked([&] { return fronts_factored(&x, &own, factors.data, excess); });
     return {Factored{std::move(a), std::move(scale), std::move(factors)}, info};
 }
 
@@ -478,11 +436,10 @@ py_fronts_solve(std::tuple<Array<double, 1>, Array<double, 1>, Array<double, 1>>
     auto work = room_for<double>(12 * x.n + 4 * x.most);
     auto out = zeros_like<R>(right, 0, {});
     double worst;
-    {
-        Unlocked others;
-        worst =
-            fronts_solve(fmax(enough, TO_ROUND_OFF), &x, a.data, factors.data, order.data, scale.data, right.rows(1) * parts,
-                         parts, (const double *)right.data, work.get(), (double *)out.data);
-    }
+    worst = unlocked([&] {
+        return fronts_solve(fmax(enough, TO_ROUND_OFF), &x, a.data, factors.data, order.data,
+                            scale.data, right.rows(1) * parts, parts, (const double *)right.data,
+                            work.get(), (double *)out.data);
+    });
     return {std::move(out), worst};
 }

@@ -464,11 +464,7 @@ std::tuple<Size, int, double, Array<T>, Counts, double, double> py_march(
     Ending ending = {motion, INFINITY, 0};
     int ends = ALL_TAKEN;
     memset(r->counts, 0, sizeof r->counts);
-    {
-        Unlocked others;
-        steps = marched<T>(p, r, &b, k, h.data, instants, of_joints.data, of_loads.data,
-                           seconds_now() + seconds, &how, to, last.data, &ends, &ending);
-    }
+    steps = unlocked([&] { return marched<T>(p, r, &b, k, h.data, instants, of_joints.data, of_loads.data, seconds_now() + seconds, &how, to, last.data, &ends, &ending); });
     return {steps,
             ends,
             b.motion,
@@ -534,11 +530,7 @@ std::tuple<Size, int> py_differentiate_steps(Kept<Model> model, StepArguments st
          UNFIT);
     auto work = room_for<double>(n_b * n);
     int ends = ALL_TAKEN;
-    {
-        Unlocked others;
-        taken = differentiated(p, &model->room, &s, first, n_b, right.data, z.data, states.data,
-                               lam_b.data, work.get(), &ends);
-    }
+    taken = unlocked([&] { return differentiated(p, &model->room, &s, first, n_b, right.data, z.data, states.data, lam_b.data, work.get(), &ends); });
     return {taken, ends};
 }
 
@@ -560,11 +552,7 @@ std::tuple<Size, int> py_pull_back_steps(Kept<Model> model, StepArguments steps,
     const double *const given[] = {data_of(on_q), data_of(on_v), data_of(on_lam)};
     int ends = ALL_TAKEN;
     Size left;
-    {
-        Unlocked others;
-        left = pulled_back(p, &model->room, &s, count, given, on.data, mu.data, zeta.data,
-                           data_of(on_defects), &ends);
-    }
+    left = unlocked([&] { return pulled_back(p, &model->room, &s, count, given, on.data, mu.data, zeta.data, data_of(on_defects), &ends); });
     return {left, ends};
 }
 
@@ -595,47 +583,63 @@ py_rest(Kept<M> model, std::tuple<InPlace<T>, InPlace<T>, InPlace<T>, InPlace<T>
     RestState<T> to = {q.data, lam.data, q_s.data, lam_s.data, INFINITY, 0, 0};
     memcpy(&own.rules, rules.data, sizeof own.rules);
     int why;
-    {
-        Unlocked others;
-        why = rested<T>(p, &model->room, &own, &to);
-    }
+    why = unlocked([&] { return rested<T>(p, &model->room, &own, &to); });
     return {why, to.iterations, to.size, to.definite};
 }
 
 /* ---- stages --------------------------------------------------------------------------------- */
 
-/* (order, scale, places, (half, flat, factors) or None, a function that factorises or None) of the
- * coupled matrix; (q, v, a, lam) before. Returns how it ends, size of the last correction, and
- * counts. */
+/* (order, scale, places, (half, flat, factors) or None, a function that factorises or None). */
+using CoupledArguments =
+    std::tuple<Longs, Array<double>, Longs,
+               std::optional<std::tuple<Size, Longs, Array<double>>>, Ref>;
+
+/* The coupled matrix of stages of a plan, with its room. */
+struct Coupled {
+    std::optional<CalledSolver> solver;
+    std::unique_ptr<double[]> reals;
+    std::unique_ptr<int[]> pivots;
+    StageMatrix matrix = {};
+
+    template <class T> Coupled(CoupledArguments &x, const Plan<T> &p)
+    {
+        auto &[order, scale, places, band, function] = x;
+        StageMatrix *m = &matrix;
+        Size n = STAGES * (p.n_q + p.n_lam), width = 0;
+        Size n_B = STAGES * p.constraints->n_values, size_K = STAGES * STAGES * p.nnz;
+        must(n <= INT_MAX && scale.has({n}) && order.size == n && within(order, 0, n - 1) &&
+                 places.size == size_K && within(places, 0, size_K - 1) &&
+                 (band || function.get() != Py_None),
+             "the matrix of stages is not that of the plan");
+        if (band) {
+            auto &[half, flat, factors] = *band;
+            must(half <= MOST_HALF && factors.has({size_K + 2 * n_B}) &&
+                     flat.size == factors.size && within(flat, 0, n * (3 * half + 1) - 1),
+                 "the matrix of stages is not that of the plan");
+            m->half = half, m->flat = flat.data, m->factors = factors.data, width = 3 * half + 1;
+        } else
+            m->solver = &solver.emplace(std::move(function), n, size_K, n_B);
+        reals = room_for<double>(3 * n + n_B + size_K + n * width);
+        pivots = room_for<int>(n);
+        m->scale = scale.data, m->order = order.data, m->places = places.data;
+        m->gbtrf = gbtrf_of<double>(), m->gbtrs = gbtrs_of<double>(), m->size_K = size_K;
+        m->work = reals.get(), m->B = m->work + 3 * n, m->K = m->B + n_B;
+        m->band = m->K + size_K, m->pivots = pivots.get();
+    }
+};
+
+/* From (q, v, a, lam) before a step: how it ends, size of the last correction, and counts. */
 template <class T, class M>
 std::tuple<int, double, Counts> py_solve_stages(
-    Kept<M> model,
-    std::tuple<Longs, Array<double>, Longs,
-               std::optional<std::tuple<Size, Longs, Array<double>>>, Ref>
-        coupled,
+    Kept<M> model, CoupledArguments coupled,
     std::tuple<Array<T>, Array<T>, Array<T>, Array<T>> state, InPlace<T> x, InPlace<T> lam,
     Array<T> of_joints, Array<T> of_loads, InPlace<double> tableau, InPlace<double> rules)
 {
     const Plan<T> *p = &model->plan;
-    Size n_q = p->n_q, n_lam = p->n_lam, n = STAGES * (n_q + n_lam), width = 0;
-    auto &[order, scale, places, band, function] = coupled;
+    Size n_q = p->n_q, n_lam = p->n_lam, n = STAGES * (n_q + n_lam);
     auto &[q, v, a, lam_before] = state;
-    Size n_B = STAGES * p->constraints->n_values, size_K = STAGES * STAGES * p->nnz;
-    std::optional<CalledSolver> solver;
+    Coupled matrix(coupled, *p);
     StageStep<T> s = {};
-    StageMatrix *m = &s.matrix;
-    must(n <= INT_MAX && scale.has({n}) && order.size == n && within(order, 0, n - 1) &&
-             places.size == size_K && within(places, 0, size_K - 1) &&
-             (band || function.get() != Py_None),
-         "the matrix of stages is not that of the plan");
-    if (band) {
-        auto &[half, flat, factors] = *band;
-        must(half <= MOST_HALF && factors.has({size_K + 2 * n_B}) && flat.size == factors.size &&
-                 within(flat, 0, n * (3 * half + 1) - 1),
-             "the matrix of stages is not that of the plan");
-        m->half = half, m->flat = flat.data, m->factors = factors.data, width = 3 * half + 1;
-    } else
-        m->solver = &solver.emplace(std::move(function), n, size_K, n_B);
     must(q.has({n_q}) && v.has({n_q}) && a.has({n_q}) && lam_before.has({n_lam}) &&
              x.has({STAGES, n_q}) && lam.has({STAGES, n_lam}) &&
              (p->still ? of_joints.axes == 2
@@ -644,22 +648,119 @@ std::tuple<int, double, Counts> py_solve_stages(
              tableau.has({sizeof(StageTableau) / sizeof(double)}) &&
              rules.has({sizeof(StageRules) / sizeof(double)}),
          UNFIT);
-    auto room = room_for<T>(2 * n + n_B);
-    auto reals = room_for<double>(3 * n + n_B + size_K + n * width);
-    auto pivots = room_for<int>(n);
-    s.plan = p, s.room = &model->room;
+    auto room = room_for<T>(2 * n + STAGES * p->constraints->n_values);
+    s.plan = p, s.room = &model->room, s.matrix = &matrix.matrix;
     s.tableau = (const StageTableau *)tableau.data, s.rules = (const StageRules *)rules.data;
     s.q = q.data, s.v = v.data, s.a = a.data, s.lam_before = lam_before.data;
     s.of_joints = of_joints.data, s.of_loads = of_loads.data, s.x = x.data, s.lam = lam.data;
     s.R = room.get(), s.change = s.R + n, s.B = s.change + n;
-    m->scale = scale.data, m->order = order.data, m->places = places.data;
-    m->gbtrf = gbtrf_of<double>(), m->gbtrs = gbtrs_of<double>(), m->size_K = size_K;
-    m->work = reals.get(), m->B = m->work + 3 * n, m->K = m->B + n_B, m->band = m->K + size_K;
-    m->pivots = pivots.get();
     int ends;
-    {
-        Unlocked others;
-        ends = stages_iterated<T>(&s);
-    }
+    ends = unlocked([&] { return stages_iterated<T>(&s); });
     return {ends, s.size, Counts{s.iterations, s.factorisations, s.stuck}};
+}
+
+/* ---- passes over stages --------------------------------------------------------------------- */
+
+/* How many of k stages are found, with those before `first`, and why it ends; (a, lam) and
+ * (v - V, sigma) go to rows of `found`. */
+std::tuple<Size, int> py_find_stages(Kept<Model> model, InPlace<double> of_joints,
+                                     InPlace<double> of_loads, InPlace<double> q,
+                                     InPlace<double> V, InPlace<double> A, InPlace<double> found,
+                                     Size first)
+{
+    const Plan<double> *p = &model->plan;
+    Size k = q.rows(1), n = p->n_q + p->n_lam;
+    must(q.has({k, p->n_q}) && V.alike(q) && A.alike(q) && found.has({k, 2, n}) && first <= k &&
+             of_joints.has({p->still ? -1 : 2, p->still ? -1 : k, p->constraints->n_parts}) &&
+             of_loads.has({k, p->n_factors}),
+         UNFIT);
+    int ends = ALL_TAKEN;
+    first = unlocked([&] { return stages_found(p, &model->room, k, first, of_joints.data, of_loads.data, q.data, V.data, A.data, found.data, &ends); });
+    return {first, ends};
+}
+
+/* (h, M, Phi_q, f_q, f_v or None, f_q and f_v of completed stages, f_0,q or None, (Phi'_q, Phi''_q)
+ * or None, tableau) of k steps. */
+using Values = Maybe<double>;
+using StagesArguments =
+    std::tuple<Array<double>, Array<double>, Array<double>, Array<double>, Values, Array<double>,
+               Values, Values, std::optional<std::tuple<Array<double>, Array<double>>>,
+               Array<double>>;
+
+/* A pass over such steps, with its room. */
+struct PassOverStages {
+    Coupled coupled;
+    ComputedStages stages = {};
+    std::unique_ptr<double[]> room;
+    StagePass pass = {};
+
+    PassOverStages(Model &model, CoupledArguments &matrix, const StagesArguments &x, Size n_b)
+        : coupled(matrix, model.plan)
+    {
+        const Plan<double> *p = &model.plan;
+        auto &[h, M, Phi_q, f_q, f_v, end_q, end_v, held_q, rates, tableau] = x;
+        Size k = h.size, rows = STAGES * k, n_B = p->constraints->n_values, nnz = p->nnz;
+        Size n = p->n_q + p->n_lam;
+        auto fits = [&](const Values &of) { return !of || of->has({rows, nnz}); };
+        must(h.has({k}) && M.ends({nnz}) && (M.rows(1) == 1 || M.rows(1) == rows) &&
+                 Phi_q.has({rows, n_B}) && f_q.has({rows, nnz}) && end_q.has({rows, nnz}) &&
+                 fits(f_v) && fits(end_v) && fits(held_q) &&
+                 f_v.has_value() == end_v.has_value() &&
+                 tableau.has({sizeof(StageTableau) / sizeof(double)}) &&
+                 (!rates || (std::get<0>(*rates).has({rows, n_B}) &&
+                             std::get<1>(*rates).has({rows, n_B}))),
+             UNFIT);
+        stages = {k,         M.rows(1),     h.data,         M.data,         Phi_q.data,
+                  f_q.data,  end_q.data,    data_of(f_v),   data_of(end_v), data_of(held_q),
+                  rates ? std::get<0>(*rates).data : nullptr,
+                  rates ? std::get<1>(*rates).data : nullptr};
+        Size most = std::max(n_b, (Size)1), each = STAGES * 2 * n;
+        room = room_for<double>(most * p->n_q + n + most * each + most * STAGES * n);
+        double *side = room.get() + most * p->n_q, *rows_of = side + n;
+        pass = {p, &model.room, (const StageTableau *)tableau.data, &stages, &coupled.matrix, n_b,
+                room.get(), side, rows_of, rows_of + most * each};
+    }
+};
+
+/* How many steps are differentiated, with those before `first`, and why it ends. */
+std::tuple<Size, int> py_differentiate_stages(
+    Kept<Model> model, CoupledArguments coupled, StagesArguments steps,
+    std::tuple<InPlace<double>, InPlace<double>, InPlace<double>> known, InPlace<double> states,
+    InPlace<double> lam_b, InPlace<double> x_b, Size first)
+{
+    const Plan<double> *p = &model->plan;
+    Size rows = STAGES * std::get<0>(steps).size, n = p->n_q + p->n_lam;
+    must(states.has({rows + 1, 3, -1, p->n_q}), UNFIT);
+    Size n_b = states.length(2);
+    auto &[right, moved, ended] = known;
+    must(right.has({rows, n_b, n}) && moved.alike(right) && ended.alike(right) &&
+             lam_b.has({rows + 1, n_b, p->n_lam}) && x_b.has({rows, n_b, p->n_q}) &&
+             STAGES * first <= rows,
+         UNFIT);
+    PassOverStages over(*model, coupled, steps, n_b);
+    double *const given[] = {right.data, moved.data, ended.data};
+    int ends = ALL_TAKEN;
+    first = unlocked([&] { return stages_differentiated(&over.pass, first, given, states.data, lam_b.data, x_b.data, &ends); });
+    return {first, ends};
+}
+
+/* How many of the first `count` steps are left, from the last one back, and why it ends. */
+std::tuple<Size, int> py_pull_back_stages(
+    Kept<Model> model, CoupledArguments coupled, StagesArguments steps,
+    std::tuple<Seed, Seed, Seed> seeds, InPlace<double> on,
+    std::tuple<InPlace<double>, InPlace<double>, InPlace<double>> covectors, Size count)
+{
+    const Plan<double> *p = &model->plan;
+    Size rows = STAGES * std::get<0>(steps).size, n = p->n_q + p->n_lam;
+    auto &[on_q, on_v, on_lam] = seeds;
+    auto &[mu, moved, ended] = covectors;
+    must((!on_q || on_q->has({rows, p->n_q})) && (!on_v || on_v->has({rows, p->n_q})) &&
+             (!on_lam || on_lam->has({rows, p->n_lam})) && on.has({2, p->n_q}) &&
+             mu.has({rows, n}) && moved.alike(mu) && ended.alike(mu) && STAGES * count <= rows,
+         UNFIT);
+    PassOverStages over(*model, coupled, steps, 1);
+    const double *const given[] = {data_of(on_q), data_of(on_v), data_of(on_lam)};
+    int ends = ALL_TAKEN;
+    count = unlocked([&] { return stages_pulled_back(&over.pass, count, given, on.data, mu.data, moved.data, ended.data, &ends); });
+    return {count, ends};
 }

@@ -1,5 +1,14 @@
 /* What Python calls of constraints and loads: plans, made once, and functions of them. */
 
+/* What is held for the scalar T. */
+template <class T, class R, class C> const auto &held_in(const R &in_real, const C &in_complex)
+{
+    if constexpr (std::is_same<T, double>::value)
+        return in_real;
+    else
+        return in_complex;
+}
+
 /* Indices and numbers in the order of `ConstraintTable` and `ConstraintNumbers`. */
 struct ConstraintPlan {
     static constexpr const char *NAME = "ancfdae.kernels._kernels.ConstraintPlan";
@@ -149,13 +158,7 @@ struct ConstraintPlan {
         return good && curved == x[12].size && within(x[12], 0, p->n_curved - 1);
     }
 
-    template <class T> const ConstraintNumbers<T> &in() const
-    {
-        if constexpr (std::is_same<T, double>::value)
-            return in_real;
-        else
-            return in_complex;
-    }
+    template <class T> const auto &in() const { return held_in<T>(in_real, in_complex); }
 };
 
 /* Rows of states with factors of time, (orders, k or 1, n_parts), and lam, if any. */
@@ -348,13 +351,7 @@ struct LoadPlan {
              "these are not the indices of a load");
     }
 
-    template <class T> const LoadNumbers<T> *in() const
-    {
-        if constexpr (std::is_same<T, double>::value)
-            return &in_real;
-        else
-            return &in_complex;
-    }
+    template <class T> const auto *in() const { return &held_in<T>(in_real, in_complex); }
 };
 
 /* Run f(factors, offset of q and v, work, row of out) at each time; `lanes` as in `load_work`. */

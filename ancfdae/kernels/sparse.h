@@ -1,23 +1,36 @@
 /* Products with matrices in compressed sparse rows, for one scalar type of both factors. */
 
 /* out += s M x for `wide` vectors, one beside the other in x; the first `own` count, and are rows of
- * `width` numbers of out. The compiler knows how many are wide. */
+ * `width` numbers of out. The compiler knows how many are wide. Two rows at a time do not wait for
+ * each other. */
 template <class T>
 INLINE void csr_beside(int wide, int own, Size n_rows, const int32_t *__restrict first,
                        const int32_t *__restrict columns, const T *__restrict values,
                        const T *__restrict x, double s, Size width, T *__restrict out)
 {
-    for (Size i = 0; i < n_rows; i++) {
-        T sum[8] = {0};
-        for (int32_t at = first[i]; at < first[i + 1]; at++) {
-            const T *__restrict from = x + (Size)columns[at] * wide;
-            T value = values[at];
-            UNROLL_NOT
-            for (int r = 0; r < wide; r++)
-                sum[r] += value * from[r];
+    auto added = [=](int32_t at, T *__restrict sum) ALWAYS {
+        const T *__restrict from = x + (Size)columns[at] * wide;
+        T value = values[at];
+        UNROLL_NOT
+        for (int r = 0; r < wide; r++)
+            sum[r] += value * from[r];
+    };
+    for (Size i = 0; i < n_rows; i += 2) {
+        T one[8] = {0}, two[8] = {0};
+        bool both = i + 1 < n_rows;
+        int32_t at = first[i], end = first[i + 1], next = end, last = both ? first[i + 2] : end;
+        for (; at < end && next < last; at++, next++) {
+            added(at, one);
+            added(next, two);
         }
+        for (; at < end; at++)
+            added(at, one);
+        for (; next < last; next++)
+            added(next, two);
         for (int r = 0; r < own; r++)
-            out[r * width + i] += s * sum[r];
+            out[r * width + i] += s * one[r];
+        for (int r = 0; both && r < own; r++)
+            out[r * width + i + 1] += s * two[r];
     }
 }
 

@@ -38,7 +38,7 @@ template <class T> struct StageStep {
     Room<T> *room;
     const StageTableau *tableau;
     const StageRules *rules;
-    StageMatrix matrix;
+    StageMatrix *matrix;
     const T *q, *v, *a, *lam_before, *of_joints, *of_loads;
     Size iterations, factorisations, stuck;
     T *x, *lam, *R, *change, *B;
@@ -137,38 +137,50 @@ template <class T> double stage_residuals(StageStep<T> *s)
     return motion_of_stages<T>(s, sums) + real_part(all) + imaginary_part(all);
 }
 
+/* Blocks (i, j) of the coupled matrix, for all j, from values of M, f_q and f_v, nullptr for none, of
+ * stage i. */
+void stage_blocks(StageMatrix *m, const StageTableau *tableau, double h, int i, Size nnz,
+                  const double *M, const double *f_q, const double *f_v)
+{
+    const int64_t *place = m->places + i * STAGES * nnz;
+    for (int j = 0; j < STAGES; j++) {
+        double of_M = tableau->squared[i][j], of_v = h * tableau->inverse[i][j];
+        double of_q = i == j ? h * h : 0;
+        for (Size e = 0; e < nnz; e++)
+            m->K[*place++] = of_M * M[e] + of_q * f_q[e] + (f_v ? of_v * f_v[e] : 0);
+    }
+}
+
+/* Factorise the coupled matrix of n unknowns as it stands: whether it is singular. */
+bool stage_matrix_singular(StageMatrix *m, Size n, Size n_B)
+{
+    const double one = 1;
+    if (m->solver)
+        return m->solver->fails(1, &one, &m->K, m->B);
+    memset(m->band, 0, (size_t)n * (3 * (size_t)m->half + 1) * sizeof(double));
+    return band_factor<double>(m->gbtrf, (int)n, (int)m->half, m->size_K, n_B, m->K, m->B,
+                               m->factors, m->flat, m->band, m->pivots, &m->of_B) != 0;
+}
+
 /* Factorise the exact matrix of all stages, at the real part of the state of each: whether it is
  * singular. */
 template <class T> bool stages_singular(StageStep<T> *s)
 {
     const Plan<T> *p = s->plan;
-    StageMatrix *m = &s->matrix;
-    const int64_t *place = m->places;
-    const double one = 1;
-    double h = s->rules->h;
+    StageMatrix *m = s->matrix;
     Size n_B = STAGES * p->constraints->n_values;
-    int n = STAGES * (int)(p->n_q + p->n_lam), half = (int)m->half;
     s->factorisations++;
     for (int i = 0; i < STAGES; i++) {
         stage_state<T>(s, i);
         stage_instant<T>(s, i);
         auto [real, r, of_loads] = real_state(p, s->room, s->of_loads + i * p->n_factors);
         linearised(real, r, of_loads);
-        for (int j = 0; j < STAGES; j++) {
-            double of_M = s->tableau->squared[i][j], of_v = h * s->tableau->inverse[i][j];
-            double of_q = i == j ? h * h : 0;
-            for (Size e = 0; e < p->nnz; e++)
-                m->K[*place++] = of_M * real->K.values[e] + of_q * r->f_q[e] +
-                                 (p->velocity ? of_v * r->f_v[e] : 0);
-        }
+        stage_blocks(m, s->tableau, s->rules->h, i, p->nnz, real->K.values, r->f_q,
+                     p->velocity ? r->f_v : nullptr);
     }
     for (Size e = 0; e < n_B; e++)
         m->B[e] = real_part(s->B[e]);
-    if (m->solver)
-        return m->solver->fails(1, &one, &m->K, m->B);
-    memset(m->band, 0, (size_t)n * (3 * (size_t)half + 1) * sizeof(double));
-    return band_factor<double>(m->gbtrf, n, half, m->size_K, n_B, m->K, m->B, m->factors, m->flat,
-                               m->band, m->pivots, &m->of_B) != 0;
+    return stage_matrix_singular(m, STAGES * (p->n_q + p->n_lam), n_B);
 }
 
 /* Scale of an unknown of the band, of which the first n_q are coordinates. */
@@ -178,16 +190,17 @@ double stage_scale(const StageMatrix *m, Size n_q, int64_t i)
 }
 
 /* Rows of solutions for rows of right sides, in place; the work has room for a row. */
-void stages_solved(StageMatrix *m, Size n_q, Size n, Size rows, double *x)
+void stages_solved(StageMatrix *m, bool transposed, Size n_q, Size n, Size rows, double *x)
 {
     for (Size i = 0; i < rows; i++, x += n) {
         if (m->solver) {
-            m->solver->solve(false, 1, x, x);
+            m->solver->solve(transposed, 1, x, x);
             continue;
         }
         for (Size e = 0; e < n; e++)
             m->work[e] = stage_scale(m, n_q, m->order[e]) * x[m->order[e]];
-        band_solve<double>(m->gbtrs, 'N', (int)n, (int)m->half, 1, m->band, m->pivots, m->work);
+        band_solve<double>(m->gbtrs, transposed ? 'T' : 'N', (int)n, (int)m->half, 1, m->band,
+                           m->pivots, m->work);
         for (Size e = 0; e < n; e++)
             x[m->order[e]] = stage_scale(m, n_q, m->order[e]) * m->work[e];
     }
@@ -198,10 +211,10 @@ template <class T> double stages_changed(StageStep<T> *s)
 {
     const Plan<T> *p = s->plan;
     Size n_q = p->n_q, n_lam = p->n_lam, n = STAGES * (n_q + n_lam);
-    double of_a = 0, of_lam = 0, *rows = s->matrix.work + n;
+    double of_a = 0, of_lam = 0, *rows = s->matrix->work + n;
     T *A = s->room->A, *change = s->change;
     parted<T>(n, s->R, rows);
-    stages_solved(&s->matrix, STAGES * n_q, n, PARTS<T>, rows);
+    stages_solved(s->matrix, false, STAGES * n_q, n, PARTS<T>, rows);
     for (Size e = 0; e < n; e++)
         change[e] = joined(rows + e, n, T(0));
     for (Size e = 0; e < STAGES * n_q; e++)

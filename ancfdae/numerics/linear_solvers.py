@@ -36,7 +36,6 @@ from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.kernels import (
     Factorise,
     MatrixLayout,
-    add_scaled,
     band_factor,
     band_solve,
     ldl_factor,
@@ -236,7 +235,7 @@ class SaddlePoint:
         (s, K), *more = terms
         K = K if s == 1.0 else s * K
         for s, values in more:
-            K = add_scaled(K, s, values)
+            K = K + s * values
         return self._storage.factor(K, B)
 
     def _factor_by_fronts(self, terms: Terms, B: Array) -> Factorization | None:

@@ -13,7 +13,7 @@ from typing import Any, final
 import numpy as np
 import scipy
 
-from ancfdae.kernels import Csr, csr_rows, csr_rows_transposed
+from ancfdae.kernels import Csr, csr_rows
 from ancfdae.numerics.arrays import Array
 
 
@@ -137,11 +137,11 @@ class SparsityPattern:
 
     def dot(self, values: Array, x: Array) -> Array:
         """Product of the matrix with a vector, (n_columns,), or with columns, (n_columns, k)."""
-        return csr_rows(self._first, self.columns, values, x.T).T
+        return csr_rows(self._first, self.columns, values, x.T, None).T
 
     def dot_transposed(self, values: Array, x: Array) -> Array:
         """Product of the transposed (not conjugated) matrix with a vector or columns."""
-        return csr_rows_transposed(self._first, self.columns, values, x.T, self.shape[1]).T
+        return csr_rows(self._first, self.columns, values, x.T, self.shape[1]).T
 
 
 @final
@@ -165,8 +165,8 @@ class LinearMap:
 
     def __call__(self, x: Array) -> Array:
         """Multiply a vector, shape (m,), or each row of an array, (k, m) to (k, n)."""
-        return csr_rows(*self.csr, x)
+        return csr_rows(*self.csr, x, None)
 
     def transposed(self, x: Array) -> Array:
         """Multiply each row with the transposed (not conjugated) matrix, (k, n) to (k, m)."""
-        return csr_rows_transposed(*self.csr, x, self._width)
+        return csr_rows(*self.csr, x, self._width)

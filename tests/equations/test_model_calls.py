@@ -12,7 +12,8 @@ import pytest
 from ancfdae import assemble, kernels
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.equations.system import called_plan, planned
-from ancfdae.numerics.coupled import CoupledSaddlePoints
+from ancfdae.integrators.radau.tableau import TABLEAU
+from ancfdae.numerics.coupled import coupled_arrays
 from tests.support.mechanisms import CartesianPendulum, GuidedDoublePendulum
 from tests.support.nets import net
 from validation.scenes import pendulum
@@ -75,16 +76,42 @@ def drivers(system, plan, dtype):
     march = (q, z, z, lam, z), np.inf, np.full(STEPS, 1e-3), *tables, 1.0, rows, (z, lam)
     state, given = (q.copy(), lam.copy(), q.copy(), lam.copy()), (q, q, z, lam)
     rules = np.array([0.5, 1.0, 1, 1, 1, 1, 1e-12, 100, 4, 3, 1e-13])
-    layout = saddle_point(system, 0.0).layout(band=False)
-    patterns = system.pattern, system.constraint_pattern
-    values = system.weights, system.constraint_q(0.0, q.real)
-    coupled = CoupledSaddlePoints(3, *patterns, *values, layout and layout.order).arrays
+    coupled = coupled_matrix(system)
     x, lams = np.zeros((3, n), dtype), np.zeros((3, m), dtype)
     numbers = np.ones(21), np.array([1e-3, 1e-12, 3, 1e-300, 4, 10, 100, 0.5, 1e-6, 1e4])
     return {
         "march": (*march, (1e-12, 0.5, 3)),
         "rest": (state, given, (joints[0], loads[0], loads[0]), rules),
         "solve_stages": (coupled, (q, z, z, lam), x, lams, joints, loads, *numbers),
+    }
+
+
+def coupled_matrix(system):
+    """Return the matrix of the three stages of a step."""
+    layout = saddle_point(system, 0.0).layout(band=False)
+    patterns = system.pattern, system.constraint_pattern
+    values = system.weights, system.constraint_q(0.0, system.start()[0])
+    return coupled_arrays(3, *patterns, *values, layout and layout.order)
+
+
+def passes_over_stages(system, plan):
+    """Return good arguments of find_stages, differentiate_stages and pull_back_stages."""
+    n, m, k = system.n_q, system.n_lam, 3 * STEPS
+    t, q, wide = 1e-3 * np.arange(1, k + 1), np.tile(system.start()[0], (k, 1)), n + m
+    joints = np.ones((1, 1, 1)) if plan.joint_factors is None else plan.joint_factors(t, 2)
+    found = joints.copy(), plan.load_factors(t).copy(), q, np.ones((k, n)), np.ones((k, n))
+    K, B = np.ones((k, system.pattern.size)), system.constraints_q(t, q)
+    M = np.array([system.mass(q[0])])
+    f_v = K.copy() if system.traits.velocity_forces else None
+    steps = np.full(STEPS, 1e-3), M, B, K, f_v, K, f_v, K, (B, B), TABLEAU
+    coupled = coupled_matrix(system)
+    known = tuple(np.ones((k, 2, wide)) for _ in range(3))
+    out = np.ones((k + 1, 3, 2, n)), np.ones((k + 1, 2, m)), np.ones((k, 2, n))
+    seeds, rows = (None, np.ones((k, n)), np.ones((k, m))), [np.ones((k, wide)) for _ in range(3)]
+    return {
+        "find_stages": (*found, np.ones((k, 2, wide)), 0),
+        "differentiate_stages": (coupled, steps, known, *out, 0),
+        "pull_back_stages": (coupled, steps, seeds, np.ones((2, n)), tuple(rows), STEPS),
     }
 
 
@@ -124,7 +151,9 @@ def test_spoiled_arguments_are_refused_or_run(kind, form, dtype):
         real = kernels.Model(*given)
         return real if dtype is float else kernels.ComplexModel(tuple(plan), real, RULES)
 
-    calls = drivers(system, plan, dtype) | (passes(system, plan) if dtype is float else {})
+    calls = drivers(system, plan, dtype)
+    if dtype is float:
+        calls |= passes(system, plan) | passes_over_stages(system, plan)
     one, refused = model(*given), 0
     for name, arguments in calls.items():
         getattr(one, name)(*arguments)  # What is good runs.

@@ -38,8 +38,7 @@ from ancfdae.kernels import (
     OperationList,
     explicit_march,
     explicit_stages,
-    index_1_projected,
-    index_1_rows,
+    index_1,
     list_values,
 )
 from ancfdae.numerics.extrapolation import scaled_derivative
@@ -637,8 +636,9 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
         with pytest.raises(ValueError, match="no room"):
             explicit_march(*fixed, tuple(tolerances), 0.0, 1.0, 2, beyond)
         return
-    for function in (index_1_rows, index_1_projected):
-        function(*arguments.values())
+    for projected in (False, True):
+        good = dict.fromkeys(("lists", "b", "scale", "projected"), projected) | arguments
+        index_1(*good.values())
         bad = {
             "lists": [system.index_1[:5], system.index_1[::-1], (1,) * 6],
             "b": [system.b[:5], np.ones(11)],
@@ -648,7 +648,7 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
         }[wrong]
         for value in bad:
             with pytest.raises(ValueError, match=r"fit|lists|tuples|time"):
-                function(*{**arguments, wrong: value}.values())
+                index_1(*{**good, wrong: value}.values())
 
 
 # ---- steps in the kernel -----------------------------------------------------------------------

@@ -286,15 +286,15 @@ def test_tangents(case):
 
 def test_packed_matrices(case):
     Y, U = case.Y(case.q), case.Y(case.v)
-    close(kernels.gram(Y, U), packed(Y, U))
-    close(kernels.gram(Y[0, 0], U[0, 0]), packed(Y[0, 0], U[0, 0]))
+    close(kernels.strain(None, Y, U, None), packed(Y, U))
+    close(kernels.strain(None, Y[0, 0], U[0, 0], None), packed(Y[0, 0], U[0, 0]))
     close(kernels.stressed(packed(Y, U), Y), product(packed(Y, U), Y))
     g_o, tau = case.block.g_o, case.block.tau
     x = packed(Y, Y) / 2 - g_o
     close(kernels.strain(g_o, Y, None, None), x)
     close(kernels.strain(g_o, Y, U, tau), x + tau[:, None] * packed(Y, U))
     for other in odd_layouts(Y):
-        close(kernels.gram(other, U), packed(Y, U))
+        close(kernels.strain(None, other, U, None), packed(Y, U))
         close(kernels.strain(g_o, other, None, None), x)
         close(kernels.stressed(packed(Y, U), other), product(packed(Y, U), Y))
 
@@ -307,8 +307,8 @@ def test_real_and_complex_arguments_mix():
     close(kernels.relative(case.block, q).imag / step, case.Y(case.u))
     Y, other = case.Y(case.q), case.Y(q)
     for one, two in ((Y, other), (other, Y)):
-        close(kernels.gram(one, two), packed(one, two))
-        p = kernels.gram(one, one)
+        close(kernels.strain(None, one, two, None), packed(one, two))
+        p = kernels.strain(None, one, one, None)
         close(kernels.stressed(p, two), product(p, two))
 
 
@@ -324,11 +324,12 @@ def test_nothing_is_nothing():
     assert not kernels.lifted(none, np.zeros((2, 0, 7, 3))).any()
     assert kernels.forces(block, q[:0], None).shape == (0, block.n_q)
     assert kernels.forces_along(block, q[0], None, q[:0], None).shape == (0, block.n_q)
-    assert kernels.gram(np.zeros((4, 0, 7, 3)), np.zeros((4, 0, 7, 3))).shape == (4, 0, 28)
+    none = np.zeros((4, 0, 7, 3))
+    assert kernels.strain(None, none, none, None).shape == (4, 0, 28)
     assert kernels.finite(np.zeros(0))
     assert kernels.norm(np.zeros(0), np.zeros(0)) == 0
     empty, zero = np.zeros(0), np.zeros(1, dtype=np.int32)
-    assert kernels.csr_rows(zero, zero[:0], empty, np.ones(3)).shape == (0,)
+    assert kernels.csr_rows(zero, zero[:0], empty, np.ones(3), None).shape == (0,)
     lu, pivots, _, info = kernels.band_factor(empty, empty, empty, empty.astype(int), 0, 0)
     assert (lu.shape, info) == ((0, 1), 0)
     assert kernels.band_solve(lu, pivots, 0, [], empty, np.zeros((2, 0)), False).shape == (2, 0)
@@ -348,10 +349,10 @@ def test_sparse_products(dtype, x_dtype):
     for k in (0, 1, 2, 3, 4, 5, 6, 8, 9, 13):  # rows go by eights and fours
         x, y = numbers(rng, (k, 9), x_dtype), numbers(rng, (k, 7), x_dtype)
         for other in (x, *odd_layouts(x)):
-            close(kernels.csr_rows(*rows, other), x @ dense.T)
-        close(kernels.csr_rows_transposed(*rows, y, 9), y @ dense)
+            close(kernels.csr_rows(*rows, other, None), x @ dense.T)
+        close(kernels.csr_rows(*rows, y, 9), y @ dense)
     x = numbers(rng, 9, x_dtype)
-    close(kernels.csr_rows(*rows, x), dense @ x)
+    close(kernels.csr_rows(*rows, x, None), dense @ x)
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -381,21 +382,6 @@ def test_finite_finds_what_is_not(dtype):
                 y = x.copy()
                 y[at] = bad
                 assert not kernels.finite(y)
-
-
-def test_scaled_sum_of_any_kind():
-    rng = np.random.default_rng(3)
-    x, y = rng.uniform(size=(2, 4, 3))
-    close(kernels.add_scaled(x, 0.3, y), x + 0.3 * y)
-    close(kernels.add_scaled(x.T, 0.3, y.T), (x + 0.3 * y).T)
-    close(kernels.add_scaled(x[0], 0.3, y), x[0] + 0.3 * y)
-    close(kernels.add_scaled(x, 0.3j, y), x + 0.3j * y)
-    close(kernels.add_scaled(x, 0.3, 1j * y), x + 0.3j * y)
-    close(kernels.add_scaled(1j * x, 0.3, y), 1j * x + 0.3 * y)
-    close(kernels.add_scaled(x, y[:, :1], y), x + y[:, :1] * y)
-    assert kernels.add_scaled(1, 2.0, 3) == 7
-    with pytest.raises(ValueError, match="broadcast"):
-        kernels.add_scaled(x, 0.3, y[:3])
 
 
 class Band:
@@ -649,12 +635,12 @@ def _refused():
     for size in (0, -1, 1.5, None, 2**70):
         yield f"size {size}", kernels.tangents, (b, q, v, False, case.index, size)
     Y, x = case.Y(q), packed(case.Y(q), case.Y(q))
-    yield "other U", kernels.gram, (Y, Y[:4])
-    yield "no U", kernels.gram, (Y, None)
-    yield "no Y", kernels.gram, (None, Y)
-    yield "a row", kernels.gram, (Y[0, 0, 0], Y[0, 0, 0])
-    yield "wide Y", kernels.gram, (np.zeros((9, 3)), np.zeros((9, 3)))
-    yield "deep Y", kernels.gram, (np.zeros((3, 4)), np.zeros((3, 4)))
+    yield "other U", kernels.strain, (None, Y, Y[:4], None)
+    yield "no U", kernels.strain, (None, Y, None, None)
+    yield "no Y", kernels.strain, (None, None, Y, None)
+    yield "a row", kernels.strain, (None, Y[0, 0, 0], Y[0, 0, 0], None)
+    yield "wide Y", kernels.strain, (None, np.zeros((9, 3)), np.zeros((9, 3)), None)
+    yield "deep Y", kernels.strain, (None, np.zeros((3, 4)), np.zeros((3, 4)), None)
     yield "no g_o", kernels.strain, (None, Y, Y, b.tau)
     yield "g_o of two", kernels.strain, (b.g_o[:2], Y, None, None)
     yield "g_o small", kernels.strain, (b.g_o[:, 1:], Y, None, None)
@@ -684,17 +670,17 @@ def _refused_in_linear_algebra():
         "none": (first, None, values),
     }
     for name, rows in wrong.items():
-        yield name, kernels.csr_rows, (*rows, np.ones((2, 3)))
-        yield name, kernels.csr_rows_transposed, (*rows, np.ones((2, 2)), 3)
+        yield name, kernels.csr_rows, (*rows, np.ones((2, 3)), None)
+        yield name, kernels.csr_rows, (*rows, np.ones((2, 2)), 3)
         if name != "fewer values":
             diagonal = np.arange(4, dtype=np.int32), np.arange(3, dtype=np.int32)
             yield name, kernels.narrow_order, (*diagonal, *rows[:2])
-    yield "x small", kernels.csr_rows, (first, columns, values, np.ones((2, 2)))
-    yield "x a number", kernels.csr_rows, (first, columns, values, np.array(1.0))
-    yield "x wide", kernels.csr_rows_transposed, (first, columns, values, np.ones((2, 3)), 3)
-    yield "size below", kernels.csr_rows_transposed, (first, columns, values, np.ones(2), -3)
-    yield "size", kernels.csr_rows_transposed, (first, columns, values, np.ones(2), "3")
-    yield "size of M^T", kernels.csr_rows_transposed, (first, columns, values, np.ones(3), 3)
+    yield "x small", kernels.csr_rows, (first, columns, values, np.ones((2, 2)), None)
+    yield "x a number", kernels.csr_rows, (first, columns, values, np.array(1.0), None)
+    yield "x wide", kernels.csr_rows, (first, columns, values, np.ones((2, 3)), 3)
+    yield "size below", kernels.csr_rows, (first, columns, values, np.ones(2), -3)
+    yield "size", kernels.csr_rows, (first, columns, values, np.ones(2), "3")
+    yield "size of M^T", kernels.csr_rows, (first, columns, values, np.ones(3), 3)
     yield "odd", kernels.norm, (np.ones(3), np.ones(3), np.ones(3))
     yield "nothing", kernels.norm, ()
     yield "weights", kernels.norm, (np.ones(3), np.ones(4))
@@ -703,7 +689,6 @@ def _refused_in_linear_algebra():
     yield "none", kernels.finite, (None,)
     yield "text", kernels.finite, ("x",)
     yield "count", kernels.finite, ()
-    yield "none", kernels.add_scaled, (None, 1.0, None)
     yield from _refused_in_bands()
     yield from _refused_in_envelopes()
 

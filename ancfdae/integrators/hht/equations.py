@@ -46,7 +46,6 @@ import numpy as np
 
 from ancfdae.errors.checks import require_finite
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import add_scaled
 from ancfdae.numerics.arrays import Array
 
 
@@ -140,15 +139,15 @@ def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array
 
 def predict_increment(c: Coefficients, v: Array, a: Array) -> tuple[Array, Array]:
     """Return q~ - q_n, without the round-off of q_n, and v~, shape (n_q,) each."""
-    v_p = add_scaled(v, c.h * (1 - c.gamma), a)
+    v_p = v + c.h * (1 - c.gamma) * a
     # h v + h^2 (1/2 - beta) a = h v~ + h^2 (gamma - 1/2 - beta) a
-    dq_p = add_scaled(c.h * v_p, c.h**2 * (c.gamma - 0.5 - c.beta), a)
+    dq_p = c.h * v_p + c.h**2 * (c.gamma - 0.5 - c.beta) * a
     return dq_p, v_p
 
 
 def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:
     """Coordinates and velocities of eqs. (2) and (3) from their predictors and a_{n+1}."""
-    return add_scaled(q_p, c.in_q, a), add_scaled(v_p, c.in_v, a)
+    return q_p + c.in_q * a, v_p + c.in_v * a
 
 
 def rescaled(node: Node, ratio: float) -> Node:
@@ -168,7 +167,7 @@ def rescaled_sensitivity(node: NodeSensitivity, ratio: float) -> NodeSensitivity
 
 def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
     """Return A at t_{n+1} from the algorithm's a and the A before, also for derivatives."""
-    return add_scaled((c.alpha * c.in_A) * A_n, c.in_A, a)
+    return (c.alpha * c.in_A) * A_n + c.in_A * a
 
 
 def step_matrices(steps: Steps) -> Array:

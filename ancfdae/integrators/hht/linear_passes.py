@@ -21,7 +21,7 @@ once for it.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias, final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -39,9 +39,9 @@ from ancfdae.integrators.hht.equations import (
     step_matrices,
 )
 from ancfdae.integrators.hht.small_steps import ConstraintRow, Nodes, small_rows
-from ancfdae.integrators.integrator import Seeds
+from ancfdae.integrators.integrator import OnStates, Seeds
 from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.kernels import RULES, March, Plan
+from ancfdae.kernels import RULES, Plan
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.progress import progress_bar
@@ -49,8 +49,6 @@ from ancfdae.numerics.progress import progress_bar
 # Numbers held at once by a chunk of steps: small enough for the cache (crank-slider, measured:
 # chunks of 16 to 32 steps are 1.4 times faster than 64).
 _CHUNK_NUMBERS = 200_000
-# Covectors of an objective on q, v and lam.
-OnStates: TypeAlias = tuple[Array | None, Array | None, Array | None]
 
 
 class Packet(NamedTuple):
@@ -98,12 +96,8 @@ class CompiledPasses:
 
     def forward(self, steps: Packet, right: Array, z: Array, states: Array, lam_b: Array) -> int:
         """Take steps of direct differentiation; return how many have a regular matrix."""
-        taken, end = self._kernel.real.differentiate_steps(steps, right, z, states, lam_b, 0)
-        if end == March.INDEFINITE:
-            self._kernel.add_band()
-            model = self._kernel.real
-            taken, _ = model.differentiate_steps(steps, right, z, states, lam_b, taken)
-        return taken
+        given = steps, right, z, states, lam_b
+        return self._kernel.go(lambda model, at: model.differentiate_steps(*given, at), 0)
 
     def backward(
         self,
@@ -116,12 +110,8 @@ class CompiledPasses:
 
         Raises SingularMatrix.
         """
-        model, k = self._kernel.real, len(steps.h)
-        left, end = model.pull_back_steps(steps, seeds, on, *covectors, k)
-        if end == March.INDEFINITE:
-            self._kernel.add_band()
-            left, _ = self._kernel.real.pull_back_steps(steps, seeds, on, *covectors, left)
-        if left:
+        given, count = (steps, seeds, on, *covectors), len(steps.h)
+        if self._kernel.go(lambda model, at: model.pull_back_steps(*given, at), count):
             raise SingularMatrix("a matrix of the pass back is singular")
 
 

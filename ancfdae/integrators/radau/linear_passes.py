@@ -9,137 +9,155 @@ With x_b and lam_b of the stages, and (i) for matrices linearised at stage i,
 solved with the exact matrix of the stages, which are then completed (`Completion`). The pass back
 reads the same matrices, transposed, in reverse order. What a solution does not keep of the stages,
 velocities, accelerations and multipliers before they were completed, follows from the positions.
+
+Stages of many steps are linearised at once here. The kernel (`stage_passes.h`) factorises and runs
+the recurrence step by step.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, final
+from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import DesignPartials, Linearisation, MechanicalSystem
-from ancfdae.equations.saddle_points import solve
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.prepared import Prepared
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.completion import Completion
-from ancfdae.integrators.integrator import Seeds
+from ancfdae.integrators.integrator import OnStates, Seeds
 from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.integrators.radau.stages import Begin, Stages, factorised, stage_matrices
-from ancfdae.integrators.radau.tableau import INVERSE, PLACES, at_stages
+from ancfdae.integrators.radau.stages import Stages, stage_matrices
+from ancfdae.integrators.radau.tableau import INVERSE, PLACES, SQUARED, TABLEAU
 from ancfdae.integrators.start import Covectors, pull_back_start
+from ancfdae.kernels import RULES
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.coupled import CoupledFactors, CoupledSaddlePoints
 from ancfdae.numerics.progress import progress_bar
 
 # Numbers held at once by a chunk of steps.
 _CHUNK_NUMBERS = 200_000
 
 
+class Packet(NamedTuple):
+    """Steps for the kernel: see `ComputedStages` in `_kernels.pyi`."""
+
+    h: Array
+    M: Array
+    Phi_q: Array
+    f_q: Array
+    f_v: Array | None
+    end_q: Array
+    end_v: Array | None
+    held_q: Array | None
+    rates: tuple[Array, Array] | None
+    tableau: Array
+
+
+@final
+class StageKernel:
+    """The compiled pass over the stages of computed steps of one system."""
+
+    def __init__(self, problem: InitialValueProblem) -> None:
+        self.system, self.size = problem.system, problem.matrices.size
+        rules, dtype = np.zeros(RULES), np.dtype(float)
+        self._prepared = Prepared(problem.system, problem.matrices, rules, dtype)
+        self._coupled = stage_matrices(problem)
+
+    def found(self, t: Array, q: Array, V: Array, A: Array) -> tuple[Stages, tuple[Array, Array]]:
+        """Return the stages at times t, and v - V and sigma, from rough accelerations A.
+
+        Raises SingularMatrix.
+        """
+        plan, k, n = self._prepared.plan, len(t), self.system.n_q
+        joints = plan.joint_factors(t, 2) if plan.joint_factors else np.ones((1, 1, 1))
+        tables = np.ascontiguousarray(joints), np.ascontiguousarray(plan.load_factors(t))
+        out = np.zeros((k, 2, self.size))
+        if self._prepared.go(lambda x, at: x.find_stages(*tables, q, V, A, out, at), 0) < k:
+            raise SingularMatrix("the mass matrix of a stage is singular")
+        (a, lam), moved = (np.split(np.ascontiguousarray(out[:, i]), [n], 1) for i in range(2))
+        return Stages(q, V, a, lam), (moved[0], moved[1])
+
+    def forward(
+        self,
+        steps: Packet,
+        known: tuple[Array, Array, Array],
+        states: Array,
+        lam_b: Array,
+        x_b: Array,
+    ) -> int:
+        """Take steps of direct differentiation; return how many have regular matrices."""
+        given = states, lam_b, x_b
+        return self._prepared.go(
+            lambda x, at: x.differentiate_stages(self._coupled, steps, known, *given, at), 0
+        )
+
+    def backward(self, steps: Packet, seeds: OnStates, on: Array, to: tuple[Array, ...]) -> None:
+        """Take transposed steps back from the last; raises SingularMatrix."""
+        left = self._prepared.go(
+            lambda x, at: x.pull_back_stages(self._coupled, steps, seeds, on, to, at),
+            len(steps.h),
+        )
+        if left:
+            raise SingularMatrix("a matrix of the pass back is singular")
+
+
 @final
 @dataclass(frozen=True)
 class LinearStages:
-    """k steps of sizes h, (k,), linearised at their stages, which are rows, 3 k."""
+    """k steps linearised at their stages, which are rows, 3 k."""
 
-    system: MechanicalSystem
-    h: Array
+    kernel: StageKernel
     stages: Stages
-    local: Linearisation
     completion: Completion
+    steps: Packet
 
     @staticmethod
-    def of(
-        problem: InitialValueProblem, h: Array, t: Array, states: Sequence[Array]
-    ) -> LinearStages:
+    def of(kernel: StageKernel, h: Array, t: Array, states: Sequence[Array]) -> LinearStages:
         """Linearise steps of which start, stages and end are given, (k, 4, ...)."""
+        system, size = kernel.system, h[:, None, None]
         q, v, a, lam = (np.concatenate(x[:, 1:]) for x in states)
-        rough, times = list[Stages](), t[:, 1:].ravel()
-        for s, size in enumerate(h):
-            begin = Begin(float(size), float(t[s, 0]), *(x[s, 0] for x in states))
-            x = begin.displacements(states[0][s, 1:])
-            rough.append(begin.stages(x, states[3][s, 1:]))
-        V, A = (np.concatenate(x) for x in zip(*((x.v, x.a) for x in rough), strict=True))
-        factored = [_before(problem, *x) for x in zip(times.tolist(), q, V, A, strict=True)]
-        factors, *columns = zip(*factored, strict=True)
-        stage_a, stage_lam, dv, sigma = map(np.array, columns)
-        stages = Stages(q, V, stage_a, stage_lam)
-        completion = Completion.of(problem.system, factors, times, (q, v, a, lam), (dv, sigma))
-        local = problem.system.linearise(times, *stages)
-        return LinearStages(problem.system, h, stages, local, completion)
+        times, (q_0, v_0) = t[:, 1:].ravel(), (x[:, :1] for x in states[:2])
+        x = (states[0][:, 1:] - q_0 - size * PLACES * v_0) / size**2
+        rough = np.concatenate(v_0 + size * (INVERSE @ x)), np.concatenate(SQUARED @ x)
+        stages, moved = kernel.found(times, q, *rough)
+        completion = Completion.of(system, times, (q, v, a, lam), moved)
+        local, end = system.linearise(times, *stages), completion.local
+        held_q, rates = completion.held_q, completion.rates
+        own = local.M, local.Phi_q, local.f_q, local.f_v
+        steps = Packet(h, *own, end.f_q, end.f_v, held_q, rates, TABLEAU)
+        return LinearStages(kernel, stages, completion, steps)
 
-    @cached_property
-    def _partials(self) -> DesignPartials:
-        return self.system.design_partials(self.completion.t, *self.stages)
+    def forward(self, states: Array, lam_b: Array) -> tuple[int, Array]:
+        """Take q_b and v_b over the steps; return how many are taken, and x_b of all stages.
 
-    def _factor(self, matrices: CoupledSaddlePoints, s: int) -> CoupledFactors:
-        at, local = slice(3 * s, 3 * s + 3), self.local
-        M = local.M if len(local.M) == 1 else local.M[at]
-        f_v = None if local.f_v is None else local.f_v[at]
-        jacobians = Linearisation(M, local.f_q[at], f_v, local.Phi_q[at])
-        return factorised(matrices, float(self.h[s]), jacobians)
-
-    def advance(
-        self, s: int, matrices: CoupledSaddlePoints, q_b: Array, v_b: Array
-    ) -> tuple[list[Array], Array]:
-        """Take q_b and v_b over step s; return q_b, v_b, a_b, lam_b of its stages, and x_b."""
-        system, h, n, local = self.system, self.h[s], self.system.n_q, self.local
-        K, B = system.pattern.dot, system.constraint_pattern.dot
-        straight = q_b + h * PLACES[:, :, None] * v_b
-        right = np.empty((3, n + system.n_lam, system.n_b))
-        for i, x in enumerate(straight):
-            k = 3 * s + i
-            right[i, :n] = self._partials.f_b[k] + K(local.f_q[k], x)
-            right[i, n:] = (self._partials.Phi_b[k] + B(local.Phi_q[k], x)) / h**2
-            if local.f_v is not None:
-                right[i, :n] += K(local.f_v[k], v_b)
-        x_b = -self._factor(matrices, s).solve(right)[:, :n]
-        Q_b, V_b = straight + h**2 * x_b, v_b + h * at_stages(INVERSE, x_b)
-        ends = [self.completion.total(3 * s + i, Q_b[i], V_b[i]) for i in range(3)]
-        return [Q_b, *map(np.array, zip(*ends, strict=True))], x_b
-
-    def back(
-        self, s: int, matrices: CoupledSaddlePoints, on: tuple[Array, Array, Array | None]
-    ) -> tuple[Array, list[Array]]:
-        """Transpose of `advance`: from covectors on q, v and lam of the stages, (3, n).
-
-        Returns those on q and v before the step, and those that `pull_back` takes to the design.
+        Rows of q_b, v_b and a_b, (3 k + 1, 3, n_b, n_q), and of lam_b, (3 k + 1, n_b, n_lam), are
+        written, but the first ones.
         """
-        system, h, n, local = self.system, self.h[s], self.system.n_q, self.local
-        K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
-        ends = []
-        for i in range(3):
-            on_lam = None if on[2] is None else on[2][i]
-            ends.append(self.completion.back(3 * s + i, on[0][i], on[1][i], None, on_lam))
-        on_q, on_v, *covectors = (np.array(x) for x in zip(*ends, strict=True))
-        on_x = h**2 * on_q + h * at_stages(INVERSE.T, on_v)
-        right = np.concatenate([on_x, np.zeros((3, system.n_lam))], axis=1)
-        solved = self._factor(matrices, s).solve_transposed(right)
-        mu, zeta = solved[:, :n], solved[:, n:] / h**2
-        for i in range(3):
-            k = 3 * s + i
-            on_q[i] -= K(local.f_q[k], mu[i]) + B(local.Phi_q[k], zeta[i])
-            if local.f_v is not None:
-                on_v[i] -= K(local.f_v[k], mu[i])
-        on_v += h * PLACES * on_q
-        return np.array([on_q.sum(axis=0), on_v.sum(axis=0)]), [mu, zeta, *covectors]
+        completion, system = self.completion, self.kernel.system
+        at_stages = system.design_partials(completion.t, *self.stages)
+        held_b, f_b, sides = completion.partials
+        pairs = (at_stages.f_b, at_stages.Phi_b), (held_b, sides[0]), (f_b, sides[1])
+        known = np.empty((3, len(f_b), system.n_b, self.kernel.size))
+        for to, (of_f, of_Phi) in zip(known, pairs, strict=True):
+            to[:, :, : system.n_q], to[:, :, system.n_q :] = of_f.mT, of_Phi.mT
+        x_b = np.empty((len(f_b), *states.shape[2:]))
+        taken = self.kernel.forward(self.steps, (known[0], known[1], known[2]), states, lam_b, x_b)
+        return taken, x_b
 
-    def pull_back(self, mu: Array, zeta: Array, *covectors: Array) -> Array:
-        """Return the direct part of the gradient from the adjoint vectors of all steps, (n_b,)."""
-        direct = self.system.pull_back(self.completion.t, self.stages, (mu, zeta))
-        return self.completion.pull_back(*covectors) - direct
+    def backward(self, seeds: OnStates, on: Array) -> Array:
+        """Return the direct part of the gradient, (n_b,), and take `on` back over the steps.
 
-
-def _before(
-    problem: InitialValueProblem, t: float, q: Array, v: Array, a: Array
-) -> tuple[Any, ...]:
-    """Return the matrix at q, and a, lam, v - V and sigma of a stage from rough accelerations."""
-    system, factors = problem.system, problem.accelerations.factors(t, q)
-    side = system.constraint_pattern.dot(system.constraint_q(t, q), a)
-    stage = solve(factors, system.force(t, q, v), side)
-    return factors, *stage, *solve(factors, np.zeros_like(v), -system.constraint(t, q, v))
+        The seeds are covectors on q, v and lam of stages, `on`, shape (2, n_q), those on q and v.
+        """
+        system, n = self.kernel.system, self.kernel.system.n_q
+        rows = np.zeros((3, len(self.completion.t), self.kernel.size))
+        self.kernel.backward(self.steps, seeds, on, (rows[0], rows[1], rows[2]))
+        on_f, on_Phi = rows[:, :, :n], rows[:, :, n:]
+        direct = system.pull_back(self.completion.t, self.stages, (on_f[0], on_Phi[0]))
+        return self.completion.pull_back(on_f[1], on_Phi[1], on_f[2], on_Phi[2]) - direct
 
 
 def differentiate(
@@ -150,26 +168,26 @@ def differentiate(
     Returns q_b, v_b, a_b and lam_b of all instants, cut to the steps done, and how the pass ended.
     """
     assert problem.derivative is not None
-    matrices, arrays = stage_matrices(problem), list[Array]()
-    for x in problem.derivative:
-        arrays.append(np.concatenate([x[None], np.empty((len(run.t) - 1, *x.shape))]))
-    done, verdict = 1, Verdict.FINISHED
+    *motion, lam = (x.T for x in problem.derivative)
+    states, lam_b = (np.zeros((len(run.t), *x.shape)) for x in (np.array(motion), lam))
+    states[0], lam_b[0] = motion, lam
+    done, verdict, kernel = 0, Verdict.FINISHED, StageKernel(problem)
     try:
         with progress_bar(progress, total=len(h), desc="derivatives", unit="step") as bar:
             for steps in _chunks(problem.system, len(h), problem.system.n_b):
-                linear = _linearised(problem, run, h, steps)
-                for s in range(len(linear.h)):
-                    q_b, v_b = arrays[0][done - 1], arrays[1][done - 1]
-                    rows, _ = linear.advance(s, matrices, q_b, v_b)
-                    for array, x in zip(arrays, rows, strict=True):
-                        array[done : done + 3] = x
-                    done += 3
-                    bar.update()
+                rows = slice(3 * steps.start, 3 * steps.stop + 1)
+                taken, _ = _linearised(kernel, run, h, steps).forward(states[rows], lam_b[rows])
+                done += taken
+                bar.update(taken)
+                if done < steps.stop:
+                    verdict = Verdict.SINGULAR
+                    break
     except SingularMatrix:
         verdict = Verdict.SINGULAR
     except KeyboardInterrupt:
         verdict = Verdict.INTERRUPTED
-    return [array[:done] for array in arrays], verdict
+    arrays = (*states[: 3 * done + 1].transpose(1, 0, 2, 3), lam_b[: 3 * done + 1])
+    return [array.transpose(0, 2, 1) for array in arrays], verdict
 
 
 def pull_back(
@@ -186,21 +204,12 @@ def pull_back(
     Returns the gradient without the part through the first state, and the adjoint vectors of q and
     v there, without the seeds of that state.
     """
-    system, matrices = problem.system, stage_matrices(problem)
-    gradient, still = np.zeros(system.n_b), np.zeros((len(run.t), system.n_q))
-    on_q, on_v = (still if x is None else x for x in (seeds.q, seeds.v))
+    system, kernel = problem.system, StageKernel(problem)
+    gradient, on = np.zeros(system.n_b), on.copy()
     chunks = _chunks(system, len(h), 0)
     for steps in progress_bar(progress, chunks[::-1], desc="adjoint", unit="chunk"):
-        linear, covectors = _linearised(problem, run, h, steps), list[list[Array]]()
-        for s in range(len(linear.h) - 1, -1, -1):
-            n = 3 * (steps.start + s) + 1
-            at = slice(n, n + 3)
-            on_states = np.array([on_q[at], on_v[at]])
-            on_states[:, 2] += on
-            lam = None if seeds.lam is None else seeds.lam[at]
-            on, covector = linear.back(s, matrices, (on_states[0], on_states[1], lam))
-            covectors.insert(0, covector)
-        gradient += linear.pull_back(*map(np.concatenate, zip(*covectors, strict=True)))
+        rows = slice(3 * steps.start + 1, 3 * steps.stop + 1)
+        gradient += _linearised(kernel, run, h, steps).backward(seeds.rows(rows), on)
     return gradient, on
 
 
@@ -215,16 +224,14 @@ def through_start(problem: InitialValueProblem, on: Array, seeds: Seeds, gradien
     return pull_back_start(problem.system, problem.matrices, problem.initial, on_start)
 
 
-def _linearised(
-    problem: InitialValueProblem, run: Solution, h: Array, steps: slice
-) -> LinearStages:
+def _linearised(kernel: StageKernel, run: Solution, h: Array, steps: slice) -> LinearStages:
     rows = 3 * np.arange(steps.start, steps.stop)[:, None] + np.arange(4)
     states = [x[rows] for x in (run.q, run.v, run.a, run.lam)]
-    return LinearStages.of(problem, h[steps], run.t[rows], states)
+    return LinearStages.of(kernel, h[steps], run.t[rows], states)
 
 
 def _chunks(system: MechanicalSystem, n: int, columns: int) -> Sequence[slice]:
     """Divide n steps so that what is held at once stays within memory."""
-    per_step = 3 * (8 * system.pattern.size + (8 + 3 * columns) * system.n_q)
+    per_step = 3 * (8 * system.pattern.size + (8 + 6 * columns) * system.n_q)
     size = max(1, min(32, _CHUNK_NUMBERS // per_step))
     return [slice(k, min(k + size, n)) for k in range(0, n, size)]

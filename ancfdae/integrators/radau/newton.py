@@ -14,7 +14,7 @@ from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau.stages import Begin, stage_matrices
-from ancfdae.integrators.radau.tableau import INVERSE, PLACES, SQUARED
+from ancfdae.integrators.radau.tableau import TABLEAU
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control.contracts import Failure
 from ancfdae.kernels import RULES, STAGES_NOT_FINITE, STAGES_SINGULAR, STAGES_SOLVED
@@ -34,7 +34,6 @@ _SLOW = 0.5
 # many times the round-off of positions.
 _ROUND_OFF, _POSITIONS = 1e-6, 1e4
 _TINY = float(np.finfo(float).tiny)
-_TABLEAU = np.concatenate([x.ravel() for x in (PLACES, INVERSE, SQUARED)])
 
 
 class SolvedStages(NamedTuple):
@@ -60,7 +59,7 @@ class StageSolver:
         rules = tolerance, max_iterations, least, _MORE, _JUMP, _MOST, _SLOW, _ROUND_OFF
         self._rules, self._recorder = np.array([0.0, *rules, _POSITIONS]), recorder
         self._kernel = Prepared(system, matrices, np.zeros(RULES), recorder.dtype)
-        self._coupled = stage_matrices(problem).arrays
+        self._coupled = stage_matrices(problem)
 
     def solve(self, begin: Begin, guess: tuple[Array, Array]) -> SolvedStages | Failure:
         """Solve the equations of a step from a guess of x and of the multipliers."""
@@ -69,7 +68,7 @@ class StageSolver:
         instants = np.append(begin.times, begin.t)
         joints, still = plan.joint_factors, np.ones((1, 1))
         factors = still if joints is None else joints(instants, 1)[0]
-        tables = factors, plan.load_factors(instants), _TABLEAU, self._rules
+        tables = factors, plan.load_factors(instants), TABLEAU, self._rules
         self._rules[0] = begin.h
         ends, size, (iterations, factorisations, stuck) = self._kernel.model.solve_stages(
             self._coupled, begin.state, x, lam, *tables

@@ -21,8 +21,9 @@ import numpy as np
 from ancfdae.equations import Linearisation, MechanicalSystem
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau.tableau import INVERSE, PLACES, SQUARED, at_stages
+from ancfdae.kernels import CoupledArrays
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.coupled import CoupledFactors, CoupledSaddlePoints
+from ancfdae.numerics.coupled import coupled_arrays
 
 
 class Stages(NamedTuple):
@@ -60,10 +61,6 @@ class Begin(NamedTuple):
         q = self.q + h * PLACES * self.v + h**2 * x
         return Stages(q, self.v + h * at_stages(INVERSE, x), at_stages(SQUARED, x), lam)
 
-    def displacements(self, q: Array) -> Array:
-        """Return x of the positions of stages; its round-off is that of q over h^2."""
-        return np.asarray((q - self.q - self.h * PLACES * self.v) / self.h**2)
-
 
 def linearised(system: MechanicalSystem, t: Array, *states: Array) -> Linearisation:
     """Linearise at some instants; an imaginary perturbation is left out."""
@@ -72,19 +69,9 @@ def linearised(system: MechanicalSystem, t: Array, *states: Array) -> Linearisat
     return Linearisation(local.M.real, local.f_q.real, f_v, local.Phi_q.real)
 
 
-def stage_matrices(problem: InitialValueProblem) -> CoupledSaddlePoints:
-    """Return the matrices; constraints are scaled by their rows at the start."""
+def stage_matrices(problem: InitialValueProblem) -> CoupledArrays:
+    """Return the coupled matrix for kernels; constraints are scaled by their rows at the start."""
     system, Phi_q = problem.system, problem.system.constraint_q(0.0, problem.initial.q)
     patterns = system.pattern, system.constraint_pattern
     layout = problem.matrices.layout(band=False)
-    return CoupledSaddlePoints(3, *patterns, system.weights, Phi_q, layout and layout.order)
-
-
-def factorised(matrices: CoupledSaddlePoints, h: float, local: Linearisation) -> CoupledFactors:
-    """Return the factorised coupled matrix of the three stages from their linearisations."""
-    M = local.M[:, None] if len(local.M) > 1 else local.M
-    blocks = SQUARED[..., None] * M
-    if local.f_v is not None:
-        blocks = blocks + h * INVERSE[..., None] * local.f_v[:, None]
-    blocks[range(3), range(3)] += h**2 * local.f_q
-    return matrices.factor(blocks, local.Phi_q)
+    return coupled_arrays(3, *patterns, system.weights, Phi_q, layout and layout.order)

@@ -28,12 +28,13 @@ import numpy as np
 
 from ancfdae.equations import Linearisation
 from ancfdae.equations.saddle_points import solve
+from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.integrators.completion import completed
 from ancfdae.integrators.prescribed_motion import turn_error
 from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
-from ancfdae.integrators.radau.linear_passes import LinearStages
+from ancfdae.integrators.radau.linear_passes import LinearStages, StageKernel
 from ancfdae.integrators.radau.newton import SolvedStages, StageSolver
-from ancfdae.integrators.radau.stages import Begin, linearised, stage_matrices
+from ancfdae.integrators.radau.stages import Begin, linearised
 from ancfdae.integrators.radau.tableau import (
     BUTCHER,
     EMBEDDED,
@@ -94,7 +95,7 @@ class RadauStepper(OneStepMethod[State]):
         self._problem, self._recorder, self._tolerances = problem, recorder, tolerances
         self._solver = StageSolver(problem, *newton, recorder)
         self.system = problem.system
-        self._matrices = None if problem.derivative is None else stage_matrices(problem)
+        self._kernel = None if problem.derivative is None else StageKernel(problem)
 
     def consistent(self) -> Record:
         """Return the consistent start as a record of states, with derivatives if there are some."""
@@ -158,15 +159,20 @@ class RadauStepper(OneStepMethod[State]):
         middle = linearised(self._problem.system, *(row[2:3] for row in after.rows))
         rates = after.rows[2].real, before.rows[3][-1].real
         errors = self._embedded(middle, after.h, rates, x.real)
-        if self._matrices is None:
+        if self._kernel is None:
             return after._replace(errors=errors)
         self._recorder.factorisations += 1
         t, *states = (x[None] for x in after.rows)
-        steps = LinearStages.of(self._problem, np.array([after.h]), t, states)
-        first = [x[-1:] for x in before.derivatives]
-        rows, x_b = steps.advance(0, self._matrices, first[0][0], first[1][0])
-        derivatives = tuple(map(np.concatenate, zip(first, rows, strict=True)))
-        errors += self._embedded(middle, after.h, (derivatives[1], first[2][0]), x_b)
+        *first, lam = (x[-1].T for x in before.derivatives)
+        rows, lam_b = (np.zeros((4, *x.shape)) for x in (np.array(first), lam))
+        rows[0], lam_b[0] = first, lam
+        steps = LinearStages.of(self._kernel, np.array([after.h]), t, states)
+        taken, x_b = steps.forward(rows, lam_b)
+        if not taken:
+            raise SingularMatrix("the matrix of the stages is singular")
+        derivatives = *rows.transpose(1, 0, 3, 2), lam_b.transpose(0, 2, 1)
+        given = (derivatives[1], first[2].T), x_b.transpose(0, 2, 1)
+        errors += self._embedded(middle, after.h, *given)
         return after._replace(derivatives=derivatives, errors=errors)
 
     def _embedded(

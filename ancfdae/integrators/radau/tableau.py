@@ -21,6 +21,8 @@ PLACES = np.array([[(4 - _ROOT) / 10], [(4 + _ROOT) / 10], [1.0]])
 #: A^-1 and A^-2.
 INVERSE = np.linalg.inv(BUTCHER)
 SQUARED = INVERSE @ INVERSE
+#: The places, A^-1 and A^-2 as `StageTableau` of the kernel has them.
+TABLEAU = np.concatenate([x.ravel() for x in (PLACES, INVERSE, SQUARED)])
 #: Weights e, a row, of the embedded formula: err = (gamma/h - J)^-1 (f_0 + sum e_i (Y_i - y_0)/h).
 EMBEDDED = np.array([[-13 - 7 * _ROOT, -13 + 7 * _ROOT, -1]]) / 3
 

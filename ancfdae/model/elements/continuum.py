@@ -28,7 +28,7 @@ import numpy as np
 
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import gram
+from ancfdae.kernels import strain
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
@@ -109,7 +109,7 @@ def _invariants(element: BeamElement, batch: Batch, owners: Array, *, keep: bool
                     for x_b, (x, k) in zip(changes, by_l, strict=True)
                 ]
             A_b, m_b, *flexural_b = changes
-            g_ob = gram(Y_o, Y_b)
+            g_ob = strain(None, Y_o, Y_b, None)
             bending_b = np.zeros((len(A_b), 2), dtype=A_b.dtype)
             if flexural_b:
                 bending_b = np.insert(flexural_b[0], 1, which is ElementParameter.LENGTH, axis=1)

@@ -76,7 +76,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import gram
+from ancfdae.kernels import strain
 from ancfdae.model.elements.element import (
     Batch,
     ElementParameter,
@@ -296,7 +296,7 @@ def upper_triangle(n_y: int) -> tuple[Array, Array]:
 
 def packed_gram(Y: Array) -> Array:
     """Packed Y Y^T; Y of shape (..., n_y, d), result (..., n_g)."""
-    return gram(Y, Y) / 2
+    return strain(None, Y, Y, None) / 2
 
 
 @final
