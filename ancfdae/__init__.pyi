@@ -30,8 +30,10 @@ from ancfdae.model.joints.point_joints import Distance, Pin, PointOnLine, Spheri
 from ancfdae.model.joints.prismatic import Prismatic
 from ancfdae.model.joints.universal import Universal
 from ancfdae.model.loads.actuators import DCMotor, FirstOrderLag
+from ancfdae.model.loads.contact import BeamContact, Contact
 from ancfdae.model.loads.forces import DistributedForce, FollowerForce, PointForce
 from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
+from ancfdae.model.loads.obstacles import Cylinder, Plane, Sphere
 from ancfdae.model.loads.pid import PID
 from ancfdae.model.loads.springs import Bushing, SpringDamper
 from ancfdae.model.loads.torques import Moment, MotorTorque, TorsionalSpringDamper
@@ -80,12 +82,15 @@ __all__ = [
     "Adjoint",
     "AtTimes",
     "Beam",
+    "BeamContact",
     "Bushing",
     "Clamp",
     "ComplexStep",
+    "Contact",
     "ContinuousAdjoint",
     "CriticalValue",
     "CurvedBeam",
+    "Cylinder",
     "Cylindrical",
     "DCMotor",
     "DesignVariable",
@@ -114,6 +119,7 @@ __all__ = [
     "NodalState",
     "Pin",
     "PlanarJoint",
+    "Plane",
     "PlaneStress",
     "PointForce",
     "PointMass",
@@ -134,6 +140,7 @@ __all__ = [
     "Scene",
     "SmoothMaximum",
     "SmoothUpperBound",
+    "Sphere",
     "Spherical",
     "SpringDamper",
     "StaticMisfit",

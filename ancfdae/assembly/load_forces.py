@@ -68,7 +68,7 @@ class LoadForces:
             if not item.load.constant:
                 continue
             U = item.vectors.of(zero)
-            row = item.vectors.lift(item.force(U, U, zero[:, :0]))[0]
+            row = item.vectors.lift(item.forces(U, U, zero[:, :0]))[0]
             if item.load.law is None:
                 self._steady = self._steady + row
             else:

@@ -17,7 +17,7 @@ from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
-from ancfdae.model.loads.load import Load
+from ancfdae.model.loads.load import Copies, Load
 from ancfdae.model.parts import Elements, FrameDirection, Part
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.model.scene import Scene
@@ -103,8 +103,25 @@ class PartInputs:
         points, p, p_b = self._part(load)
         vectors = self._vectors(points)
         reference, reference_b = self._in_reference(vectors)
-        used = reference_b if load.refers else {}
-        return LoadInput(load, vectors, p, p_b, reference, used, self._masses(load))
+        own, own_b = self._own_numbers(load.copies(self.scene.elements))
+        n = len(reference) // max(len(own), 1)
+        used = {i: x[:n] for i, x in reference_b.items()} if load.refers else {}
+        masses = self._masses(load)
+        return LoadInput(load, vectors, p, p_b, reference[:n], used, masses, own, own_b)
+
+    def _own_numbers(self, copies: Copies | None) -> tuple[Array, Array]:
+        """Return the own numbers of copies, (n, n_own), with design derivatives; one by default."""
+        n_b = len(self.b)
+        if copies is None:
+            return np.zeros((1, 0)), np.zeros((1, 0, n_b))
+        own, own_b = copies.own, np.zeros((*copies.own.shape, n_b))
+        if copies.lengths:
+            first = {beam.name: beam.first_element for beam in self.naming.layout.beams}
+            at = np.array([first[beam] + element for beam, element in copies.lengths])
+            own = own.astype(self.naming.lengths.dtype)
+            own_b[:, 0] = own[:, :1].real * self.naming.lengths_b[at]
+            own[:, 0] *= self.naming.lengths[at]
+        return own, own_b
 
     def _masses(self, load: Load) -> Array:
         """Return the masses of the vectors of the states of a load, (n_states,)."""

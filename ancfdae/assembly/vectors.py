@@ -13,7 +13,7 @@ import numpy as np
 from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.elements import Quantity
-from ancfdae.model.parts import CentreLine, FrameDirection, Normal, StateVector
+from ancfdae.model.parts import CentreLine, FrameDirection, LineVector, Normal, StateVector
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import LinearMap
@@ -114,6 +114,8 @@ def point_vectors(
     for name in names:
         if isinstance(name, CentreLine):
             vectors.append(naming.centre_line(name.beam))
+        elif isinstance(name, LineVector):
+            vectors.append(naming.on_line(name))
         elif isinstance(name, FrameDirection):
             vectors.append(naming.direction(name.body, name.number))
         elif isinstance(name, StateVector):

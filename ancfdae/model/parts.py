@@ -26,6 +26,8 @@ class Elements:
 
     d: int
     of_beam: Mapping[str, BeamElement]
+    #: Number of elements of each beam.
+    counts: Mapping[str, int] = field(default_factory=dict)
 
     def at(self, point: MaterialPoint) -> BeamElement:
         """Return the element at a point; of a rigid body the one whose nodes are like it."""
@@ -38,6 +40,17 @@ class CentreLine:
     """The integral of the position along the centre line of a beam, as a vector for loads."""
 
     beam: str
+
+
+@final
+@dataclass(frozen=True)
+class LineVector:
+    """A vector on the centre line, at xi of an element of a beam, counted from 0 on."""
+
+    beam: str
+    element: int
+    xi: float
+    quantity: Quantity
 
 
 @final
@@ -78,7 +91,13 @@ class StateVector:
 
 #: Vectors of material points (which point, and position or which slope), or of whole beams.
 Vectors: TypeAlias = tuple[
-    tuple[MaterialPoint, Quantity] | Normal | CentreLine | FrameDirection | StateVector, ...
+    tuple[MaterialPoint, Quantity]
+    | Normal
+    | CentreLine
+    | LineVector
+    | FrameDirection
+    | StateVector,
+    ...,
 ]
 
 
@@ -234,7 +253,7 @@ class Part(Designable, abc.ABC):
         vectors: Any = self.vectors(elements)
         of_point = MaterialPoint, Quantity
         if not (isinstance(vectors, tuple) and vectors) or not all(
-            isinstance(x, Normal | CentreLine | FrameDirection | StateVector)
+            isinstance(x, Normal | CentreLine | LineVector | FrameDirection | StateVector)
             or (isinstance(x, tuple) and len(x) == 2 and all(map(isinstance, x, of_point)))
             for x in vectors
         ):

@@ -30,6 +30,24 @@ def require_damping(where: str, value: object) -> None:
     require_not_negative(where, value, "Zero is undamped; a negative value would feed energy in.")
 
 
+@final
+@dataclass(frozen=True)
+class Copies:
+    """How often a load stands in a scene: the same formula on other vectors and own numbers.
+
+    Parameters
+    ----------
+    own : array, shape (n, n_own)
+        Numbers of each copy, which `Load.force_at` gets behind the signals.
+    lengths : tuple
+        For each copy the element, as the name of a beam and a number counted from 0 on, whose
+        length multiplies its first own number; empty for none.
+    """
+
+    own: Array
+    lengths: tuple[tuple[str, int], ...] = ()
+
+
 @dataclass(frozen=True)
 class Load(Part):
     """A load on points of beams; fields and names as in `Part`.
@@ -90,6 +108,20 @@ class Load(Part):
         By default it reads no laws.
         """
         return self.force(U, V, p, U_o)
+
+    def copies(self, elements: Elements) -> Copies | None:
+        """Return the copies of a load whose `vectors` are those of one after the other.
+
+        None for a load that stands once.
+        """
+        return None
+
+    def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
+        """Return numbers of which each says by 0 that there is no force; arguments as `force_at`.
+
+        What the force takes beside them is then not computed.
+        """
+        return ()
 
     def signals(self, p: Array, t: Array, order: int) -> Array | None:
         """Return the laws that `force_at` reads, or their time derivative, at times t, (k, n).

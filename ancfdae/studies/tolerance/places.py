@@ -579,7 +579,7 @@ def _loaded(item: LoadInput, path: _Path) -> list[_Group]:
     n = 2 * size + n_signals
     # U, V and signals come first, then their rates; the time and the law, and their rates.
     operations, at, time, factor = Operations(2 * n + 4), np.arange(n), 2 * n, 2 * n + 1
-    forces = item.listed(operations, n_signals).ravel().tolist()
+    forces = item.listed(operations, n_signals)[0].ravel().tolist()
     outputs = np.array([operations.apply(np.multiply, x, factor) for x in forces])
     columns = np.array([time, *at, factor]), np.array([time + 2, *(n + at), factor + 2])
     moving = _Path(t, Y, slopes, (size, n_signals))
