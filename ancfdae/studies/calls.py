@@ -444,7 +444,7 @@ def cheapest(variables: int, objectives: int) -> GradientMethod:
     Both factorise once per step; direct differentiation then solves for every variable, the
     adjoint repeats its pass for every objective. Measured on the crank-slider, up to two
     variables cost less directly than a pass back; from there to six the two are within a few
-    per cent of the dynamics (docs/measurements.md, section 8).
+    per cent of the dynamics (report `performance`).
     """
     return DirectDifferentiation() if variables <= 2 * objectives else Adjoint()
 
