@@ -34,6 +34,7 @@ from ancfdae.model.loads.contact import BeamContact, Contact
 from ancfdae.model.loads.forces import DistributedForce, FollowerForce, PointForce
 from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
 from ancfdae.model.loads.obstacles import Cylinder, Plane, Sphere
+from ancfdae.model.loads.pair_contact import BeamPairContact, SphereContacts
 from ancfdae.model.loads.pid import PID
 from ancfdae.model.loads.springs import Bushing, SpringDamper
 from ancfdae.model.loads.torques import Moment, MotorTorque, TorsionalSpringDamper
@@ -83,6 +84,7 @@ __all__ = [
     "AtTimes",
     "Beam",
     "BeamContact",
+    "BeamPairContact",
     "Bushing",
     "Clamp",
     "ComplexStep",
@@ -141,6 +143,7 @@ __all__ = [
     "SmoothMaximum",
     "SmoothUpperBound",
     "Sphere",
+    "SphereContacts",
     "Spherical",
     "SpringDamper",
     "StaticMisfit",

@@ -84,6 +84,10 @@ class LoadForces:
         """Return plans of the moving loads for the kernels, and whether they use velocities."""
         return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
 
+    def touching(self) -> list[MovingLoad]:
+        """Return the loads that act during short contacts."""
+        return [load for load in self._moving if load.item.load.touches]
+
     def sharp(self) -> list[LoadInput]:
         """Return the loads that may change more suddenly than the motion does."""
         return [load.item for load in self._moving if load.item.load.sharp]

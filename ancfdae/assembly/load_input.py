@@ -104,9 +104,10 @@ class LoadInput:
         n_signals = self.factors(np.zeros(1), 0).shape[1] - 1
         operations = Operations(2 * size + n_signals + self.own.shape[1])
         forces, gates = self.listed(operations, n_signals)
-        constants, *lists = operations.arrays(forces.ravel())
-        places = pattern.index(*self.couplings), operations.order(gates, forces)
-        arrays = vectors.first, vectors.column, *lists, *places
+        needed = np.concatenate([forces.ravel(), gates])
+        constants, *lists, outputs = operations.arrays(needed)
+        places = pattern.index(*self.couplings), operations.order(gates, needed)
+        arrays = vectors.first, vectors.column, *lists, outputs[:size], *places
         indices = tuple(np.asarray(x, np.int32) for x in arrays)
         numbers = vectors.value, constants, self.own.ravel()
         return LoadPlan(indices, numbers, vectors.n_q, pattern.size, n_signals, copies)

@@ -76,7 +76,7 @@ class SceneNaming(Naming):
         kind.require(f"point of {point.beam!r}", quantity, point.y, point.z)
         s, s_b = self._weights(beam, local, quantity, (xi, y, z))
         if np.any(numbers_b):
-            l, p = self._length(beam, local), kind.vector_weights(quantity, xi, y, z)[1]
+            l, p = self.lengths[beam.elements][local], kind.vector_weights(quantity, xi, y, z)[1]
             for k, steps in enumerate(STEP * np.diag([1 / span, 1.0, 1.0])):
                 moved = (x.real + 1j * step for x, step in zip((xi, y, z), steps, strict=True))
                 w_k = kind.vector_weights(quantity, *moved)[0].imag / STEP
@@ -89,17 +89,15 @@ class SceneNaming(Naming):
         weights = self._weights(beam, at.element, at.quantity, (at.xi, 0.0, 0.0))
         return self._of_elements(beam, np.array([at.element]), *weights)
 
-    def _length(self, beam: BeamLayout, element: int) -> Any:
-        return self.lengths[beam.first_element + element]
-
     def _weights(
         self, beam: BeamLayout, element: int, quantity: Quantity, place: tuple[Any, Any, Any]
     ) -> tuple[Array, Array]:
         """Return the weights of a vector at (xi, y, z) of an element, and those by lengths."""
         w, p = beam.element.vector_weights(quantity, *place)
-        l = self._length(beam, element)
+        at = beam.first_element + element
+        l = self.lengths[at]
         s_l = w * p * l ** (p - 1)
-        return w * l**p, s_l[:, None] * self.lengths_b[beam.first_element + element]
+        return w * l**p, s_l[:, None] * self.lengths_b[at]
 
     def position(self, states: Array, point: Any) -> Array:
         """Return the position of a point in states of shape (k, n_q), shape (k, d)."""

@@ -103,25 +103,29 @@ class PartInputs:
         points, p, p_b = self._part(load)
         vectors = self._vectors(points)
         reference, reference_b = self._in_reference(vectors)
-        own, own_b = self._own_numbers(load.copies(self.scene.elements))
+        own, own_b = self._own_numbers(load.copies(self.scene.elements), p, p_b)
         n = len(reference) // max(len(own), 1)
         used = {i: x[:n] for i, x in reference_b.items()} if load.refers else {}
         masses = self._masses(load)
         return LoadInput(load, vectors, p, p_b, reference[:n], used, masses, own, own_b)
 
-    def _own_numbers(self, copies: Copies | None) -> tuple[Array, Array]:
+    def _own_numbers(self, copies: Copies | None, p: Array, p_b: Array) -> tuple[Array, Array]:
         """Return the own numbers of copies, (n, n_own), with design derivatives; one by default."""
-        n_b = len(self.b)
+        n_b, naming = len(self.b), self.naming
         if copies is None:
             return np.zeros((1, 0)), np.zeros((1, 0, n_b))
-        own, own_b = copies.own, np.zeros((*copies.own.shape, n_b))
-        if copies.lengths:
-            first = {beam.name: beam.first_element for beam in self.naming.layout.beams}
-            at = np.array([first[beam] + element for beam, element in copies.lengths])
-            own = own.astype(self.naming.lengths.dtype)
-            own_b[:, 0] = own[:, :1].real * self.naming.lengths_b[at]
-            own[:, 0] *= self.naming.lengths[at]
-        return own, own_b
+        own = copies.own.astype(np.result_type(copies.own, naming.lengths))
+        own_b = np.zeros((*own.shape, n_b))
+        first = {beam.name: beam.first_element for beam in naming.layout.beams}
+        for column, elements in copies.lengths.items():
+            at = np.array([first[beam] + element for beam, element in elements])
+            own_b[:, column] = copies.own[:, [column]] * naming.lengths_b[at]
+            own[:, column] *= naming.lengths[at]
+        if copies.parameters is None:
+            return own, own_b
+        which = copies.parameters
+        own = np.concatenate([own, p[which]], axis=1)
+        return own, np.concatenate([own_b, p_b[which]], axis=1)
 
     def _masses(self, load: Load) -> Array:
         """Return the masses of the vectors of the states of a load, (n_states,)."""

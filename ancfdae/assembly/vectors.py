@@ -111,11 +111,12 @@ def point_vectors(
 ) -> list[PointVector]:
     """Return the vectors that a joint or load names; `places` of points as for `Naming.vector`."""
     vectors = []
+    on_lines = {x: naming.on_line(x) for x in {x for x in names if isinstance(x, LineVector)}}
     for name in names:
         if isinstance(name, CentreLine):
             vectors.append(naming.centre_line(name.beam))
         elif isinstance(name, LineVector):
-            vectors.append(naming.on_line(name))
+            vectors.append(on_lines[name])
         elif isinstance(name, FrameDirection):
             vectors.append(naming.direction(name.body, name.number))
         elif isinstance(name, StateVector):

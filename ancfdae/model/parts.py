@@ -26,8 +26,9 @@ class Elements:
 
     d: int
     of_beam: Mapping[str, BeamElement]
-    #: Number of elements of each beam.
+    #: Number of elements of each beam, and where points stand in the reference as declared.
     counts: Mapping[str, int] = field(default_factory=dict)
+    place_of: Callable[[MaterialPoint], Array] = lambda point: np.zeros(0)
 
     def at(self, point: MaterialPoint) -> BeamElement:
         """Return the element at a point; of a rigid body the one whose nodes are like it."""
@@ -198,9 +199,15 @@ class Part(Designable, abc.ABC):
         return replace(self, ground=tuple(place))  # type: ignore[call-arg]
 
     @property
-    def whole_beam(self) -> str | None:
-        """Name of the beam that the part acts on as a whole."""
-        return self._given().get("beam")
+    def whole_beams(self) -> tuple[str, ...]:
+        """Names of the beams that the part acts on as wholes."""
+        beam = self._given().get("beam")
+        return () if beam is None else (beam,)
+
+    @property
+    def whole_bodies(self) -> tuple[str, ...]:
+        """Names of the rigid bodies that the part acts on, at points of its own."""
+        return ()
 
     @abc.abstractmethod
     def vectors(self, elements: Elements) -> Vectors:

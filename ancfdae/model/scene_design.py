@@ -48,7 +48,7 @@ class SceneDesign(Designable):
         """Types of element of all beams, by the name of the beam."""
         kinds = {beam.name: beam.element for beam in self.beams}
         counts = {beam.name: beam.element_count for beam in self.beams}
-        return Elements(self.dimension, kinds, counts)
+        return Elements(self.dimension, kinds, counts, self.place_of)
 
     @cached_property
     def members(self) -> tuple[BeamBody | RigidBody, ...]:

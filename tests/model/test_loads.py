@@ -18,6 +18,7 @@ from ancfdae import (
     PID,
     Beam,
     BeamContact,
+    BeamPairContact,
     Bushing,
     Clamp,
     Contact,
@@ -33,6 +34,7 @@ from ancfdae import (
     RigidBody,
     RotationalFriction,
     Scene,
+    SphereContacts,
     SpringDamper,
     TorsionalSpringDamper,
     TranslationalFriction,
@@ -89,6 +91,10 @@ def cables():
     return rod, Beam("arm", (0.9, 0.7), (1.5, 0.4), 1, FLAT, GEL, element=CABLE_2D)
 
 
+#: Loads between bodies that touch each other: tests/physics/test_pair_contact.py.
+PAIRS = {BeamPairContact, SphereContacts}
+
+
 def planar_loads():
     rod, _ = beams(2)
     return {
@@ -130,7 +136,7 @@ class LoadSetting(MeasuredSetting):
     def __init__(self, name):
         self.load = VARIANTS[name]
         self.own = [f"{self.load.name}.{parameter}" for parameter in self.load.parameters()]
-        touched = [self.load.whole_beam or "", *(point.beam for point in self.load.points)]
+        touched = [*self.load.whole_beams, *(point.beam for point in self.load.points)]
         touched = [name for name in dict.fromkeys(touched) if name]
         chosen = [beam for beam in ELEMENT_BEAMS[name.split()[0]] if beam.name in touched]
         design = [*self.own, *(f"{name}.length" for name in touched)]
@@ -187,6 +193,7 @@ def one(request):
 def test_every_public_load_has_examples_in_each_dimension():
     kinds = set(public_classes(loads, Load).values())
     assert kinds == concrete_subclasses(Load)
+    kinds -= PAIRS
     for space in ("planar", "spatial"):
         here = {type(load) for name, load in VARIANTS.items() if name.startswith(space)}
         assert here == {kind for kind in kinds if space == "spatial" or not kind.spatial}
@@ -951,6 +958,8 @@ def test_loads_with_an_energy_are_known():
         Contact,
         RotationalFriction,
         TranslationalFriction,
+        BeamPairContact,
+        SphereContacts,
         SpringDamper,
         TorsionalSpringDamper,
     }

@@ -57,6 +57,7 @@ class ContactLoad(Load, abc.ABC):
 
     kind = "contact"
     elastic = True
+    touches = True
     damping_fields: ClassVar[tuple[str, ...]] = ("restitution", "friction")
 
     def __post_init__(self) -> None:
@@ -256,8 +257,8 @@ class BeamContact(ObstacleContact):
     def copies(self, elements: Elements) -> Copies:
         """Return one copy for each Gauss point, with the length that it stands for."""
         count, (_, weights) = elements.counts[self.beam], box_rule((self.points_per_element,))
-        of = [(self.beam, k) for k in range(count) for _ in weights]
-        return Copies(np.tile(weights, count)[:, None], tuple(of))
+        of = tuple((self.beam, k) for k in range(count) for _ in weights)
+        return Copies(np.tile(weights, count)[:, None], {0: of})
 
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
         """Return the force per length times the length that the point stands for."""

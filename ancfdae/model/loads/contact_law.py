@@ -15,7 +15,6 @@ limit missing at |w_t| = 2.2 w_s, and a linear creep below.
 from typing import Any
 
 import numpy as np
-import scipy.optimize
 
 from ancfdae.errors.checks import require_finite
 from ancfdae.errors.kinds import InvalidInputError
@@ -55,6 +54,8 @@ def damping_of(restitution: Any, speed: Any) -> Any:
 
     def excess(u: float) -> float:
         return _phi(u)[0] - e**2 * _phi(-e * u)[0]
+
+    import scipy.optimize
 
     u = scipy.optimize.brentq(excess, 0.0, (1 - 1e-12) / e, xtol=1e-300, rtol=1e-15)
     (_, slope), (inner, inner_slope) = _phi(u), _phi(-e * u)

@@ -8,7 +8,7 @@ design derivatives.
 """
 
 import abc
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, final
 
@@ -39,13 +39,16 @@ class Copies:
     ----------
     own : array, shape (n, n_own)
         Numbers of each copy, which `Load.force_at` gets behind the signals.
-    lengths : tuple
-        For each copy the element, as the name of a beam and a number counted from 0 on, whose
-        length multiplies its first own number; empty for none.
+    lengths : mapping of int to tuple
+        For columns of `own` the elements, as the name of a beam and a number counted from 0 on,
+        whose lengths multiply the numbers of the copies.
+    parameters : array of int, shape (n, m), optional
+        Places of parameters of the load that are further own numbers of each copy.
     """
 
     own: Array
-    lengths: tuple[tuple[str, int], ...] = ()
+    lengths: Mapping[int, tuple[tuple[str, int], ...]] = field(default_factory=dict)
+    parameters: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,9 @@ class Load(Part):
     #: Whether the force may change more suddenly with positions or velocities than they change: a
     #: run within a tolerance then looks for such places along its path.
     sharp: ClassVar[bool] = True
+
+    #: Whether the force acts during short contacts, which the steps of a run must not pass over.
+    touches: ClassVar[bool] = False
 
     law: Law | None = field(default=None, kw_only=True)
 

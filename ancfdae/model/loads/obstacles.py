@@ -19,8 +19,8 @@ from ancfdae.model.design import Designable
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import direction, dot
 
-# Part of the radius below which a distance from a centre has no direction, and is bounded.
-_CENTRE = 1e-12
+#: Part of the radius below which a distance from a centre has no direction, and is bounded.
+CENTRE = 1e-12
 
 
 @final
@@ -97,7 +97,7 @@ class Plane(Obstacle):
 
 def _round(e: Any, radius: Any, inside: bool) -> tuple[Any, Any]:
     """Return the distance from a round surface, at e from its centre or axis, and the normal."""
-    l = np.sqrt(dot(e, e) + (_CENTRE * radius) ** 2)
+    l = np.sqrt(dot(e, e) + (CENTRE * radius) ** 2)
     return (radius - l, -e / l) if inside else (l - radius, e / l)
 
 
