@@ -7,8 +7,8 @@ from ancfdae.facade import public_names
 _CABLE = "A cable is a Beam(..., element=CABLE_2D), in space CABLE_3D (docs/howto/elements.md)."
 _CONTACT = (
     "Contact is a load: Contact(point, Plane(...), stiffness=...) of a point or sphere, "
-    "BeamContact of a beam (docs/howto/contact.md). Impacts and stops of named points are events, too "
-    "(docs/howto/events.md)."
+    "BeamContact of a beam (docs/howto/contact.md). Impacts and stops of named points are "
+    "events, too (docs/howto/events.md)."
 )
 _EVENT = (
     "Events are Impact, EndEvent and Switch, given as events= to a call (docs/howto/events.md)."

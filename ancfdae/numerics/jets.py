@@ -59,7 +59,7 @@ class Carried(NDArrayOperatorsMixin, abc.ABC):
 
     @abc.abstractmethod
     def positive(self) -> Any:
-        """Return what is positive of it, else 0."""
+        """Return the array where it is positive, else 0."""
 
     @abc.abstractmethod
     def step(self) -> Any:

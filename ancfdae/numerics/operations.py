@@ -322,7 +322,7 @@ class Listed(Carried):
         return self._apply(ANGLE, self, x)
 
     def positive(self) -> Listed:
-        """Return what is positive of it, else 0."""
+        """Return the array where it is positive, else 0."""
         return self._apply(POSITIVE, self)
 
     def step(self) -> Listed:
