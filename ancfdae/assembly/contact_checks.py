@@ -1,7 +1,7 @@
 """Contacts that the steps of a run pass over, or that a load does not list.
 
 Between two time points the motion follows the cubic through positions and velocities at both. The
-impulse of a load over this path is compared with that of the trapezoidal rule on its ends. A run
+impulse of a load over this path is compared with the trapezoidal rule on its ends. A run
 resolves a contact if their differences are a small part of the impulse of the contact. Where a step
 jumps over a contact, or enters and leaves it within few steps, they are of its size.
 """
@@ -26,7 +26,7 @@ _UNRESOLVED: Final = 0.2
 _FEWEST: Final = 4
 # Contacts with less than this part of the largest impulse do not count.
 _SMALL: Final = 0.01
-# Parts of a step on the path: if there is a force at one of its ends, and if there is none.
+# Parts of a step on the path: with a force at one of its ends, and without one.
 _TOUCHING, _FREE = 4, 16
 # Numbers of states that are looked at together.
 _ROOM: Final = 2**21
@@ -48,7 +48,7 @@ class ContactCheck:
         return min((x for x in found if x is not None), default=None, key=lambda x: x.place)
 
     def _unresolved(self, t: Array, q: Array, v: Array) -> MissedContact | None:
-        """Return the first contact whose impulse differs from that of its time points."""
+        """Return the first contact whose impulse is not found by the trapezoidal rule."""
         h = np.diff(t)
         if not len(h):
             return None

@@ -23,7 +23,7 @@ class LoadInput:
 
     A load may stand in several copies: their vectors follow each other, and `own` has their own
     numbers, (n_copies, n_own), with design derivatives `own_b`, (n_copies, n_own, n_b). The
-    reference is that of the first copy. `masses` belong to the vectors of its states, (n_states,),
+    reference holds the vectors of the first copy. `masses` belong to the vectors of its states, (n_states,),
     which come last.
     """
 

@@ -29,7 +29,7 @@ enum {
 /* Numbers are entries of U and V, signals, own numbers of a copy, constants, and results one by one:
  * operation k is op[k] of numbers a[k] and b[k]. Signals are functions of time, given at each time
  * behind the factor. Forces on U are the numbers `output`. Entries of L^T F_U L go to `places` among
- * n_values values: for components i and j those of the entries in rows i and j of L.
+ * n_values values: for components i and j, the products of entries in rows i and j of L.
  *
  * A load may have several copies: the same operations on other vectors and own numbers. Copy c has the
  * rows c n_U to (c + 1) n_U - 1 of L. A gate is an operation whose result 0 says that there is no

@@ -87,7 +87,7 @@ def test_a_ball_leaves_at_the_restitution_of_its_impact(unit, restitution, expon
     scene, _ = falling(2.0, unit, restitution=restitution, impact_speed=2.0, exponent=exponent)
     run = simulate(scene, 0.06, Radau(rtol=1e-9))
     assert run.outcome.success
-    # With little restitution the last part of the speed comes when hardly any force is left.
+    # With little restitution the last part of the speed comes when 1e-4 of the force is left.
     np.testing.assert_allclose(
         run.v[-1, 2] / UNITS[unit][0], 2.0 * restitution, rtol=1e-6 if restitution > 0.1 else 1e-2
     )
@@ -297,7 +297,7 @@ def test_gradients_through_an_impact_of_two_bodies_are_exact(kind, friction):
 
 
 def rope(n=12, element=CABLE_3D, **law):
-    """A rope that falls flat, a little oblique, on a plane."""
+    """A rope that falls on a plane, inclined to it by a few degrees."""
     soft = Material(1000.0, 1e6, 0.3)
     line = Beam("rope", (0, 0, 0.02), (1, 0.1, 0.06), n, Circle(0.01), soft, element=element)
     touch = BeamContact("rope", Plane((0, 0, 0), (0.05, 0, 1)), radius=0.01, name="floor", **law)

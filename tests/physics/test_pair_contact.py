@@ -40,7 +40,7 @@ RUBS = {"friction": 0.3, "slip_speed": 0.05}
 
 
 def heap(unit="m", d=3, **law):
-    """Four balls of which one flies into the others, oblique and with a spin."""
+    """Four balls: the first one flies into the row, oblique and with a spin."""
     length, mass, away = UNITS[unit]
     inertia = 0.004 * mass * length**2
     bodies = [

@@ -53,7 +53,7 @@ def public_classes(module, base):
     return {kind.__name__: kind for kind in kinds if not inspect.isabstract(kind)}
 
 
-#: Numbers that rules do not let be 0.7 or a little more.
+#: Numbers where rules refuse 0.7 to 1.5.
 _NUMBERS = {"exponent": 1.5, "restitution": 0.3}
 
 

@@ -106,7 +106,7 @@ class ObstacleContact(ContactLoad, abc.ABC):
 
     @property
     def refers(self) -> bool:  # type: ignore[override]  # only what is carried has a reference
-        """Whether the force depends on the reference: that of a body that carries the obstacle."""
+        """Whether the force depends on the reference configuration: a body carries the obstacle."""
         return self.other is not None
 
     def numbers_of(self, name: str) -> dict[str, float]:
@@ -184,7 +184,7 @@ class Contact(ObstacleContact):
     radius : float, optional
         Radius of the sphere; m. By default a point touches.
     exponent : float, optional
-        m, from 1 on; 1.5, that of Hertz, by default. The force of 1 has a kink where contact
+        m, from 1 on; 1.5 by default, as Hertz found. The force of 1 has a kink where contact
         begins.
     restitution : float, optional
         e, between 0.05 and 1; undamped by default.
@@ -204,7 +204,7 @@ class Contact(ObstacleContact):
     other: MaterialPoint | None = field(default=None, kw_only=True)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return position and axes of the point, and those of what carries the obstacle."""
+        """Return position and axes of the point, and the vectors of the carrier."""
         own = (Quantity.POSITION, *self.turning(self.point, elements))
         return (*((self.point, x) for x in own), *self.carrier_vectors(elements.d))
 
@@ -214,7 +214,7 @@ class Contact(ObstacleContact):
 class BeamContact(ObstacleContact):
     """Contact of a beam or cable, a centre line with a radius, with a plane, sphere or cylinder.
 
-    The force per unit of reference length is that of `Contact` on a sphere of this radius; it acts
+    The force per unit of reference length follows the law of `Contact` for this radius; it acts
     at Gauss points along every element, so that it does not depend on the mesh. Friction turns the
     sections of beams; on cables it acts on the centre line. Design targets as of `Contact`.
 
@@ -244,7 +244,7 @@ class BeamContact(ObstacleContact):
         require_count(where, self.points_per_element, "Give the number of points.", 64)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return, for each Gauss point, its position and axes, and those of the carrier."""
+        """Return, for each Gauss point, its position and axes, and the vectors of the carrier."""
         own = (Quantity.POSITION, *self.turning(MaterialPoint(self.beam, 0.0), elements))
         carrier = self.carrier_vectors(elements.d)
         names: list[Any] = []

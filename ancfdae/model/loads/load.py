@@ -38,7 +38,7 @@ class Copies:
     Parameters
     ----------
     own : array, shape (n, n_own)
-        Numbers of each copy, which `Load.force_at` gets behind the signals.
+        Numbers of each copy, which `Load.force_at` gets behind the signals; in SI units.
     lengths : mapping of int to tuple
         For columns of `own` the elements, as the name of a beam and a number counted from 0 on,
         whose lengths multiply the numbers of the copies.
@@ -116,7 +116,7 @@ class Load(Part):
         return self.force(U, V, p, U_o)
 
     def copies(self, elements: Elements) -> Copies | None:
-        """Return the copies of a load whose `vectors` are those of one after the other.
+        """Return the copies of a load; its `vectors` belong to one copy after the other.
 
         None for a load that stands once.
         """

@@ -50,7 +50,7 @@ class Carrier(NamedTuple):
 
 
 class Obstacle(Designable, abc.ABC):
-    """A surface with an outward normal; values are those of the reference configuration."""
+    """A surface with an outward normal; its numbers hold in the reference configuration."""
 
     def __post_init__(self) -> None:
         self.check_fields(type(self).__name__)
@@ -80,7 +80,7 @@ class Plane(Obstacle):
     place : sequence of float
         A place on its surface; m.
     normal : sequence of float
-        Direction out of it, of any length.
+        Direction out of it, of any length; dimensionless.
     """
 
     place: Sequence[float]
@@ -142,7 +142,7 @@ class Cylinder(Obstacle):
     place : sequence of float
         A place on its axis; m.
     axis : sequence of float
-        Direction of the axis, of any length.
+        Direction of the axis, of any length; dimensionless.
     radius : float
         Positive; m.
     inside : bool, optional

@@ -81,7 +81,7 @@ class PairContact(ContactLoad):
 
     @final
     def pairs(self, elements: Elements) -> Array:
-        """Return the pairs that may touch; InvalidInputError if none is within reach."""
+        """Return the pairs that may touch, (n, 2); InvalidInputError if all are out of reach."""
         places = []
         for name in (*self.whole_beams, *self.whole_bodies):
             at = np.linspace(0.0, 1.0, elements.counts.get(name, 0) + 1).tolist()
@@ -99,7 +99,7 @@ class PairContact(ContactLoad):
 class SphereContacts(PairContact):
     """Contact of rigid bodies with each other, each a sphere around its reference point.
 
-    All pairs may touch, or those that `reach` leaves. Forces are those of `Contact`. Design
+    All pairs may touch, or the pairs that `reach` leaves. Forces follow the law of `Contact`. Design
     targets: ``stiffness``, ``radius[0]``, ``radius[1]`` ... in the order of the bodies,
     ``restitution``, ``impact_speed``, ``friction`` and ``slip_speed``.
 
@@ -160,7 +160,7 @@ class SphereContacts(PairContact):
         )
 
     def copies(self, elements: Elements) -> Copies:
-        """Return a copy for each pair, with the radii of both."""
+        """Return a copy for each pair, with its two radii."""
         pairs, (places, _) = self.pairs(elements), self.design_places
         first = places[[name for name, _ in self.design_fields].index("radii")]
         assert isinstance(first, slice)
@@ -212,7 +212,7 @@ class BeamPairContact(PairContact):
     exponent, restitution, impact_speed, friction, slip_speed
         As in `Contact`.
     reach : float, optional
-        As in `SphereContacts`, for elements.
+        As in `SphereContacts`, for elements; m.
     """
 
     beam: str
@@ -250,7 +250,7 @@ class BeamPairContact(PairContact):
         return _within(balls[0], balls[1], reach)
 
     def vectors(self, elements: Elements) -> Vectors:
-        """Return, for each Gauss point and element, the point and its axes, and those of nodes."""
+        """Return, for each Gauss point and element, the point, its axes and vectors of nodes."""
         both = [self.turning(MaterialPoint(x, 0.0), elements) for x in self.whole_beams]
         points = box_rule((self.points_per_element,))[0][:, 0].tolist()
         names: list[Any] = []
@@ -385,5 +385,5 @@ def _weighted(weights: tuple[Any, ...], X: Any) -> Any:
 
 
 def _between(axes: Any, xi: Any, half: int) -> tuple[Any, ...]:
-    """Return axes at xi from those of both ends, which follow each other; none of none."""
+    """Return axes at xi from the axes of both ends, which follow each other; () without axes."""
     return ((1 - xi) * axes[..., :half, :] + xi * axes[..., half:, :],) if half else ()
