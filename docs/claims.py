@@ -23,13 +23,13 @@ def _figures(report: str) -> dict[str, float]:
 
 
 def _shown(value: float, digits: int = 2) -> str:
-    """Return a number with the significant digits that a reader can say aloud, never as 1e+03."""
+    """Return a number with its significant digits, 1,000 in place of 1e+03."""
     text = f"{value:.{digits}g}"
     return f"{float(text):,.0f}" if "e+" in text else text
 
 
 def _range(values: Collection[float]) -> str:
-    """Return one number, or the least and the largest; "not reached" for an empty list."""
+    """Return one number, or the least and the largest; "not reached" if there are none."""
     if not values:
         return "not reached"
     low, high = _shown(min(values), 1), _shown(max(values), 1)
@@ -70,7 +70,7 @@ def _methods() -> dict[str, str]:
 
 
 def _integrators() -> dict[str, str]:
-    """Return costs of accuracies, for pages on integrators and steps."""
+    """Return costs of accuracy, for pages on integrators and steps."""
     second, high = ("HHT_fixed", "HHT_controlled"), ("high_order",)
     claims = {}
     for scene in _SCENES:
@@ -92,7 +92,7 @@ def _integrators() -> dict[str, str]:
 
 
 def _speeds() -> dict[str, str]:
-    """Return times of steps, of assembly and of a design: pages on limits and sizes."""
+    """Return times of steps and of assembly, for pages on limits and sizes."""
     speed, tolerance = _figures("performance"), _figures("tolerance")
     step = speed["a_step_and_its_derivatives.step_of_the_crank_slider_newton_1e_08"]
     size = "from_ten_to_ten_thousand_elements."

@@ -7,10 +7,11 @@ from typing import Any, final
 
 import numpy as np
 
+from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.vectors import Vectors
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import LoadPlan
-from ancfdae.model.loads.load import Load
+from ancfdae.model.loads.load import Copies, Load
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.operations import Listed, Operations
 from ancfdae.numerics.patterns import SparsityPattern
@@ -23,8 +24,8 @@ class LoadInput:
 
     A load may stand in several copies: their vectors follow each other, and `own` has their own
     numbers, (n_copies, n_own), with design derivatives `own_b`, (n_copies, n_own, n_b). The
-    reference holds the vectors of the first copy. `masses` belong to the vectors of its states, (n_states,),
-    which come last.
+    reference holds the vectors of the first copy. `masses` belong to the vectors of its states,
+    (n_states,), which come last.
     """
 
     load: Load
@@ -164,6 +165,27 @@ class LoadInput:
             reference = reference + 1j * STEP * self.reference_b[i]
         own = self.own + 1j * STEP * self.own_b[..., i]
         return replace(self, vectors=self.vectors.moved(i), p=p, reference=reference, own=own)
+
+
+def own_numbers(
+    copies: Copies | None, naming: SceneNaming, p: Array, p_b: Array
+) -> tuple[Array, Array]:
+    """Return the own numbers of copies, (n, n_own), with design derivatives; one by default."""
+    n_b = naming.lengths_b.shape[1]
+    if copies is None:
+        return np.zeros((1, 0)), np.zeros((1, 0, n_b))
+    own = copies.own.astype(np.result_type(copies.own, naming.lengths))
+    own_b = np.zeros((*own.shape, n_b))
+    first = {beam.name: beam.first_element for beam in naming.layout.beams}
+    for column, elements in copies.lengths.items():
+        at = np.array([first[beam] + element for beam, element in elements])
+        own_b[:, column] = copies.own[:, [column]] * naming.lengths_b[at]
+        own[:, column] *= naming.lengths[at]
+    if copies.parameters is None:
+        return own, own_b
+    which = copies.parameters
+    own = np.concatenate([own, p[which]], axis=1)
+    return own, np.concatenate([own_b, p_b[which]], axis=1)
 
 
 def _described(force: Any) -> str:

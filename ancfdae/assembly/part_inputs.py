@@ -9,7 +9,7 @@ import numpy as np
 
 from ancfdae.assembly.joint_input import HeldAngles, JointInput
 from ancfdae.assembly.joint_structure import JointStructure
-from ancfdae.assembly.load_input import LoadInput
+from ancfdae.assembly.load_input import LoadInput, own_numbers
 from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
@@ -17,7 +17,7 @@ from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
-from ancfdae.model.loads.load import Copies, Load
+from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import Elements, FrameDirection, Part
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.model.scene import Scene
@@ -103,29 +103,11 @@ class PartInputs:
         points, p, p_b = self._part(load)
         vectors = self._vectors(points)
         reference, reference_b = self._in_reference(vectors)
-        own, own_b = self._own_numbers(load.copies(self.scene.elements), p, p_b)
+        own, own_b = own_numbers(load.copies(self.scene.elements), self.naming, p, p_b)
         n = len(reference) // max(len(own), 1)
         used = {i: x[:n] for i, x in reference_b.items()} if load.refers else {}
         masses = self._masses(load)
         return LoadInput(load, vectors, p, p_b, reference[:n], used, masses, own, own_b)
-
-    def _own_numbers(self, copies: Copies | None, p: Array, p_b: Array) -> tuple[Array, Array]:
-        """Return the own numbers of copies, (n, n_own), with design derivatives; one by default."""
-        n_b, naming = len(self.b), self.naming
-        if copies is None:
-            return np.zeros((1, 0)), np.zeros((1, 0, n_b))
-        own = copies.own.astype(np.result_type(copies.own, naming.lengths))
-        own_b = np.zeros((*own.shape, n_b))
-        first = {beam.name: beam.first_element for beam in naming.layout.beams}
-        for column, elements in copies.lengths.items():
-            at = np.array([first[beam] + element for beam, element in elements])
-            own_b[:, column] = copies.own[:, [column]] * naming.lengths_b[at]
-            own[:, column] *= naming.lengths[at]
-        if copies.parameters is None:
-            return own, own_b
-        which = copies.parameters
-        own = np.concatenate([own, p[which]], axis=1)
-        return own, np.concatenate([own_b, p_b[which]], axis=1)
 
     def _masses(self, load: Load) -> Array:
         """Return the masses of the vectors of the states of a load, (n_states,)."""

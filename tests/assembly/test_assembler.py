@@ -122,7 +122,7 @@ def test_force_b(setting):
     s = setting
     Q = s.system.force(s.t, s.q, s.v)
     partial = force_b(s.system, s.t, s.q, s.v)
-    s.check_design(partial, lambda x, i, e: x.force(s.t, s.q, s.v), np.max(np.abs(Q)))
+    s.check_design(partial, lambda x, e: x.force(s.t, s.q, s.v), np.max(np.abs(Q)))
 
 
 def test_force_total(setting):
@@ -135,8 +135,8 @@ def test_force_total(setting):
     # The same products in another order.
     assert np.max(np.abs(both[0] - Q)) < 1e-13 * np.max(np.abs(Q))
 
-    def moved(x, i, e):
-        return x.force(s.t, s.q + e * s.q_b[:, i], s.v + e * s.v_b[:, i])
+    def moved(x, e):
+        return x.force(s.t, *(y + e * y_e for y, y_e in zip((s.q, s.v), s.along[:2], strict=True)))
 
     s.check_design(total, moved, np.max(np.abs(s.system.force(s.t, s.q, s.v))))
 
@@ -145,16 +145,16 @@ def test_mass_b_times(setting):
     s = setting
     partial = mass_b_times(s.system, s.q, s.a)
     magnitude = np.max(np.abs(s.system.mass_times(s.q, s.a)))
-    s.check_design(partial, lambda x, i, e: x.mass_times(s.q, s.a), magnitude)
+    s.check_design(partial, lambda x, e: x.mass_times(s.q, s.a), magnitude)
 
 
 def test_force_rate_total(setting):
     s = setting
     partial = force_rate_total(s.system, s.t, s.q, s.v, s.a, s.q_b, s.v_b, s.a_b)
 
-    def rate(x, i, e):
-        q, v, a = s.q + e * s.q_b[:, i], s.v + e * s.v_b[:, i], s.a + e * s.a_b[:, i]
-        return force_rate(x, s.t, q, v, a)
+    def rate(x, e):
+        states = zip((s.q, s.v, s.a), s.along, strict=True)
+        return force_rate(x, s.t, *(y + e * y_e for y, y_e in states))
 
     s.check_design(partial, rate, np.max(np.abs(force_rate(s.system, s.t, s.q, s.v, s.a))))
 
@@ -162,22 +162,22 @@ def test_force_rate_total(setting):
 def test_constraint_b(setting):
     s = setting
     partial = constraint_b(s.system, s.t, s.q)
-    s.check_design(partial, lambda x, i, e: x.constraint(s.t, s.q), 1.0)  # positions of 1 m
+    s.check_design(partial, lambda x, e: x.constraint(s.t, s.q), 1.0)  # positions of 1 m
 
 
 def test_constraint_force_b(setting):
     s = setting
     partial = constraint_force_b(s.system, s.t, s.q, s.lam)
     magnitude = np.max(np.abs(constraint_force(s.system, s.t, s.q, s.lam)))
-    s.check_design(partial, lambda x, i, e: constraint_force(x, s.t, s.q, s.lam), magnitude)
+    s.check_design(partial, lambda x, e: constraint_force(x, s.t, s.q, s.lam), magnitude)
 
 
 def test_constraint_q_times_total(setting):
     s = setting
     partial = constraint_q_times_total(s.system, s.t, s.q, s.v, s.q_b)
 
-    def product(x, i, e):
-        values = x.constraint_q(s.t, s.q + e * s.q_b[:, i])
+    def product(x, e):
+        values = x.constraint_q(s.t, s.q + e * s.along[0])
         return x.constraint_pattern.dot(values, s.v)
 
     s.check_design(partial, product, 1.0)
@@ -186,7 +186,7 @@ def test_constraint_q_times_total(setting):
 def test_start_b(setting):
     s = setting
     for k in (0, 1):
-        s.check_design(s.system.start_b()[k], lambda x, i, e, k=k: x.start()[k], 1.0)
+        s.check_design(s.system.start_b()[k], lambda x, e, k=k: x.start()[k], 1.0)
 
 
 def test_start_pull_back_is_the_contraction_of_start_b(setting):
@@ -217,7 +217,7 @@ def test_lengths_b(setting):
     if not s.scene.beams:
         assert s.system.naming.lengths_b.shape == (0, s.system.n_b)
         return
-    s.check_design(s.system.naming.lengths_b, lambda x, i, e: x.naming.lengths, 1.0)
+    s.check_design(s.system.naming.lengths_b, lambda x, e: x.naming.lengths, 1.0)
 
 
 def test_design_derivatives_of_the_constraints_are_not_all_zero():
@@ -521,23 +521,16 @@ def test_start_sensitivity_is_the_complex_step_of_the_consistent_start(setting):
     matrices = saddle_point(s.system, 0.0)
     state = consistent_start(s.system, matrices, 0.0)
     partials = start_sensitivity(s.system, matrices, state)
-    moved_states = {}
-
-    def start_of(x, i):
-        if i not in moved_states:
-            moved_states[i] = consistent_start(x, saddle_point(x, 0.0), 0.0)
-        return moved_states[i]
-
+    start = consistent_start(s.moved, saddle_point(s.moved, 0.0), 0.0)
     for name in ("q", "v", "a", "lam"):
         values = getattr(state, name)
-
-        def moved(x, i, e, name=name):
-            return getattr(start_of(x, i), name)
 
         # Solves with a scaled matrix whose condition is below 1e4 come on top of DERIVATIVE.
         # Joints take velocities of 1 m/s: what is left where they hold all is round-off of these.
         size, noise = max(np.max(np.abs(values)), 1.0 if name == "v" else 0.0), s.noise(name)
-        s.check_design(getattr(partials, f"{name}_b"), moved, size, 1e-9, noise)
+        moved = getattr(start, name)
+        partial = getattr(partials, f"{name}_b")
+        s.check_design(partial, lambda x, e, moved=moved: moved, size, 1e-9, noise)
 
 
 def test_start_of_the_recurrence_is_differentiated_exactly(setting):
@@ -546,21 +539,17 @@ def test_start_of_the_recurrence_is_differentiated_exactly(setting):
     def start(x):
         return RecurrenceStart.of(InitialValueProblem.of(x, 1.0), c)
 
-    first, moved_nodes = start(s.system), {}
+    first, node = start(s.system), start(s.moved).node
     matrices = saddle_point(s.system, 0.0)
     partials = first.sensitivity(start_sensitivity(s.system, matrices, first.initial))
     for name in ("v", "a"):
-
-        def moved(x, i, e, name=name):
-            if i not in moved_nodes:
-                moved_nodes[i] = start(x).node
-            return getattr(moved_nodes[i], name)
-
         # As above.
         size = max(np.max(np.abs(getattr(first.node, name))), 1.0 if name == "v" else 0.0)
         # Damping 1e7 times the mass stands in the matrix of the third derivative: 1e7 eps, and ten
         # times as much for the products.
-        s.check_design(getattr(partials, f"{name}_b"), moved, size, 2e-8, s.noise(name))
+        moved = getattr(node, name)
+        partial = getattr(partials, f"{name}_b")
+        s.check_design(partial, lambda x, e, moved=moved: moved, size, 2e-8, s.noise(name))
 
 
 def test_cases_contain_projected_starts():

@@ -439,7 +439,7 @@ def test_flexible_rod_keeps_momentum_and_energy_at_a_stop():
 
     def at(observable, phase, k):
         states = (phase.t[[k]], phase.q[[k]], phase.v[[k]], phase.lam[[k]])
-        from ancfdae.sensitivity.observables.states import States
+        from ancfdae.sensitivity.observables.observable import States
 
         return float(observable.value(system, States(*states))[0])
 

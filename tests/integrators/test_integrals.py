@@ -35,9 +35,9 @@ from ancfdae.laws import Harmonic
 from ancfdae.observables import custom, multiplier, position, reaction
 from ancfdae.results import Verdict
 from ancfdae.sections import Rectangle
-from ancfdae.sensitivity.objectives.totals import Total
+from ancfdae.sensitivity.objectives.reductions import Total
+from ancfdae.sensitivity.observables.observable import states_of
 from ancfdae.sensitivity.observables.quantities import elapsed_time
-from ancfdae.sensitivity.observables.states import states_of
 from tests.support.mechanisms import CartesianPendulum
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.scenes import crank_slider

@@ -8,7 +8,7 @@ from ancfdae.errors import Interrupted, InvalidInputError
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.observables import custom, kinetic_energy, observe, position
 from ancfdae.results import Verdict
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
 from ancfdae.studies import observing, parts
 from tests.support.mechanisms import CartesianPendulum
 from validation.scenes import pendulum

@@ -36,8 +36,8 @@ from ancfdae.laws import ConstantAcceleration, Harmonic, RunUp
 from ancfdae.observables import position
 from ancfdae.results import Verdict
 from ancfdae.sections import Rectangle
-from ancfdae.sensitivity.observables.drives import driver_torque
 from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.quantities import driver_torque
 
 STEEL = Material(density=7800.0, youngs_modulus=2e11, poisson_ratio=0.3)
 SECTION = Rectangle(height=0.02, width=0.02)

@@ -467,7 +467,7 @@ def test_gradients_of_a_controlled_flexible_arm_are_differences_of_the_call(d):
 
 
 def states_of(scene, t_end, method):
-    from ancfdae.sensitivity.observables.states import states_of
+    from ancfdae.sensitivity.observables.observable import states_of
 
     return assemble(scene), states_of(simulate(scene, t_end, method))
 

@@ -31,16 +31,16 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError, UnknownNameError
 from ancfdae.laws import ConstantAcceleration, Harmonic
 from ancfdae.sections import Rectangle
-from ancfdae.sensitivity.observables.drives import (
+from ancfdae.sensitivity.observables.mass import inertia
+from ancfdae.sensitivity.observables.observable import States, observe
+from ancfdae.sensitivity.observables.quantities import (
     driver_force,
     driver_torque,
     joint_power,
+    kinetic_energy,
     load_power,
+    strain_energy,
 )
-from ancfdae.sensitivity.observables.mass import inertia
-from ancfdae.sensitivity.observables.observable import observe
-from ancfdae.sensitivity.observables.quantities import kinetic_energy, strain_energy
-from ancfdae.sensitivity.observables.states import States
 
 RUBBER = Material(density=1100.0, youngs_modulus=5e6, poisson_ratio=0.3)
 SECTION = Rectangle(height=0.06, width=0.04)

@@ -1,14 +1,9 @@
-"""Joints: equations by hand, partials by complex step, rates along a curve.
+"""Joints: equations by hand, and simulations that show that joints hold what they should.
 
 Every joint stands alone in a scene, at nodes and between them, to ground and between beams. Its
-equations are compared with their geometric meaning, every derivative of the protocol with a
-complex step (tolerances: `setting`), and the right sides of the velocity, acceleration and
-jerk equations with the derivatives of Phi along a smooth curve q(t). Simulations show that the
-joints hold what they should.
+equations are compared with their geometric meaning; their derivatives are in `test_parts`.
 """
 
-import functools
-from dataclasses import fields
 from functools import partial as given
 
 import numpy as np
@@ -26,196 +21,35 @@ from ancfdae import (
     Material,
     MovingSupport,
     Pin,
-    PlanarJoint,
     PointOnLine,
-    Prismatic,
     Revolute,
     RotationDriver,
     SaintVenantKirchhoff,
     Scene,
-    Spherical,
     TranslationDriver,
     Universal,
-    Weld,
     assemble,
     simulate,
 )
-from ancfdae.assembly.part_inputs import Rigidity
 from ancfdae.errors import InvalidInputError
-from ancfdae.extend import Law, MaterialPoint
+from ancfdae.extend import MaterialPoint
 from ancfdae.laws import ConstantAcceleration, Harmonic
-from ancfdae.model import joints
 from ancfdae.model.joints.frames import SectionFrame, across, unit
-from ancfdae.model.joints.joint import DrivenJoint, Joint
+from ancfdae.model.joints.joint import DrivenJoint
 from ancfdae.model.parts import Elements, Normal
 from ancfdae.sections import Rectangle
 from tests.support.by_hand import turns_by_hand, vector_by_hand
-from tests.support.curves import CURVE, rates_of
-from tests.support.examples import all_examples, coefficients_of, public_classes
 from tests.support.joint_motions import MOTIONS
-from tests.support.members import (
-    acceleration_side,
-    acceleration_side_total,
-    constraint_b,
-    constraint_force,
-    constraint_force_b,
-    constraint_force_q,
-    constraint_force_rate,
-    constraint_force_rate_total,
-    constraint_q_times_total,
-    jerk_side,
-    jerk_side_total,
-    velocity_side,
-    velocity_side_total,
-)
-from tests.support.scenes import FLAT, STEEL, THICK, arc
+from tests.support.parts import JOINTS, MEMBERS, joint_setting
 from tests.support.setting import (
-    DERIVATIVE,
     VALUE,
-    MeasuredSetting,
     assert_close,
-    concrete_subclasses,
 )
 
-# ---------------------------------------------------------------- variants
 
-UNIFORM = ConstantAcceleration(speed=2.0, offset=0.3, acceleration=1.5)
-HARMONIC = Harmonic(amplitude=0.4, frequency=3.0, phase=0.2, offset=0.1)
-
-
-def beams(d):
-    """A rod of two elements, an arm and a curved beam, all oblique."""
-    z = (0.2,) * (d - 2)
-    rod = Beam("rod", (0.1, 0.2, *z), (0.9, 0.7, *z), 2, FLAT, STEEL)
-    arm = Beam("arm", (0.9, 0.7, *z), (1.5, 0.4, *(3 * x for x in z)), 1, THICK, STEEL)
-    bow = arc("bow", (0.9, 1.7, *z), 1.0, (0.0, 0.6), d, pitch=0.3 if d == 3 else 0.0)
-    return rod, arm, bow
-
-
-def cables():
-    """A rod and an arm of cable elements."""
-    rod = Beam("rod", (0.1, 0.2), (0.9, 0.7), 2, FLAT, STEEL, element=CABLE_2D)
-    return rod, Beam("arm", (0.9, 0.7), (1.5, 0.4), 1, FLAT, STEEL, element=CABLE_2D)
-
-
-def planar_joints():
-    rod, arm, _ = beams(2)
-    return {
-        "pin, node": Pin(rod.at(0.5)),
-        "pin, nodes": Pin(rod.at_end, arm.at_start),
-        "clamp, node": Clamp(rod.at(0.5)),
-        "distance, node": Distance(rod.at_end, 0.7, ground=(1.1, 0.1)),
-        "line, node": PointOnLine(rod.at(0.5), (0.8, -0.3)),
-        "drive, node": RotationDriver(rod.at(0.5), UNIFORM),
-        "guide, node": TranslationDriver(rod.at_end, (0.6, -0.8), HARMONIC),
-        "weld, nodes": Weld(rod.at_end, arm.at_start),
-        "prismatic, node": Prismatic(rod.at(0.5), (0.8, -0.3)),
-    }
-
-
-def spatial_joints():
-    rod, arm, _ = beams(3)
-    return {
-        "spherical, node": Spherical(rod.at(0.5)),
-        "revolute, node": Revolute(rod.at(0.5), (0.0, 0.0, 1.0)),
-        "revolute, nodes": Revolute(rod.at_end, (0.0, 1.0, 0.0), arm.at_start),
-        "distance, node": Distance(rod.at_end, 0.7, ground=(1.1, 0.1, 0.5)),
-        "line, node": PointOnLine(rod.at(0.5), (0.0, 0.0, 2.0)),
-        "drive, node": RotationDriver(rod.at(0.5), HARMONIC),
-        "drive, nodes": RotationDriver(rod.at_end, UNIFORM, other=arm.at_start),
-        "drive, twist inside": RotationDriver(rod.at(0.3), HARMONIC, axis=(0.8, 0.5, 0.0)),
-        "guide, node": TranslationDriver(rod.at_end, (0.6, -0.8, 0.3), UNIFORM),
-        "weld, nodes": Weld(rod.at_end, arm.at_start),
-        "prismatic, node": Prismatic(rod.at(0.5), (0.8, -0.3, 0.1)),
-        "cylindrical, node": Cylindrical(rod.at(0.5), (0.0, 0.0, 1.0)),
-        "cylindrical, along inside": Cylindrical(rod.at(0.3), (0.8, 0.5, 0.0)),
-        "cylindrical, nodes": Cylindrical(rod.at_end, (0.3, 1.0, -0.4), arm.at_start),
-        "plane, nodes": PlanarJoint(rod.at_end, (0.0, 0.0, 1.0), arm.at_start),
-        "universal, node": Universal(rod.at(0.5), (0.0, 0.0, 1.0), (0.5, -0.8, 0.0)),
-        "universal, nodes": Universal(rod.at_end, (0, 0, 1), (0.4, 0.7, 0.1), arm.at_start),
-    }
-
-
-VARIANTS = {f"planar {name}": joint for name, joint in planar_joints().items()}
-VARIANTS |= {f"spatial {name}": joint for name, joint in spatial_joints().items()}
-ELEMENT_BEAMS = {"planar": beams(2), "spatial": beams(3), "cable": cables()}
-for SPACE, BEAMS in ELEMENT_BEAMS.items():
-    OFF = 0.0 if SPACE == "cable" else 0.01
-    FOUND = all_examples(
-        joints, Joint, BEAMS, (BEAMS[-1].at(0.4, y=2 * OFF), BEAMS[0].at(0.8, y=-OFF))
-    )
-    VARIANTS |= {f"{SPACE} {name}": joint for name, joint in FOUND.items()}
-
-
-def named_by_hand(system, q, name):
-    """A vector that a joint names; of a cable the normal is its tangent, turned."""
-    if isinstance(name, Normal):
-        x, y = vector_by_hand(system, q, name.point, 1)
-        return np.array([-y, x])
-    return vector_by_hand(system, q, name[0], int(name[1]))
-
-
-class JointSetting(MeasuredSetting):
-    """One joint alone; the design is everything that its equations can depend on."""
-
-    def __init__(self, name):
-        self.joint = VARIANTS[name]
-        self.own = [f"{self.joint.name}.{parameter}" for parameter in self.joint.parameters()]
-        touched = dict.fromkeys(point.beam for point in self.joint.points)
-        chosen = [beam for beam in ELEMENT_BEAMS[name.split()[0]] if beam.name in touched]
-        design = [*self.own, *(f"{name}.length" for name in touched)]
-        super().__init__(Scene(chosen, [self.joint]), design)
-        rng = np.random.default_rng(4)
-        self.jerk = rng.uniform(-1, 1, self.system.n_q)
-        self.lam_b = rng.uniform(-1, 1, (self.system.n_lam, self.system.n_b))
-        self.lam_b /= [self.unit(i) for i in range(self.system.n_b)]
-        self.bilinear = bool(np.any(self.coefficients(0.0, 0).bilinear))
-        self.steady = not (self.bilinear or isinstance(self.joint, DrivenJoint))
-
-    def coefficients(self, t, order):
-        """What the joint states, at its own parameters."""
-        q_o = self.system.start()[0]
-        vectors = self.joint.vectors(self.scene.elements)
-        reference = np.array([named_by_hand(self.system, q_o, name) for name in vectors])
-        p = np.array(list(self.joint.parameters().values()))
-        return coefficients_of(self.joint, p, reference, t, order)
-
-    def curve(self, t):
-        """Cubic q(t) through the state at self.t, with its velocity."""
-        s = t - self.t
-        q = self.q + s * self.v + s**2 / 2 * self.a + s**3 / 6 * self.jerk
-        return q, self.v + s * self.a + s**2 / 2 * self.jerk
-
-    def along(self, e, i):
-        """States moved along their design derivatives."""
-        states = ((self.q, self.q_b), (self.v, self.v_b), (self.a, self.a_b))
-        return tuple(x + e * x_b[:, i] for x, x_b in states)
-
-    def size(self, value):
-        """Scale where an exact derivative vanishes: the quantity, or 1 m and 1 rad."""
-        return max(1.0, np.max(np.abs(value), initial=0.0))
-
-
-setting_of = functools.cache(JointSetting)
-
-
-@pytest.fixture(scope="module", params=VARIANTS)
+@pytest.fixture(scope="module", params=JOINTS)
 def one(request):
-    return setting_of(request.param)
-
-
-def test_every_public_joint_has_examples_in_each_dimension_it_works_in():
-    kinds = set(public_classes(joints, Joint).values())
-    # The assembler has one more, of rigid bodies.
-    assert kinds == concrete_subclasses(Joint) - {Rigidity}
-    for space in ("planar", "spatial"):
-        here = {type(joint) for name, joint in VARIANTS.items() if name.startswith(space)}
-        assert here == {kind for kind in kinds if space == "spatial" or not kind.spatial}
-    # Every field of every joint is given in one of them.
-    for kind in kinds:
-        given = [vars(joint) for joint in VARIANTS.values() if type(joint) is kind]
-        for field in fields(kind):
-            assert any(values[field.name] is not None for values in given), (kind, field.name)
+    return joint_setting(request.param)
 
 
 # ---------------------------------------------------------------- equations by hand
@@ -298,14 +132,14 @@ BY_MOTIONS = {kind_of(value.values[0].joint) for value in MOTIONS}
 
 
 def test_what_every_joint_means_is_written_here_or_in_its_motions():
-    kinds = {kind_of(joint) for joint in VARIANTS.values()}
+    kinds = {kind_of(joint) for joint in JOINTS.values()}
     assert kinds <= BY_HAND | BY_MOTIONS
 
 
 @pytest.mark.parametrize("t", [0.0, 1.7])
-@pytest.mark.parametrize("name", [x for x in VARIANTS if kind_of(VARIANTS[x]) in BY_HAND])
+@pytest.mark.parametrize("name", [x for x in JOINTS if kind_of(JOINTS[x]) in BY_HAND])
 def test_equations_are_what_the_joint_says(name, t):
-    one = setting_of(name)
+    one = joint_setting(name)
     values, length = equations_by_hand(one, one.q, t)
     Phi = one.system.constraint(t, one.q)
     # Positions and slopes of size one, combined a few times: the round-off of VALUE.
@@ -321,7 +155,7 @@ def test_equations_are_what_the_joint_says(name, t):
 #: Joints that hold what they find in the reference configuration.
 AT_HOME = tuple(
     name
-    for name, joint in VARIANTS.items()
+    for name, joint in JOINTS.items()
     if not isinstance(joint, Distance)
     and (len(joint.points) == 1 or name.endswith(" nodes"))
     and all(vars(joint).get(place) is None for place in ("ground", "through"))
@@ -330,7 +164,7 @@ AT_HOME = tuple(
 
 @pytest.mark.parametrize("name", AT_HOME)
 def test_reference_configuration_satisfies_a_joint_that_is_given_no_place(name):
-    s = setting_of(name)
+    s = joint_setting(name)
     b = s.system.b.copy()
     for i, variable in enumerate(s.system.design_names):
         if variable.endswith((".offset", ".phase")):
@@ -353,159 +187,17 @@ def test_coefficients_are_symmetric_and_of_the_shape_of_the_equations(one):
         assert np.array_equal(c.bilinear, c.bilinear.transpose(0, 2, 1))
 
 
-@pytest.mark.parametrize("name", [x for x, joint in VARIANTS.items() if joint.by_slopes])
+@pytest.mark.parametrize("name", [x for x, joint in JOINTS.items() if joint.by_slopes])
 def test_a_joint_by_slopes_stands_anywhere(name):
     """Joints of one kind share the equations by slopes: positions must not enter them."""
-    system, places = setting_of(name).system, len(VARIANTS[name].points)
-    item, _ = system.inputs.joint(VARIANTS[name])
+    system, places = joint_setting(name).system, len(JOINTS[name].points)
+    item, _ = system.inputs.joint(JOINTS[name])
     moved = item.reference.copy()
     moved[:places] += np.random.default_rng(2).uniform(-3, 3, moved[:places].shape)
-    before, after = (VARIANTS[name].coefficients(item.p, x) for x in (item.reference, moved))
+    before, after = (JOINTS[name].coefficients(item.p, x) for x in (item.reference, moved))
     for field in ("linear", "bilinear", "offset"):
         assert np.array_equal(getattr(before, field), getattr(after, field))
     assert before.shapes == after.shapes
-
-
-# ---------------------------------------------------------------- partials by complex step
-
-
-def test_constraint_q_is_the_complex_step_of_constraint(one):
-    expected = one.by_coordinate(lambda q: one.system.constraint(one.t, q))
-    B = one.system.constraint_pattern.dense(one.system.constraint_q(one.t, one.q))
-    assert_close(B, expected, DERIVATIVE)
-    assert_close(constraint_force(one.system, one.t, one.q, one.lam), B.T @ one.lam, VALUE)
-
-
-def test_curvature_is_the_complex_step_of_the_constraint_force(one):
-    system = one.system
-    expected = one.by_coordinate(lambda q: constraint_force(system, one.t, q, one.lam))
-    values = system.pattern.dense(constraint_force_q(system, one.t, one.q, one.lam))
-    if system.traits.linear_constraints:
-        assert not np.any(expected)
-        assert not np.any(values)
-        return
-    assert_close(values, expected, DERIVATIVE)
-    assert_close(values, values.T, VALUE)
-
-
-def test_only_bilinear_joints_have_curvature_and_only_driven_ones_move(one):
-    system, joint = one.system, one.joint
-    driven = isinstance(joint, DrivenJoint)
-    assert system.traits.linear_constraints == (not one.bilinear)
-    assert driven == any(isinstance(value, Law) for value in vars(joint).values())
-    assert np.any(velocity_side(system, one.t, one.q)) == driven
-    assert np.any(acceleration_side(system, one.t, one.q, one.v)) == (not one.steady)
-    still = np.array_equal(system.constraint(0.1, one.q), system.constraint(0.9, one.q))
-    assert still == (not driven)
-
-
-def test_constraint_b_is_the_complex_step_of_constraint(one):
-    partial = constraint_b(one.system, one.t, one.q)
-    one.check_design(partial, lambda x, i, e: x.constraint(one.t, one.q), 1.0)
-
-
-def test_constraint_force_b_is_the_complex_step_of_the_constraint_force(one):
-    force = constraint_force(one.system, one.t, one.q, one.lam)
-    partial = constraint_force_b(one.system, one.t, one.q, one.lam)
-    one.check_design(
-        partial, lambda x, i, e: constraint_force(x, one.t, one.q, one.lam), one.size(force)
-    )
-
-
-def test_constraint_q_times_total_is_the_complex_step_of_the_product(one):
-    partial = constraint_q_times_total(one.system, one.t, one.q, one.a, one.q_b)
-
-    def product(x, i, e):
-        return x.constraint_pattern.dot(x.constraint_q(one.t, one.along(e, i)[0]), one.a)
-
-    one.check_design(partial, product, one.size(partial))
-
-
-def test_velocity_side_total_is_the_complex_step_of_velocity_side(one):
-    value = velocity_side(one.system, one.t, one.q)
-    total = velocity_side_total(one.system, one.t, one.q, one.q_b)
-    one.check_design(
-        total, lambda x, i, e: velocity_side(x, one.t, one.along(e, i)[0]), one.size(value)
-    )
-
-
-def test_acceleration_side_total_is_the_complex_step_of_acceleration_side(one):
-    value = acceleration_side(one.system, one.t, one.q, one.v)
-    total = acceleration_side_total(one.system, one.t, one.q, one.v, one.q_b, one.v_b)
-    one.check_design(
-        total, lambda x, i, e: acceleration_side(x, one.t, *one.along(e, i)[:2]), one.size(value)
-    )
-
-
-def test_jerk_side_total_is_the_complex_step_of_jerk_side(one):
-    value = jerk_side(one.system, one.t, one.q, one.v, one.a)
-    states_b = (one.q_b, one.v_b, one.a_b)
-    total = jerk_side_total(one.system, one.t, one.q, one.v, one.a, *states_b)
-    one.check_design(total, lambda x, i, e: jerk_side(x, one.t, *one.along(e, i)), one.size(value))
-
-
-def test_constraint_force_rate_total_is_the_complex_step_of_constraint_force_rate(one):
-    value = constraint_force_rate(one.system, one.t, one.q, one.v, one.lam)
-    total = constraint_force_rate_total(
-        one.system, one.t, one.q, one.v, one.lam, one.q_b, one.v_b, one.lam_b
-    )
-
-    def rate(x, i, e):
-        q, v, _ = one.along(e, i)
-        return constraint_force_rate(x, one.t, q, v, one.lam + e * one.lam_b[:, i])
-
-    one.check_design(total, rate, one.size(value))
-
-
-def is_length_of_direction(joint, name):
-    """Whether the parameter is the only nonzero component of a direction."""
-    vector, _, axis = name.rpartition(".")[2].rpartition("_")
-    if vector not in ("axis", "direction"):
-        return False
-    components = np.array(getattr(joint, vector))
-    return np.count_nonzero(components) == 1 and components["xyz".index(axis)] != 0
-
-
-def test_every_parameter_of_a_joint_moves_its_equations(one):
-    # Without this the comparisons above could be of zero with zero.
-    partial = constraint_b(one.system, one.t, one.q)
-    for name in one.own:
-        column = partial[:, one.system.design_names.index(name)]
-        # Derivatives in the mere length of a direction vanish to round-off.
-        assert (np.max(np.abs(column)) > 1e-6) != is_length_of_direction(one.joint, name), name
-
-
-# ---------------------------------------------------------------- rates along a curve
-
-
-def test_rates_of_the_equations_along_a_curve_are_those_of_the_right_sides(one):
-    s, x = one, one.system
-    rates = rates_of(lambda t: x.constraint(t, s.curve(t)[0]), s.t)
-    B = x.constraint_pattern.dense(x.constraint_q(s.t, s.q))
-    expected = (
-        x.constraint(s.t, s.q),
-        B @ s.v - velocity_side(x, s.t, s.q),
-        B @ s.a - acceleration_side(x, s.t, s.q, s.v),
-        B @ s.jerk - jerk_side(x, s.t, s.q, s.v, s.a),
-    )
-    for rate, value in zip(rates, expected, strict=True):
-        assert np.max(np.abs(rate - value)) <= CURVE * s.size(value)
-        assert np.max(np.abs(value)) > 1e-3
-
-
-def test_velocity_side_is_minus_the_time_derivative_with_the_coordinates_held(one):
-    rates = rates_of(lambda t: one.system.constraint(t, one.q), one.t)
-    side = velocity_side(one.system, one.t, one.q)
-    assert np.max(np.abs(side + rates[1])) <= CURVE * one.size(side)
-
-
-def test_constraint_force_rate_is_the_derivative_along_a_curve_with_multipliers_held(one):
-    s, x = one, one.system
-    expected = rates_of(lambda t: constraint_force(x, t, s.curve(t)[0], s.lam), s.t)[1]
-    rate = constraint_force_rate(x, s.t, s.q, s.v, s.lam)
-    assert np.max(np.abs(rate - expected)) <= CURVE * one.size(expected)
-    # Where nothing moves Phi_q nothing is left of it: a guide is driven by its offset alone.
-    assert np.any(rate) == (np.max(np.abs(expected)) > CURVE)
 
 
 # ---------------------------------------------------------------- directions
@@ -762,8 +454,8 @@ def test_a_universal_joint_with_parallel_axes_is_refused():
 
 def test_points_take_part_by_position_or_slope_as_each_joint_says():
     # The vectors that enter are those of the joint's own points.
-    for name, joint in VARIANTS.items():
-        element = ELEMENT_BEAMS[name.split()[0]][0].element
+    for name, joint in JOINTS.items():
+        element = MEMBERS[name.split()[0]][0].element
         vectors = joint.vectors(Elements(element.d, dict.fromkeys(("rod", "arm"), element)))
         taken = {
             (x.point, element.quantities[1]) if isinstance(x, Normal) else (x[0], x[1])

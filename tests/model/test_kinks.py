@@ -42,8 +42,8 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError
 from ancfdae.sections import QuadratureSection, Rectangle
 from ancfdae.sensitivity.observables.observable import observe
-from ancfdae.sensitivity.observables.section_forces import axial_force, bending_moment, shear_force
-from ancfdae.sensitivity.observables.vectors import position
+from ancfdae.sensitivity.observables.points import position
+from ancfdae.sensitivity.observables.sections import axial_force, bending_moment, shear_force
 
 L, H, W, E, NU = 1.0, 0.2, 0.1, 1e9, 0.3
 STEEL = Material(density=1000.0, youngs_modulus=E, poisson_ratio=NU)

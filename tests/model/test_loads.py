@@ -1,11 +1,10 @@
-"""Loads and internal damping of a scene: values by hand, partials by complex step, power.
+"""Loads and internal damping of a scene: values by hand, laws of time, power.
 
-Tolerances: `setting`. What a load adds is the difference of the forces of a scene with and
-without it, without gravity; elastic forces are about 1e4 N and loads about 10 N, so that this
-difference is taken of scenes of a soft material.
+Tolerances: `setting`; derivatives are in `test_parts`. What a load adds is the difference of the
+forces of a scene with and without it, without gravity; elastic forces are about 1e4 N and loads
+about 10 N, so that this difference is taken of scenes of a soft material.
 """
 
-import functools
 from dataclasses import replace
 
 import numpy as np
@@ -47,156 +46,34 @@ from ancfdae import (
 )
 from ancfdae.errors import InvalidInputError
 from ancfdae.extend import Controller, Law, MaterialPoint
-from ancfdae.model import loads
 from ancfdae.model.bodies import Quantity
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.loads.load import Load
 from ancfdae.sections import Rectangle
 from tests.support.by_hand import vector_by_hand
-from tests.support.examples import LAW_TIME, all_examples, law_examples, public_classes
+from tests.support.examples import LAW_TIME, law_examples
 from tests.support.members import (
     force_b,
     force_q,
     force_q_times,
     force_rate,
-    force_rate_total,
     force_v,
 )
 from tests.support.oracle import plain_ancf as ancf
-from tests.support.scenes import FLAT, STEEL, THICK, arc
+from tests.support.parts import GEL, LOADS, PAIRS, kinked, load_setting
+from tests.support.scenes import FLAT, STEEL, THICK
 from tests.support.setting import (
     DERIVATIVE,
     STEP,
     VALUE,
-    MeasuredSetting,
     assert_close,
     concrete_subclasses,
 )
 
-# Elastic forces of 1e-3 N beside loads of 10 N lose nothing in the difference.
-GEL = Material(density=1000.0, youngs_modulus=1.0, poisson_ratio=0.3)
 
-
-def beams(d):
-    """A rod of two elements and a curved beam, both oblique."""
-    z = (0.2,) * (d - 2)
-    rod = Beam("rod", (0.1, 0.2, *z), (0.9, 0.7, *(3 * x for x in z)), 2, FLAT, GEL)
-    bow = arc("bow", (0.9, 1.7, *z), 1.0, (0.0, 0.6), d, pitch=0.3 * (d - 2), material=GEL)
-    return rod, bow
-
-
-def cables():
-    """A rod and an arm of cable elements."""
-    rod = Beam("rod", (0.1, 0.2), (0.9, 0.7), 2, FLAT, GEL, element=CABLE_2D)
-    return rod, Beam("arm", (0.9, 0.7), (1.5, 0.4), 1, FLAT, GEL, element=CABLE_2D)
-
-
-#: Loads between bodies that touch each other: tests/physics/test_pair_contact.py.
-PAIRS = {BeamPairContact, SphereContacts}
-
-
-def planar_loads():
-    rod, _ = beams(2)
-    return {
-        "point, node": PointForce(rod.at_end, (3.0, -5.0)),
-        "line, straight": DistributedForce("rod", (2.0, -4.0)),
-        "follower, node": FollowerForce(rod.at(0.5), (4.0, 0.0)),
-        "spring, undamped": SpringDamper(rod.at_end, 30.0, ground=(0.0, 1.0)),
-    }
-
-
-def spatial_loads():
-    rod, _ = beams(3)
-    return {
-        "point, node": PointForce(rod.at_end, (3.0, -5.0, 1.0)),
-        "line, straight": DistributedForce("rod", (2.0, -4.0, 1.0)),
-        "follower, node": FollowerForce(rod.at(0.5), (0.0, 0.0, 5.0)),
-    }
-
-
-VARIANTS = {f"planar {name}": load for name, load in planar_loads().items()}
-VARIANTS |= {f"spatial {name}": load for name, load in spatial_loads().items()}
-ELEMENT_BEAMS = {"planar": beams(2), "spatial": beams(3), "cable": cables()}
-for SPACE, BEAMS in ELEMENT_BEAMS.items():
-    OFF = 0.0 if SPACE == "cable" else 0.01
-    FOUND = all_examples(
-        loads, Load, BEAMS, (BEAMS[-1].at(0.4, y=2 * OFF), BEAMS[0].at(0.8, y=-OFF))
-    )
-    VARIANTS |= {f"{SPACE} {name}": load for name, load in FOUND.items()}
-
-
-def kinked(scene):
-    """The scene with beams that have the same coordinates without its loads."""
-    return replace(scene, beams=[b.with_kinks(scene.kinks.get(b.name, ())) for b in scene.beams])
-
-
-class LoadSetting(MeasuredSetting):
-    """One load alone; the design is everything that its force can depend on."""
-
-    def __init__(self, name):
-        self.load = VARIANTS[name]
-        self.own = [f"{self.load.name}.{parameter}" for parameter in self.load.parameters()]
-        touched = [*self.load.whole_beams, *(point.beam for point in self.load.points)]
-        touched = [name for name in dict.fromkeys(touched) if name]
-        chosen = [beam for beam in ELEMENT_BEAMS[name.split()[0]] if beam.name in touched]
-        design = [*self.own, *(f"{name}.length" for name in touched)]
-        scene = Scene(chosen, loads=[self.load])
-        super().__init__(scene, design)
-        self.bare = assemble(replace(kinked(scene), loads=[]), design[len(self.own) :])
-        self.start = self.system.start()[0]
-        self.factor = 1.0 if self.load.law is None else self.load.law.at(self.t)
-
-        layout = self.system.naming.layout
-        places = np.concatenate([body.positions for body in layout.bodies])
-        self.positions = np.isin(np.arange(self.system.n_q // layout.d), places)
-
-    def added(self, q=None, v=None, t=None):
-        """Generalised force of the load."""
-        q, v = self.q if q is None else q, self.v if v is None else v
-        t = self.t if t is None else t
-        return self.system.force(t, q, v) - self.without(lambda x, *z: x.force(*z), t, q, v)
-
-    def without(self, of, t, *states):
-        """A term of the equations without the load; zero for vectors of its states."""
-        n = self.bare.n_q
-        value = of(self.bare, t, *(x[:n] for x in states))
-        return np.pad(value, [(0, self.system.n_q - n)] * value.ndim)
-
-    def motion(self, seed):
-        """A rigid motion of all bodies, a turn and a shift, and its rate; states stay."""
-        d, rng = self.scene.dimension, np.random.default_rng(seed)
-        first = self.bare.n_q // d
-        spin, at = rng.uniform(-1, 1, (d, d)), self.positions
-        rate = self.q.reshape(-1, d) @ (spin - spin.T)
-        rate[at] += rng.uniform(-1, 1, d)
-        rate[first:] = 0.0
-        R, shift = ancf.random_rotation(d, rng), rng.uniform(-1, 1, d)
-
-        def turned(x):
-            X = x.reshape(-1, d).copy()
-            X[:first] = X[:first] @ R.T
-            return X.ravel()
-
-        moved = turned(self.q).reshape(-1, d)
-        moved[at] += shift
-        return rate.ravel(), moved.ravel(), turned
-
-
-setting_of = functools.cache(LoadSetting)
-
-
-@pytest.fixture(scope="module", params=VARIANTS)
+@pytest.fixture(scope="module", params=LOADS)
 def one(request):
-    return setting_of(request.param)
-
-
-def test_every_public_load_has_examples_in_each_dimension():
-    kinds = set(public_classes(loads, Load).values())
-    assert kinds == concrete_subclasses(Load)
-    kinds -= PAIRS
-    for space in ("planar", "spatial"):
-        here = {type(load) for name, load in VARIANTS.items() if name.startswith(space)}
-        assert here == {kind for kind in kinds if space == "spatial" or not kind.spatial}
+    return load_setting(request.param)
 
 
 # ---------------------------------------------------------------- values by hand
@@ -435,13 +312,13 @@ def coordinate_power(s, virtual):
     return -np.dot(resisting, moved)
 
 
-MOMENTS = [name for name, load in VARIANTS.items() if isinstance(load, Moment)]
+MOMENTS = [name for name, load in LOADS.items() if isinstance(load, Moment)]
 
 
 @pytest.mark.parametrize("name", MOMENTS)
 @pytest.mark.parametrize("seed", range(3))
 def test_power_of_a_moment_in_a_rigid_motion_of_any_state_is_moment_times_spin(name, seed):
-    s, rng = setting_of(name), np.random.default_rng(seed)
+    s, rng = load_setting(name), np.random.default_rng(seed)
     d = s.scene.dimension
     omega, X = rng.uniform(-1, 1, 3), s.q.reshape(-1, d)
     spin = np.cross(np.eye(3), omega)[:d, :d]  # rows e_i x omega: r' = spin r
@@ -459,7 +336,7 @@ def test_power_of_a_moment_in_a_rigid_motion_of_any_state_is_moment_times_spin(n
 
 def test_constant_moment_in_the_plane_does_the_work_of_the_angle_it_turns_through():
     # Conservative: Q is the gradient of the moment times the angle of the section.
-    s = setting_of("planar Moment")
+    s = load_setting("planar Moment")
     assert s.load.kind == "moment"
     Q_q = s.system.pattern.dense(force_q(s.system, s.t, s.q, s.v))
     Q_q -= s.bare.pattern.dense(force_q(s.bare, s.t, s.q, s.v))
@@ -538,7 +415,7 @@ FOLLOWERS = [
 @pytest.mark.parametrize("name", FOLLOWERS)
 @pytest.mark.parametrize("seed", range(3))
 def test_follower_force_turns_with_the_section_and_keeps_its_size(name, seed):
-    s = setting_of(name)
+    s = load_setting(name)
     d, rng = s.scene.dimension, np.random.default_rng(seed)
     R = ancf.random_rotation(d, rng)
     turned = (s.q.reshape(-1, d) @ R.T).ravel()
@@ -568,12 +445,12 @@ def test_constant_loads_are_constant_and_the_others_are_not(one):
     assert one.system.traits.velocity_forces or not damped
 
 
-BETWEEN = [name for name, load in VARIANTS.items() if len(load.points) == 2]
+BETWEEN = [name for name, load in LOADS.items() if len(load.points) == 2]
 
 
 @pytest.mark.parametrize("name", BETWEEN)
 def test_action_and_reaction_do_no_work_in_a_rigid_motion(name):
-    s = setting_of(name)
+    s = load_setting(name)
     rate, moved, turned = s.motion(1)
     work = s.added() * rate
     assert abs(np.sum(work)) <= VALUE * np.sum(np.abs(work))
@@ -584,13 +461,13 @@ def test_action_and_reaction_do_no_work_in_a_rigid_motion(name):
 # ---------------------------------------------------------------- springs and dampers
 
 
-SPRINGS = [name for name, x in VARIANTS.items() if isinstance(x, SpringDamper) and x.law is None]
+SPRINGS = [name for name, x in LOADS.items() if isinstance(x, SpringDamper) and x.law is None]
 
 
 @pytest.mark.parametrize("name", SPRINGS)
 @pytest.mark.parametrize("seed", range(2))
 def test_power_of_spring_and_damper_is_the_loss_of_energy(name, seed):
-    s, rng = setting_of(name), np.random.default_rng(seed)
+    s, rng = load_setting(name), np.random.default_rng(seed)
     v = rng.uniform(-1, 1, s.system.n_q)
     load = s.load
 
@@ -648,80 +525,9 @@ def test_damper_takes_the_energy_out_of_a_swinging_beam():
     assert work > 0.02 * damped[0]
 
 
-# ---------------------------------------------------------------- partials by complex step
-
-
-def test_force_q_is_the_complex_step_of_force(one):
-    s, x = one, one.system
-    tangent = x.pattern.dense(force_q(x, s.t, s.q, s.v)) - s.without(
-        lambda bare, *z: bare.pattern.dense(force_q(bare, *z)), s.t, s.q, s.v
-    )
-    expected = s.by_coordinate(lambda q: s.added(q))
-    if s.load.constant or not np.any(expected):
-        assert not np.any(tangent)
-        return
-    assert_close(tangent, expected, DERIVATIVE)
-
-
-def test_force_v_is_the_complex_step_of_force(one):
-    s, x = one, one.system
-    expected = s.by_coordinate(lambda v: s.added(v=v), s.v)
-    Q_v = x.pattern.dense(force_v(x, s.t, s.q, s.v))
-    if not s.load.uses_velocity(()):
-        assert not np.any(Q_v)
-        assert not np.any(expected)
-        return
-    assert_close(Q_v, expected, DERIVATIVE)
-    if s.load.states or isinstance(s.load, Contact | BeamContact):
-        return  # Friction of contact follows the normal force, but not the other way round.
-    # A damper is symmetric, and takes energy out where its numbers are positive.
-    assert_close(Q_v, Q_v.T, VALUE)
-    if not isinstance(s.load, Bushing):
-        assert s.v @ Q_v @ s.v < 0
-
-
-def test_force_b_is_the_complex_step_of_force(one):
-    s = one
-    partial = force_b(s.system, s.t, s.q, s.v)
-    s.check_design(partial, lambda x, i, e: x.force(s.t, s.q, s.v), np.max(np.abs(s.added())))
-
-
-def test_force_rate_is_the_complex_step_of_force_along_the_motion(one):
-    s = one
-    e = 1j * STEP
-    moved = s.added(s.q + e * s.v, s.v + e * s.a, s.t + e).imag / STEP
-    arguments = (s.t, s.q, s.v, s.a)
-    rate = force_rate(s.system, *arguments) - s.without(force_rate, *arguments)
-    if s.load.constant and s.load.law is None:
-        assert not np.any(rate)
-        return
-    assert_close(rate, moved, DERIVATIVE)
-
-
-def test_force_rate_total_is_the_complex_step_of_force_rate(one):
-    s = one
-    total = force_rate_total(s.system, s.t, s.q, s.v, s.a, s.q_b, s.v_b, s.a_b)
-
-    def rate(x, i, e):
-        states = ((s.q, s.q_b), (s.v, s.v_b), (s.a, s.a_b))
-        return force_rate(x, s.t, *(y + e * y_b[:, i] for y, y_b in states))
-
-    s.check_design(total, rate, np.max(np.abs(force_rate(s.system, s.t, s.q, s.v, s.a))))
-
-
-def test_every_parameter_of_a_load_moves_its_force(one):
-    s = one
-    partial = force_b(s.system, s.t, s.q, s.v)
-    starts = s.system.start_b()[1][s.bare.n_q :]
-    for name in s.own:
-        if np.any(starts[:, s.system.design_names.index(name)]):
-            continue  # An initial state moves the start.
-        assert np.max(np.abs(partial[:, s.system.design_names.index(name)])) > 1e-6, name
-
-
 def test_loads_of_a_scene_add_up():
-    rod, bow = beams(2)
-    here = [load for name, load in VARIANTS.items() if name.startswith("planar")]
+    rod, bow = PAIRS["planar"]
+    here = [load for name, load in LOADS.items() if name.startswith("planar")]
     many = [load for load in here if not load.states]  # Others have coordinates of their own.
     many = [replace(load, name=str(k)) for k, load in enumerate(many)]
     scene = kinked(Scene([rod, bow], loads=many))
@@ -740,8 +546,8 @@ def test_loads_of_a_scene_add_up():
 @pytest.mark.parametrize("law", law_examples().values(), ids=law_examples())
 @pytest.mark.parametrize("name", ["planar point, node", SPRINGS[0]])
 def test_a_law_multiplies_a_load_at_every_instant(law, name):
-    load = VARIANTS[name]
-    scene = Scene(ELEMENT_BEAMS["planar"], loads=[replace(load, law=law)])
+    load = LOADS[name]
+    scene = Scene(PAIRS["planar"], loads=[replace(load, law=law)])
     design = [f"{load.name}.{parameter}" for parameter in law.parameters()]
     system, still = assemble(scene, design), assemble(replace(scene, loads=[load]))
     bare, rng = assemble(replace(scene, loads=[])), np.random.default_rng(4)
@@ -779,7 +585,7 @@ def test_a_law_multiplies_a_load_at_every_instant(law, name):
 
 def test_loads_that_depend_on_time_pass_every_check_of_a_system():
     law = law_examples()["Harmonic"]
-    rod, bow = beams(2)
+    rod, bow = PAIRS["planar"]
     scene = Scene(
         [rod, bow],
         loads=[

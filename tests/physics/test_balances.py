@@ -42,9 +42,8 @@ from ancfdae.sections import (
     Rectangle,
     Tube,
 )
-from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.observable import States, observe
 from ancfdae.sensitivity.observables.quantities import reaction
-from ancfdae.sensitivity.observables.states import States
 from tests.support.element_kinds import arc, kind_of, straight
 from tests.support.oracle import plain_rod, plain_strains
 from tests.support.sections import forces, section_axes

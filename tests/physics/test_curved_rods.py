@@ -17,7 +17,7 @@ from ancfdae import (
 )
 from ancfdae.sections import ISection, QuadratureSection, Rectangle
 from ancfdae.sensitivity.observables.observable import observe
-from ancfdae.sensitivity.observables.section_forces import shear_force, torsional_moment
+from ancfdae.sensitivity.observables.sections import shear_force, torsional_moment
 from tests.support.oracle import plain_rod
 
 E, NU = 2e11, 0.3

@@ -81,10 +81,10 @@ from ancfdae.observables import (
     slope_angle,
     strain_energy,
 )
-from ancfdae.plotting.fields import StrainEnergyDensity
 from ancfdae.plotting.mechanism import mechanism
+from ancfdae.plotting.shapes import StrainEnergyDensity
 from ancfdae.sections import Circle, QuadratureSection, Rectangle
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import States
 from tests.support.oracle.newton_euler import (
     Action,
     Body,

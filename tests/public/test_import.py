@@ -61,15 +61,15 @@ def test_the_names_of_a_first_program_load_no_study_of_another_kind() -> None:
     call = [sys.executable, "-c", f"import sys\n{program}\n{told}"]
     run = subprocess.run(call, capture_output=True, text=True, check=True)
     loaded = set(run.stdout.split())
-    others = ("campbell", "fit", "ladder", "misfit", "responses", "sweep", "tradeoff")
+    others = ("fit", "ladder", "modes", "responses", "sweep", "tradeoff")
     unused = {f"ancfdae.studies.{name}" for name in others}
     unused |= {"ancfdae.modes.solver", "ancfdae.statics.critical", "ancfdae.plotting"}
     unused |= {f"ancfdae.integrators.sundials.{name}" for name in ("ida", "idas")}
     # A tenth of a second of the 0.25 s that these names may take (report `performance`).
-    unused |= {"ancfdae.studies.tolerance", "ancfdae.integrators.radau", "ancfdae.statics"}
+    unused |= {"ancfdae.studies.accuracy", "ancfdae.integrators.radau", "ancfdae.statics"}
     unused |= {"ancfdae.integrators.explicit", "ancfdae.equations.conformance"}
     unused |= {"ancfdae.model.joints.drive", "ancfdae.model.loads.springs"}
-    unused |= {"ancfdae.sensitivity.observables.stress", "ancfdae.equations.solution_file"}
+    unused |= {"ancfdae.sensitivity.observables.sections", "ancfdae.equations.solution_file"}
     assert loaded & unused == set()
     packages = packages_after(program)
     assert third_party(packages) == {"numpy", "scipy"}

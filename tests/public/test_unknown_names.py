@@ -58,7 +58,7 @@ def test_no_answer_hides_a_public_name():
 
 def test_answers_are_loaded_when_one_is_needed():
     program = (
-        "import sys; from ancfdae import Beam, simulate; import ancfdae.plotting.fields\n"
+        "import sys; from ancfdae import Beam, simulate; import ancfdae.plotting.shapes\n"
         "from ancfdae import studies\n"
         "print('ancfdae.errors.unknown_names' in sys.modules)"
     )

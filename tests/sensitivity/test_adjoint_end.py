@@ -27,7 +27,7 @@ from ancfdae.laws import UserLaw
 from ancfdae.observables import custom
 from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.continuous_adjoint import _BackwardRun, _with_smooth_multipliers
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
 from tests.support.mechanisms import GuidedDoublePendulum
 from tests.support.members import inertia_q
 

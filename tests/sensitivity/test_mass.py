@@ -25,7 +25,7 @@ from ancfdae.sensitivity.observables.mass import (
     linear_momentum,
     mass,
 )
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import States
 
 STEEL = Material(density=7800.0, youngs_modulus=2e11, poisson_ratio=0.3)
 CLOSE = 1e-13

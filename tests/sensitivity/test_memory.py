@@ -27,7 +27,7 @@ from ancfdae.errors import InvalidInputError, MissingPackageError, UnfinishedRun
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.observables import custom, design_value, kinetic_energy, position, reaction
 from ancfdae.results import Verdict
-from ancfdae.sensitivity.checkpointed import division, size_of
+from ancfdae.sensitivity.adjoint import division, size_of
 from tests.support.mechanisms import CartesianPendulum
 from validation.performance.scale import cantilever
 from validation.scenes import pendulum

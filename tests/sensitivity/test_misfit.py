@@ -32,8 +32,8 @@ from ancfdae.errors import (
 from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.observables.mass import mass
 from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.points import position, slope_angle
 from ancfdae.sensitivity.observables.quantities import elapsed_time, reaction
-from ancfdae.sensitivity.observables.vectors import position, slope_angle
 
 RUBBER = Material(density=1100.0, youngs_modulus=2e6, poisson_ratio=0.3, damping_time=2e-3)
 STEP, END = 2**-7, 0.5
@@ -174,11 +174,11 @@ def test_the_covariance_is_that_of_linear_least_squares():
     assert np.all(np.isinf(alone.covariance(alone.start)))
 
 
-def test_bounds_are_those_of_the_variables():
+def test_bounds_are_those_of_the_variables_and_of_what_a_length_can_be():
     fit = Misfit([SEEN[0]], [0.1], [[0.0]]).fit(
         pendulum(), END, HHT(STEP), design=[DESIGN[0], "rod.length"]
     )
-    assert np.array_equal(fit.bounds, [[1e5, -np.inf], [1e8, np.inf]])
+    assert np.array_equal(fit.bounds, [[1e5, 0], [1e8, np.inf]])
     assert np.array_equal(fit.start, [2e6, 1.0])
 
 

@@ -24,7 +24,7 @@ from ancfdae import (
 )
 from ancfdae.errors import FailedDesignWarning, InvalidInputError
 from ancfdae.sections import Rectangle
-from ancfdae.sensitivity.observables.vectors import position
+from ancfdae.sensitivity.observables.points import position
 
 RUBBER = Material(density=1100.0, youngs_modulus=2e6, poisson_ratio=0.3, damping_time=2e-3)
 DESIGN = ["rod.youngs_modulus", "rod.density", "rod.damping_time"]

@@ -21,6 +21,8 @@ from ancfdae.sensitivity.objectives import (
     SmoothUpperBound,
     Terminal,
 )
+from ancfdae.sensitivity.observables.observable import States
+from ancfdae.sensitivity.observables.points import deflection, position, slope_angle, velocity
 from ancfdae.sensitivity.observables.quantities import (
     design_value,
     elapsed_time,
@@ -28,9 +30,7 @@ from ancfdae.sensitivity.observables.quantities import (
     reaction,
     strain_energy,
 )
-from ancfdae.sensitivity.observables.states import States
 from ancfdae.sensitivity.observables.user_functions import apply, custom
-from ancfdae.sensitivity.observables.vectors import deflection, position, slope_angle, velocity
 from tests.support.mechanisms import CartesianPendulum
 
 EXACT = 1e-12

@@ -33,10 +33,7 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError, UnknownNameError
 from ancfdae.laws import Harmonic
 from ancfdae.sections import Rectangle
-from ancfdae.sensitivity.observables.accelerations import acceleration
-from ancfdae.sensitivity.observables.controllers import effort, state
-from ancfdae.sensitivity.observables.drives import driver_torque, joint_power, load_power
-from ancfdae.sensitivity.observables.functions import _FUNCTIONS
+from ancfdae.sensitivity.observables.expression import _FUNCTIONS
 from ancfdae.sensitivity.observables.mass import (
     MassIntegral,
     angular_momentum,
@@ -45,22 +42,10 @@ from ancfdae.sensitivity.observables.mass import (
     linear_momentum,
     mass,
 )
-from ancfdae.sensitivity.observables.observable import Leaf, observe
-from ancfdae.sensitivity.observables.quantities import (
-    design_value,
-    elapsed_time,
-    gravitational_energy,
-    kinetic_energy,
-    multiplier,
-    reaction,
-    strain_energy,
-)
-from ancfdae.sensitivity.observables.rotation import angular_velocity
-from ancfdae.sensitivity.observables.section_forces import axial_force, bending_moment, shear_force
-from ancfdae.sensitivity.observables.states import States, states_of
-from ancfdae.sensitivity.observables.stress import maximum_von_mises, von_mises
-from ancfdae.sensitivity.observables.user_functions import apply, custom
-from ancfdae.sensitivity.observables.vectors import (
+from ancfdae.sensitivity.observables.observable import Leaf, States, observe, states_of
+from ancfdae.sensitivity.observables.points import (
+    acceleration,
+    angular_velocity,
     axial_strain,
     deflection,
     position,
@@ -68,6 +53,28 @@ from ancfdae.sensitivity.observables.vectors import (
     slope_angle,
     velocity,
 )
+from ancfdae.sensitivity.observables.quantities import (
+    design_value,
+    driver_torque,
+    effort,
+    elapsed_time,
+    gravitational_energy,
+    joint_power,
+    kinetic_energy,
+    load_power,
+    multiplier,
+    reaction,
+    state,
+    strain_energy,
+)
+from ancfdae.sensitivity.observables.sections import (
+    axial_force,
+    bending_moment,
+    maximum_von_mises,
+    shear_force,
+    von_mises,
+)
+from ancfdae.sensitivity.observables.user_functions import apply, custom
 from tests.support.mechanisms import CartesianPendulum
 from validation import scenes
 

@@ -46,16 +46,16 @@ from ancfdae.sections import (
     Rectangle,
     Tube,
 )
-from ancfdae.sensitivity.observables.observable import observe
+from ancfdae.sensitivity.observables.observable import States, observe
 from ancfdae.sensitivity.observables.quantities import reaction
-from ancfdae.sensitivity.observables.section_forces import (
+from ancfdae.sensitivity.observables.sections import (
     axial_force,
     bending_moment,
+    maximum_von_mises,
     shear_force,
     torsional_moment,
+    von_mises,
 )
-from ancfdae.sensitivity.observables.states import States
-from ancfdae.sensitivity.observables.stress import maximum_von_mises, von_mises
 from tests.support.sections import forces, section_axes
 
 STEEL = Material(density=7800.0, youngs_modulus=2e11, poisson_ratio=0.3)

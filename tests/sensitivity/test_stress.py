@@ -27,9 +27,8 @@ from ancfdae.sections import (
     Rectangle,
     Tube,
 )
-from ancfdae.sensitivity.observables.observable import observe
-from ancfdae.sensitivity.observables.states import States
-from ancfdae.sensitivity.observables.stress import maximum_von_mises, von_mises
+from ancfdae.sensitivity.observables.observable import States, observe
+from ancfdae.sensitivity.observables.sections import maximum_von_mises, von_mises
 
 STEEL = Material(density=7800.0, youngs_modulus=2e11, poisson_ratio=0.3)
 G = 2e11 / 2.6

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.studies.tolerance.bars import Estimate
-from ancfdae.studies.tolerance.runs import Runs, Sample, Wanted
+from ancfdae.studies.accuracy.bars import Estimate
+from ancfdae.studies.accuracy.runs import Runs, Sample, Wanted
 from tests.support.mechanisms import CartesianPendulum
 
 

@@ -21,7 +21,7 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError
 from ancfdae.observables import custom, position
 from ancfdae.results import ErrorEstimates
-from ancfdae.studies.error_bars import _resolved
+from ancfdae.studies.accuracy.error_bars import _resolved
 from tests.support.mechanisms import CartesianPendulum
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.scenes import pendulum

@@ -26,8 +26,15 @@ from ancfdae.errors import InvalidInputError, NoAccurateModelError
 from ancfdae.model.design import as_design
 from ancfdae.observables import position, von_mises
 from ancfdae.sections import Rectangle
-from ancfdae.studies.ladder import Question, _is_fine, _mesh_bar
-from ancfdae.studies.ladder_result import ModelComparison, ModelVariant, VariantRun, error
+from ancfdae.studies.ladder import (
+    ModelComparison,
+    ModelVariant,
+    Question,
+    VariantRun,
+    _is_fine,
+    _mesh_bar,
+    error,
+)
 from ancfdae.studies.meshes import coarsest, known_design, model_kinds, with_mesh
 from validation.design.coupler_path import hoeken
 

@@ -22,7 +22,7 @@ from ancfdae.errors import InvalidInputError, ToleranceWarning, UnknownNameError
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.observables import observe, position, reaction
 from ancfdae.sections import Rectangle
-from ancfdae.studies.tolerance import search
+from ancfdae.studies.accuracy import search
 
 
 def pendulum(length=1.0, time=1.0):

@@ -45,7 +45,7 @@ from ancfdae.model.bodies import MaterialPoint
 from ancfdae.observables import kinetic_energy, observe, position
 from ancfdae.results import MeasuredSetting, Solution, Verdict
 from ancfdae.sections import Rectangle
-from ancfdae.sensitivity.objectives.totals import read_at_end
+from ancfdae.sensitivity.objectives.reductions import read_at_end
 from ancfdae.statics.equilibrium import Equilibrium
 from tests.support.mechanisms import CartesianPendulum
 from validation.scenes import pendulum

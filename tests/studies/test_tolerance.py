@@ -29,8 +29,8 @@ from ancfdae.modes.configuration import LinearisationPoint
 from ancfdae.modes.periods import fastest
 from ancfdae.observables import custom, position
 from ancfdae.sections import Rectangle
-from ancfdae.studies.tolerance import search
-from ancfdae.studies.tolerance.bars import refined, tightened, unresolved
+from ancfdae.studies.accuracy import search
+from ancfdae.studies.accuracy.bars import refined, tightened, unresolved
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 
 ANGLE = Terminal(custom(lambda t, q, v, lam, b: q[:, 0], "angle"))

@@ -10,9 +10,9 @@ from ancfdae.extend import FormulaSystem
 from ancfdae.numerics.enclosures import Interval, enclosed, values
 from ancfdae.numerics.operations import Operations, Traced
 from ancfdae.observables import custom
-from ancfdae.studies.tolerance import places
-from ancfdae.studies.tolerance.features import _timeless
-from ancfdae.studies.tolerance.places import Seen, Witness
+from ancfdae.studies.accuracy import places
+from ancfdae.studies.accuracy.features import _timeless
+from ancfdae.studies.accuracy.places import Seen, Witness
 from tests.support.mechanisms import CartesianPendulum
 
 SQUARE = custom(lambda t, q, v, lam, b: q[:, 0] ** 2)

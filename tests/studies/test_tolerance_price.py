@@ -25,14 +25,13 @@ from ancfdae.equations import ErrorEstimates
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.observables import position, reaction, velocity
 from ancfdae.sections import Rectangle
-from ancfdae.sensitivity.observables.states import states_of
-from ancfdae.studies.tolerance.features import features
-from ancfdae.studies.tolerance.gradients import _wanted
-from ancfdae.studies.tolerance.hht_runs import HHTRuns
-from ancfdae.studies.tolerance.places import Seen, Witness
-from ancfdae.studies.tolerance.runs import Sample
-from ancfdae.studies.tolerance.transitions import RESOLVED, _smooth, passed_over
-from ancfdae.studies.tolerance.waves import Unresolved, Wave, missed
+from ancfdae.sensitivity.observables.observable import states_of
+from ancfdae.studies.accuracy.features import RESOLVED, _smooth, features, passed_over
+from ancfdae.studies.accuracy.hht_runs import HHTRuns
+from ancfdae.studies.accuracy.places import Seen, Witness
+from ancfdae.studies.accuracy.runs import Sample
+from ancfdae.studies.accuracy.search import _wanted
+from ancfdae.studies.accuracy.waves import Unresolved, Wave, missed
 
 
 def rod():

@@ -32,15 +32,12 @@ from ancfdae.errors import InvalidInputError, StabilityWarning, ToleranceWarning
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.laws import UserLaw
 from ancfdae.observables import custom, observe, position, velocity
-from ancfdae.studies.tolerance.bars import Estimate, spread
-from ancfdae.studies.tolerance.dop853_runs import DOP853Runs
-from ancfdae.studies.tolerance.features import features
-from ancfdae.studies.tolerance.gradients import _wanted
-from ancfdae.studies.tolerance.hht_runs import HHTRuns
-from ancfdae.studies.tolerance.observables import observed_within
-from ancfdae.studies.tolerance.spectrum import fades
-from ancfdae.studies.tolerance.transitions import RESOLVED, Transition, _Path, passed_over
-from ancfdae.studies.tolerance.waves import Wave, missed, radius, unresolved, waves_of
+from ancfdae.studies.accuracy.bars import Estimate, spread
+from ancfdae.studies.accuracy.features import RESOLVED, Transition, _Path, features, passed_over
+from ancfdae.studies.accuracy.hht_runs import HHTRuns
+from ancfdae.studies.accuracy.high_order_runs import DOP853Runs
+from ancfdae.studies.accuracy.search import _wanted, observed_within
+from ancfdae.studies.accuracy.waves import Wave, fades, missed, radius, unresolved, waves_of
 from validation.tolerance.generator import FAMILIES, case
 
 SOFT, STIFF, HEAVY, LIGHT, STRETCH = 90.0, 1.089e6, 10.0, 0.1, 1e-4

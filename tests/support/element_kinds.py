@@ -53,15 +53,14 @@ def straight(d):
     return np.concatenate([np.eye(d)[:1], np.eye(d), np.eye(d)])[None]
 
 
-def all_at_once(design, b, seeds=3):
-    """Variables that move all targets by random signs of their sizes, and these changes.
+def all_at_once(design, b):
+    """A variable that moves all targets by random parts of their sizes, and these changes.
 
-    An error of one derivative is missed along each with a probability of a half at most, whatever
-    the errors of the others are.
+    Errors of derivatives cancel along it by chance alone: parts are random numbers, not signs.
     """
-    for seed in range(seeds):
-        along = np.random.default_rng(seed).choice([-1.0, 1.0], len(b)) * b / len(b) ** 0.5
-        yield DesignVariable("every", dict(zip(design, along.tolist(), strict=True))), along
+    rng = np.random.default_rng(0)
+    along = rng.choice([-1, 1], len(b)) * rng.uniform(0.5, 1, len(b)) * b / len(b) ** 0.5
+    return DesignVariable("every", dict(zip(design, along.tolist(), strict=True))), along
 
 
 def moved(scene, design, values):

@@ -5,7 +5,7 @@ import numpy as np
 from ancfdae import (
     CABLE_2D,
 )
-from ancfdae.sensitivity.observables.section_forces import (
+from ancfdae.sensitivity.observables.sections import (
     axial_force,
     bending_moment,
     shear_force,

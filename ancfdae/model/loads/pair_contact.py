@@ -99,8 +99,8 @@ class PairContact(ContactLoad):
 class SphereContacts(PairContact):
     """Contact of rigid bodies with each other, each a sphere around its reference point.
 
-    All pairs may touch, or the pairs that `reach` leaves. Forces follow the law of `Contact`. Design
-    targets: ``stiffness``, ``radius[0]``, ``radius[1]`` ... in the order of the bodies,
+    All pairs may touch, or the pairs that `reach` leaves. Forces follow the law of `Contact`.
+    Design targets: ``stiffness``, ``radius[0]``, ``radius[1]`` ... in the order of the bodies,
     ``restitution``, ``impact_speed``, ``friction`` and ``slip_speed``.
 
     Parameters

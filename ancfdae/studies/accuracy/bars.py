@@ -52,11 +52,60 @@ RESOLVED_ORDER = 1.95
 ORDERLESS = 0.5
 
 
+# Roache's factors of safety of the grid convergence index: order assumed, and observed in the runs.
+_ASSUMED, _OBSERVED = 3.0, 1.25
+# Observed orders that bars of single numbers believe: outside the next one is taken.
+_LEAST_ORDER, _MOST_ORDER = 0.5, 2.0
+#: Elements are of second order or better (docs/reports/elements).
+MESH_ORDER = 2
+
+
 class Estimate(NamedTuple):
     """A vector and bars of its components."""
 
     x: Array
     bar: Array
+
+
+def remainder(difference: Array, ratio: Array | float, order: Array | float) -> Array:
+    """Return the error of a run from its difference to one whose step is `ratio` times as long.
+
+    It has the shape of the difference. Richardson's extrapolation adds it: an error C h^p changes
+    by (ratio^p - 1) times itself.
+    """
+    return np.asarray(difference / (ratio**order - 1))
+
+
+def observed_order(before: Array | float, after: Array | float, ratio: Array | float) -> Array:
+    """Return the order at which errors or differences fell while steps became shorter by a ratio.
+
+    It has their shape. It is infinite where the error vanished, nan where both did.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.log2(np.divide(before, after)) / np.log2(ratio))
+
+
+def ratio(x: float, size: float) -> float:
+    """Return an error relative to a size; infinite relative to nothing."""
+    return x / size if size else (np.inf if x else 0.0)
+
+
+def convergence_bars(differences: Array, order: int | None) -> tuple[Array, Array]:
+    """Return bars of the finest of two or three runs, each number for itself, and observed orders.
+
+    Rows are differences of successive runs at halved steps, or on halved meshes.
+    """
+    size = np.abs(differences)
+    unknown = np.full(size.shape[1], np.nan)
+    if order is None:
+        return size[-1], unknown
+    if len(size) == 1:
+        return _ASSUMED * remainder(size[-1], 2.0, order), unknown
+    orders = observed_order(size[0], size[1], 2.0)
+    # Two differences of zero: nothing changes, and the bar is zero at any order.
+    p = np.clip(np.nan_to_num(orders, nan=_MOST_ORDER), _LEAST_ORDER, _MOST_ORDER)
+    # The last difference may be small by chance, where the error changes its sign.
+    return _OBSERVED * remainder(np.maximum(size[1], size[0] / 2.0**order), 2.0, p), orders
 
 
 def refined(
@@ -75,8 +124,8 @@ def refined(
     d, N = np.diff(runs, axis=0), np.array(steps, dtype=float)
     if not resolved:
         return Estimate(runs[-1], unresolved(d, along))
-    powers = (N[1:] / N[:-1]) ** order
-    errors = d / (powers - 1)[:, None]
+    ratios = N[1:] / N[:-1]
+    powers, errors = ratios**order, remainder(d, ratios[:, None], order)
     size = spread(errors[-1], along)
     seen = len(d) > 1 and falls(np.linalg.norm(d[-2:], axis=1), N[-3:], order)
     if len(d) > 1:
@@ -103,8 +152,8 @@ def improved(runs: Sequence[Array], steps: Sequence[int], order: int) -> Estimat
 
     What is left of waves changes it as much as they change a run.
     """
-    powers = (np.array(steps[1:]) / np.array(steps[:-1])) ** order
-    errors = np.diff(runs, axis=0) / (powers - 1)[:, None]
+    ratios = np.array(steps[1:]) / np.array(steps[:-1])
+    errors = remainder(np.diff(runs, axis=0), ratios[:, None], order)
     before, after = np.array(runs[1:]) + errors
     changed = np.maximum(spread(after - before), _TRUSTED * spread(errors[-1]))
     return Estimate(after, _CHANGED * changed)

@@ -8,7 +8,7 @@ where the order is assumed, 1.25 where it is observed. An observed order is limi
 so that runs that do not converge yet get wide bars, and d_2 is taken as d_1/4 at least.
 
 Where runs say that their steps do not resolve the waves of the derivatives, differences have no
-order, and the bar is a multiple of them (`tolerance.bars.unresolved`).
+order, and the bar is a multiple of them (`bars.unresolved`).
 
 SUNDIALS and SciPy choose their steps themselves. The refined run has a tenth of the tolerance, the
 bar is the whole difference, and no value is extrapolated.
@@ -26,16 +26,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.derived import design_sizes
 from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.text import columns
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import DefectIntegrator, Integrator, Seeds
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
@@ -45,25 +46,28 @@ from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import DirectDifferentiation
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
+from ancfdae.studies.accuracy.bars import (
+    MESH_ORDER,
+    ORDERLESS,
+    RESOLVED_ORDER,
+    convergence_bars,
+    observed_order,
+    remainder,
+    unresolved,
+)
 from ancfdae.studies.calls import as_system, differentiable, gradient, require_objectives
 from ancfdae.studies.meshes import with_mesh
-from ancfdae.studies.tolerance.bars import ORDERLESS, RESOLVED_ORDER, unresolved
 
-_GRANTED, _SEEN = 3.0, 1.25
-_LOWEST, _ORDER = 0.5, 2.0
 # Fewest steps of a run whose error can be estimated.
 _LEAST_STEPS = 4
-#: Elements are of second order or better (docs/reports/elements).
-MESH_ORDER = 2
-
 _Design: TypeAlias = Sequence[str | DesignVariable] | None
 _Mesh: TypeAlias = tuple[Scene | MechanicalSystem, _Design]
 
 
 @final
-@dataclass(frozen=True)
-class ErrorBars:
+@dataclass(frozen=True, repr=False)
+class ErrorBars(PrintedTable):
     """An objective and its gradient with estimates of their discretisation error.
 
     Attributes
@@ -117,8 +121,18 @@ class ErrorBars:
         bar: Array = np.sum([part[1:] for part in self.parts.values()], axis=0)
         return bar
 
-    def __repr__(self) -> str:
-        """Return value and derivatives with their bars, and how the finest run ended."""
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas: the objective and its derivatives, with values and bars."""
+        table: dict[str, object] = {
+            "value": [self.value, *self.gradient],
+            "extrapolated": [self.extrapolated_value, *self.extrapolated_gradient],
+            "bar": [self.value_bar, *self.gradient_bar],
+            **{f"bar of {name}": part for name, part in self.parts.items()},
+            "order": self.orders,
+        }
+        return pandas().DataFrame(table, index=["objective", *self.names])
+
+    def _printed(self) -> TableText:
         small: dict[str, Sequence[float] | Array]
         small = {"bar": (self.value_bar, *self.gradient_bar), "order": self.orders}
         if "mesh" in self.parts:
@@ -139,7 +153,7 @@ class ErrorBars:
         }
         finest = self.runs[-1].solution.outcome
         end = f"waves resolved: {known[self.resolved]}\nfinest run: {finest}"
-        return f"{columns(rows)}\n{end}"
+        return "", rows, end
 
 
 def error_bars(
@@ -196,10 +210,11 @@ def error_bars(
     parts, mesh_orders = {"step": widths}, np.full(len(widths), np.nan)
     if coarser:
         on_meshes = _numbers([*(run(each, integrator) for each in coarser), runs[0]])
-        parts["mesh"], mesh_orders = bars(np.diff(on_meshes, axis=0), MESH_ORDER)
+        parts["mesh"], mesh_orders = convergence_bars(np.diff(on_meshes, axis=0), MESH_ORDER)
     x, last = _numbers(runs[-2:]), runs[-1]
-    gain = 0.0 if integrator.order is None else 1 / (2.0**integrator.order - 1)
-    better = x[1] + gain * (x[1] - x[0])
+    better = x[1]
+    if integrator.order is not None:
+        better = x[1] + remainder(x[1] - x[0], 2.0, integrator.order)
     known = last.names, last.value, last.gradient, parts, float(better[0]), better[1:]
     return ErrorBars(*known, orders, mesh_orders, tuple(runs), resolved)
 
@@ -209,7 +224,7 @@ def _of_steps(
 ) -> tuple[Array, Array, bool | None]:
     """Return bars by the step, orders, and whether the steps resolve the waves."""
     differences, resolved = np.diff(_numbers(runs), axis=0), _resolved(*runs[-2:])
-    widths, orders = bars(differences, order)
+    widths, orders = convergence_bars(differences, order)
     if resolved is False:
         scale = design_sizes(differentiable(*mesh))
         slopes = unresolved(differences[:, 1:] * scale) / scale
@@ -241,25 +256,8 @@ def _resolved(coarse: Gradient, fine: Gradient) -> bool | None:
     if before is None or after is None:
         return None
     # A variable without influence has the error nan, which passes; an infinite one does not.
-    return not any(
-        x > ORDERLESS or y > x / 2.0**RESOLVED_ORDER for x, y in zip(before, after, strict=True)
-    )
-
-
-def bars(differences: Array, order: int | None) -> tuple[Array, Array]:
-    """Return bars of the finest run and the orders seen, from differences of successive ones."""
-    size = np.abs(differences)
-    unknown = np.full(size.shape[1], np.nan)
-    if order is None:
-        return size[-1], unknown
-    if len(size) == 1:
-        return _GRANTED * size[-1] / (2.0**order - 1), unknown
-    with np.errstate(divide="ignore", invalid="ignore"):
-        orders = np.log2(size[0] / size[1])
-    # Two differences of zero: nothing changes, and the bar is zero at any order.
-    p = np.clip(np.nan_to_num(orders, nan=_ORDER), _LOWEST, _ORDER)
-    # The last difference may be small by chance, where the error changes its sign.
-    return _SEEN * np.maximum(size[1], size[0] / 2.0**order) / (2.0**p - 1), orders
+    orders = observed_order(np.asarray(before), np.asarray(after), 2.0)
+    return not (np.any(np.asarray(before) > ORDERLESS) or np.any(orders < RESOLVED_ORDER))
 
 
 @final
@@ -328,5 +326,5 @@ def estimate_adjoint_error(
         error = integrator.discretisation_error(system, solution, seeds)
     every_second = [*range(0, steps, 2), steps]
     thinned = objective.value(system, states.rows(every_second))
-    quadrature = float(np.real(partials.value - thinned)) / 3
-    return AdjointErrorEstimate(partials.value, error + quadrature, solution)
+    quadrature = remainder(np.real(partials.value - thinned), 2.0, 2)
+    return AdjointErrorEstimate(partials.value, error + float(quadrature), solution)

@@ -13,20 +13,20 @@ from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.hht.small_steps import small_from
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.arrays import Array
-from ancfdae.studies.tolerance.bars import (
+from ancfdae.studies.accuracy.bars import (
     ORDERLESS,
     RESOLVED_ORDER,
     Estimate,
     closely,
     falls,
     improved,
+    observed_order,
     refined,
+    remainder,
 )
-from ancfdae.studies.tolerance.fixed_steps import FixedStepRuns
-from ancfdae.studies.tolerance.runs import AIM, PERCENT, Sample, Wanted
-from ancfdae.studies.tolerance.spectrum import fades
-from ancfdae.studies.tolerance.transitions import RESOLVED, Transition, passed_over
-from ancfdae.studies.tolerance.waves import Missed, Wave, followed, missed, unresolved
+from ancfdae.studies.accuracy.features import RESOLVED, Transition, passed_over
+from ancfdae.studies.accuracy.runs import AIM, PERCENT, FixedStepRuns, Sample, Wanted
+from ancfdae.studies.accuracy.waves import Missed, Wave, fades, followed, missed, unresolved
 
 # Order at which the estimated errors of derivatives fall where steps resolve their waves: from two
 # runs, and, lower, from the second and third of three.
@@ -297,8 +297,8 @@ class HHTRuns(FixedStepRuns):
         """Order that is hoped for where waves are not resolved: that of the last two errors."""
         if not (self.error < self._before < math.inf):
             return _UNSEEN
-        seen = math.log(self._before / self.error) / math.log(self.counts[-1] / self.counts[-2])
-        return min(max(seen, _UNSEEN), self.order)
+        seen = observed_order(self._before, self.error, self.counts[-1] / self.counts[-2])
+        return min(max(float(seen), _UNSEEN), self.order)
 
     def _of_a_step(self, steps: float) -> float:
         """Return the work of a compiled step, or of one in Python; small steps count extra."""
@@ -327,7 +327,8 @@ class HHTRuns(FixedStepRuns):
         if len(self.samples) < 2:
             return float(max(self._planned, 2 * self._taken))
         ratio = self.counts[-1] / self.counts[-2]
-        error = self.relative(self._gaps, self.samples[-1].vectors) / (ratio**2 - 1)
+        errors = [remainder(x, ratio, self.order) for x in self._gaps]
+        error = self.relative(errors, self.samples[-1].vectors)
         return self.counts[-1] * math.sqrt(error / PERCENT)
 
 
@@ -345,7 +346,7 @@ def _estimated_order(coarse: Sample, fine: Sample, most: float = ORDERLESS) -> f
     before, after = _largest(coarse.estimated), _largest(fine.estimated)
     if not (0 < after < math.inf and 0 < before <= most):
         return 0.0
-    return math.log(before / after) / math.log(fine.steps / coarse.steps)
+    return float(observed_order(before, after, fine.steps / coarse.steps))
 
 
 def _largest(errors: ErrorEstimates | None) -> float:

@@ -32,8 +32,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.enclosures import Interval, enclosed, values
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
 from ancfdae.sensitivity.observables.expression import Operation, evaluated, in_order
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import States, states_of
+from ancfdae.sensitivity.observables.observable import Observable, States, states_of
 from ancfdae.sensitivity.observables.user_functions import Custom
 
 # Distance from a chord that is much, over the size of a function; what a bound over half an
