@@ -40,6 +40,7 @@ from ancfdae.model.joints.point_joints import (
     Weld,
 )
 from ancfdae.model.loads.actuators import DCMotor, FirstOrderLag
+from ancfdae.model.loads.contact import BeamContact, Contact
 from ancfdae.model.loads.controller import PID
 from ancfdae.model.loads.forces import (
     DistributedForce,
@@ -50,6 +51,8 @@ from ancfdae.model.loads.forces import (
     TorsionalSpringDamper,
 )
 from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
+from ancfdae.model.loads.obstacles import Cylinder, Plane, Sphere
+from ancfdae.model.loads.pair_contact import BeamPairContact, SphereContacts
 from ancfdae.model.loads.springs import Bushing, SpringDamper
 from ancfdae.model.material import Material
 from ancfdae.model.point_mass import PointMass
@@ -95,12 +98,16 @@ __all__ = [
     "Adjoint",
     "AtTimes",
     "Beam",
+    "BeamContact",
+    "BeamPairContact",
     "Bushing",
     "Clamp",
     "ComplexStep",
+    "Contact",
     "ContinuousAdjoint",
     "CriticalValue",
     "CurvedBeam",
+    "Cylinder",
     "Cylindrical",
     "DCMotor",
     "DesignVariable",
@@ -129,6 +136,7 @@ __all__ = [
     "NodalState",
     "Pin",
     "PlanarJoint",
+    "Plane",
     "PlaneStress",
     "PointForce",
     "PointMass",
@@ -149,6 +157,8 @@ __all__ = [
     "Scene",
     "SmoothMaximum",
     "SmoothUpperBound",
+    "Sphere",
+    "SphereContacts",
     "Spherical",
     "SpringDamper",
     "StaticMisfit",

@@ -22,7 +22,7 @@ from ancfdae.model.loads.controller import (
 from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.model.sections.section import Section
 from ancfdae.numerics.external import ExternalFunction
-from ancfdae.numerics.jets import concatenate, cross, dot
+from ancfdae.numerics.jets import concatenate, cross, dot, positive
 from ancfdae.numerics.patterns import SparsityPattern
 from ancfdae.numerics.quadrature import box_rule
 from ancfdae.sensitivity.objectives import Objective
@@ -65,6 +65,7 @@ __all__ = [
     "design_numbers",
     "dot",
     "empty_equations",
+    "positive",
     "require_law",
     "stacked",
 ]

@@ -68,7 +68,7 @@ class LoadForces:
             if not item.load.constant:
                 continue
             U = item.vectors.of(zero)
-            row = item.vectors.lift(item.force(U, U, zero[:, :0]))[0]
+            row = item.vectors.lift(item.forces(U, U, zero[:, :0]))[0]
             if item.load.law is None:
                 self._steady = self._steady + row
             else:
@@ -83,6 +83,10 @@ class LoadForces:
     def plans(self) -> tuple[tuple[LoadPlan, bool], ...]:
         """Return plans of the moving loads for the kernels, and whether they use velocities."""
         return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
+
+    def touching(self) -> list[MovingLoad]:
+        """Return the loads that act during short contacts."""
+        return [load for load in self._moving if load.item.load.touches]
 
     def sharp(self) -> list[LoadInput]:
         """Return the loads that may change more suddenly than the motion does."""

@@ -13,6 +13,7 @@ from ancfdae.equations.naming import Naming
 from ancfdae.errors.checks import require_index
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
+from ancfdae.model.parts import LineVector
 from ancfdae.numerics.arrays import STEP, Array
 
 # Vectors of points that are kept.
@@ -89,19 +90,32 @@ class SceneNaming(Naming):
         local, at = beam.locate(along, point.before)
         span = beam.fractions[local + 1] - beam.fractions[local]
         xi = at + 1j * fraction.imag / span if np.iscomplexobj(numbers) else at
-        element = beam.first_element + local
         kind = beam.element
         kind.require(f"point of {point.beam!r}", quantity, point.y, point.z)
-        w, p = kind.vector_weights(quantity, xi, y, z)
-        l = self.lengths[element]
-        s, s_l = w * l**p, w * p * l ** (p - 1)
-        s_b = s_l[:, None] * self.lengths_b[element]
+        s, s_b = self._weights(beam, local, quantity, (xi, y, z))
         if np.any(numbers_b):
+            l, p = self.lengths[beam.elements][local], kind.vector_weights(quantity, xi, y, z)[1]
             for k, steps in enumerate(STEP * np.diag([1 / span, 1.0, 1.0])):
                 moved = (x.real + 1j * step for x, step in zip((xi, y, z), steps, strict=True))
                 w_k = kind.vector_weights(quantity, *moved)[0].imag / STEP
                 s_b = s_b + np.outer(w_k * l**p, numbers_b[k])
         return self._of_elements(beam, np.array([local]), s, s_b)
+
+    def on_line(self, at: LineVector) -> PointVector:
+        """Return how a vector on the centre line of a beam is made of vectors of its nodes."""
+        beam = self.layout.beam(at.beam)
+        weights = self._weights(beam, at.element, at.quantity, (at.xi, 0.0, 0.0))
+        return self._of_elements(beam, np.array([at.element]), *weights)
+
+    def _weights(
+        self, beam: BeamLayout, element: int, quantity: Quantity, place: tuple[Any, Any, Any]
+    ) -> tuple[Array, Array]:
+        """Return the weights of a vector at (xi, y, z) of an element, and those by lengths."""
+        w, p = beam.element.vector_weights(quantity, *place)
+        at = beam.first_element + element
+        l = self.lengths[at]
+        s_l = w * p * l ** (p - 1)
+        return w * l**p, s_l[:, None] * self.lengths_b[at]
 
     def position(self, states: Array, point: Any) -> Array:
         """Return the position of a point in states of shape (k, n_q), shape (k, d)."""

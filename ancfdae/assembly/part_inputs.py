@@ -9,7 +9,7 @@ import numpy as np
 
 from ancfdae.assembly.joint_input import HeldAngles, JointInput
 from ancfdae.assembly.joint_structure import JointStructure
-from ancfdae.assembly.load_input import LoadInput
+from ancfdae.assembly.load_input import LoadInput, own_numbers
 from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
@@ -103,8 +103,11 @@ class PartInputs:
         points, p, p_b = self._part(load)
         vectors = self._vectors(points)
         reference, reference_b = self._in_reference(vectors)
-        used = reference_b if load.refers else {}
-        return LoadInput(load, vectors, p, p_b, reference, used, self._masses(load))
+        own, own_b = own_numbers(load.copies(self.scene.elements), self.naming, p, p_b)
+        n = len(reference) // max(len(own), 1)
+        used = {i: x[:n] for i, x in reference_b.items()} if load.refers else {}
+        masses = self._masses(load)
+        return LoadInput(load, vectors, p, p_b, reference[:n], used, masses, own, own_b)
 
     def _masses(self, load: Load) -> Array:
         """Return the masses of the vectors of the states of a load, (n_states,)."""

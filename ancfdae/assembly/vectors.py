@@ -13,7 +13,7 @@ import numpy as np
 from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.elements import Quantity
-from ancfdae.model.parts import CentreLine, FrameDirection, Normal, StateVector
+from ancfdae.model.parts import CentreLine, FrameDirection, LineVector, Normal, StateVector
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import LinearMap
@@ -123,9 +123,12 @@ def point_vectors(
 ) -> list[PointVector]:
     """Return the vectors that a joint or load names; `places` of points as for `Naming.vector`."""
     vectors = []
+    on_lines = {x: naming.on_line(x) for x in {x for x in names if isinstance(x, LineVector)}}
     for name in names:
         if isinstance(name, CentreLine):
             vectors.append(naming.centre_line(name.beam))
+        elif isinstance(name, LineVector):
+            vectors.append(on_lines[name])
         elif isinstance(name, FrameDirection):
             vectors.append(naming.direction(name.body, name.number))
         elif isinstance(name, StateVector):

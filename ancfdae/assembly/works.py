@@ -111,9 +111,9 @@ class LoadFunction:
 
 def power(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
     """Return F . V over the leading axes, without the vectors of states; W."""
-    n = len(item.reference) - len(item.masses)
+    n = U.shape[-2] - len(item.masses)
     factor = np.broadcast_to(factors[:, 0], U.shape[:-2])
-    F = item.force(U, V, factors[:, 1:])
+    F = item.forces(U, V, factors[:, 1:])
     return np.asarray(factor * np.sum((F * V)[..., :n, :], axis=(-2, -1)))
 
 

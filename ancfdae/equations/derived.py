@@ -37,6 +37,7 @@ _UNDETERMINED = frozenset(
         "over_time",
         "require_derivatives_at",
         "strained",
+        "missed_contact",
         "stress_force",
         "turn_rate",
     }

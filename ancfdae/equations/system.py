@@ -45,6 +45,7 @@ from ancfdae.equations.motion import StateDirection, States
 from ancfdae.equations.naming import Naming
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.outcomes import MissedContact
 from ancfdae.errors.text import listed
 from ancfdae.kernels import CalledPlan, ListPlan, OperationList, Plan
 from ancfdae.numerics.arrays import Array
@@ -302,6 +303,10 @@ class MechanicalSystem(ComplexSteps):
     def strained(self, q: Array) -> dict[str, float]:
         """Return the parts strained beyond the range of their laws at q, each with its strain."""
         return {}
+
+    def missed_contact(self, t: Array, q: Array, v: Array) -> MissedContact | None:
+        """Return the first contact that the steps of a run do not resolve; q and v are rows."""
+        return None
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:
         """Return the values of `constraint_q` at k time points, (k, nnz), from rows, (k, n_q)."""

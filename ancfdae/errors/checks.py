@@ -3,7 +3,7 @@
 import importlib
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -99,6 +99,14 @@ def require_flag(where: str, value: object) -> None:
     """Raise InvalidInputError unless `value` is True or False."""
     if type(value) is not bool and not isinstance(value, np.bool_):
         raise InvalidInputError(where, "must be True or False", _shown(value))
+
+
+def require_together(where: str, given: Mapping[str, object]) -> None:
+    """Raise InvalidInputError if some of the values, by name, are None and others are not."""
+    missing = [name for name, value in given.items() if value is None]
+    if missing and len(missing) < len(given):
+        rule = f"{' and '.join(given)} belong together"
+        raise InvalidInputError(where, rule, f"no {missing[0]}", "Give both, or neither.")
 
 
 def require_function(where: str, value: object) -> None:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, Protocol, TypeVar, final
+from typing import Any, NamedTuple, Protocol, TypeVar, final
 
 from ancfdae.errors.kinds import AncfdaeError
 
@@ -24,6 +24,7 @@ class Verdict(Enum):
     EVENT_LIMIT = "the limit of events was reached"
     EQUILIBRIUM = "the equilibrium was reached"
     FOLDED = "elements are folded"
+    MISSED_CONTACT = "the steps do not resolve a contact"
     LIMIT_POINT = "the load has a limit point, above which there is no equilibrium nearby"
 
 
@@ -34,6 +35,14 @@ class PassFailed(AncfdaeError):
     def __init__(self, verdict: Verdict) -> None:
         super().__init__(verdict.value)
         self.verdict = verdict
+
+
+@final
+class MissedContact(NamedTuple):
+    """The time point from which on a run is not to be trusted, with advice."""
+
+    place: int
+    advice: str
 
 
 @final

@@ -6,9 +6,9 @@ from ancfdae.facade import public_names
 
 _CABLE = "A cable is a Beam(..., element=CABLE_2D), in space CABLE_3D (docs/howto/elements.md)."
 _CONTACT = (
-    "Contact that a search finds is not supported (docs/limits.md). Impacts and stops of named "
-    "points are events (docs/howto/events.md), a penalty force on a point is a Load of your own "
-    "(docs/howto/own-parts.md)."
+    "Contact is a load: Contact(point, Plane(...), stiffness=...) of a point or sphere, "
+    "BeamContact of a beam (docs/howto/contact.md). Impacts and stops of named points are "
+    "events, too (docs/howto/events.md)."
 )
 _EVENT = (
     "Events are Impact, EndEvent and Switch, given as events= to a call (docs/howto/events.md)."
@@ -51,9 +51,13 @@ _PLOT = "ancfdae.plotting has the calls history, animate, snapshots and write_vt
 # Names in lower case without underscores, as people know them from other programs.
 _ANSWERS = {
     **dict.fromkeys(("cable", "rope", "string", "ancfcable", "ancfcable2d", "wire"), _CABLE),
-    **dict.fromkeys(("contact", "collision", "floor", "penalty"), _CONTACT),
+    **dict.fromkeys(
+        ("collision", "floor", "wall", "obstacle", "penalty", "hertz", "huntcrossley", "touch"),
+        _CONTACT,
+    ),
     **dict.fromkeys(("event", "events", "stop", "lock", "latch", "clutch", "restitution"), _EVENT),
-    "friction": "Friction is RotationalFriction in a joint, TranslationalFriction along a line.",
+    "friction": "Friction is RotationalFriction in a joint, TranslationalFriction along a line "
+    "and friction= of a Contact.",
     **dict.fromkeys(("gear", "gears", "rackandpinion", "screw", "belt", "coupler"), _GEAR),
     "accelerations": _ACCELERATION,
     **dict.fromkeys(("angle", "rotation", "angularvelocity", "quaternion", "omega"), _ROTATION),
@@ -64,7 +68,7 @@ _ANSWERS = {
     **dict.fromkeys(("gravity", "weight"), _GRAVITY),
     **dict.fromkeys(("motor", "actuator", "driver", "servo"), _MOTOR),
     **dict.fromkeys(("force", "pressure", "lineload"), _FORCE),
-    **dict.fromkeys(("body", "rigid", "link", "bodyeasybox", "cylinder", "sphere"), _RIGID),
+    **dict.fromkeys(("body", "rigid", "link", "bodyeasybox"), _RIGID),
     **dict.fromkeys(("function", "timefunction", "signal", "sine", "sin", "stepfunction"), _LAW),
     **dict.fromkeys(("eigenmodes", "frequencies", "eigenvalues", "modal"), _MODES),
     **dict.fromkeys(("optimise", "optimize", "minimize", "minimise", "optimizer"), _OPTIMISE),

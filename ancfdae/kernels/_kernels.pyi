@@ -152,16 +152,17 @@ def constraint_totals(
 class LoadPlan:
     """A load as a list of operations; `load_plan.h` says what the indices are, in its order.
 
-    Numbers are entries of L and constants.
+    Numbers are entries of L, constants, and own numbers of copies, (n_copies n_own,).
     """
 
     def __init__(
         self,
         indices: tuple[Array, ...],
-        numbers: tuple[Array, Array],
+        numbers: tuple[Array, Array, Array],
         n_q: int,
         n_values: int,
         n_signals: int,
+        n_copies: int,
         /,
     ) -> None: ...
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]: ...

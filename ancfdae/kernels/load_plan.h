@@ -21,15 +21,22 @@ enum {
     ARCTAN,
     SQUARE,
     RECIPROCAL,
+    POSITIVE, /* x where x > 0, else 0; so is its derivative at 0 */
+    STEP,     /* 1 where x > 0, else 0 */
     OPERATIONS
 };
 
-/* Numbers are entries of U and V, signals, constants, and results one by one: operation k is op[k]
- * of numbers a[k] and b[k]. Signals are functions of time, given at each time behind the factor. Forces on U are the numbers `output`. Entries of L^T F_U L go to `places` among
- * n_values values: for components i and j those of the entries in rows i and j of L. */
+/* Numbers are entries of U and V, signals, own numbers of a copy, constants, and results one by one:
+ * operation k is op[k] of numbers a[k] and b[k]. Signals are functions of time, given at each time
+ * behind the factor. Forces on U are the numbers `output`. Entries of L^T F_U L go to `places` among
+ * n_values values: for components i and j, the products of entries in rows i and j of L.
+ *
+ * A load may have several copies: the same operations on other vectors and own numbers. Copy c has the
+ * rows c n_U to (c + 1) n_U - 1 of L. A gate is an operation whose result 0 says that there is no
+ * force: the operations behind it are then left out. */
 struct LoadTable {
-    Size n_q, n_U, n_signals, n_constants, n_operations, n_numbers, n_values;
-    const int32_t *first, *columns, *op, *a, *b, *output, *places;
+    Size n_q, n_U, n_signals, n_own, n_constants, n_operations, n_numbers, n_values, n_copies, n_gates;
+    const int32_t *first, *columns, *op, *a, *b, *output, *places, *gates;
 };
 
 /* A list of operations by itself: numbers are inputs, constants and results, as above. It is

@@ -1,7 +1,7 @@
 /* Forces of a load with their tangents, for one scalar type; `load_plan.h` says what it is made of. */
 
 template <class T> struct LoadNumbers {
-    const T *l, *constants;
+    const T *l, *constants, *own;
 };
 
 /* The result of an operation, and its partials. */
@@ -31,6 +31,11 @@ template <class T> INLINE T operation(int32_t op, T a, T b, T *on_a, T *on_b)
     case ARCTAN: y = atan(a), *on_a = 1 / (1 + a * a); break;
     case SQUARE: y = a * a, *on_a = 2 * a; break;
     case RECIPROCAL: y = 1 / a, *on_a = -y * y; break;
+    case POSITIVE: /* what is no number stays so */
+        if (!(real_part(a) <= 0))
+            y = a, *on_a = 1;
+        break;
+    case STEP: y = real_part(a) <= 0 ? 0 : 1; break;
     }
     return y;
 }
@@ -41,55 +46,68 @@ template <class T> INLINE Size load_work(const LoadTable *p, Size lanes)
     return p->n_numbers * (1 + lanes) + 2 * p->n_operations;
 }
 
-/* U = L q. */
+/* U = L q of a copy. */
 template <class T>
-INLINE void load_vectors(const LoadTable *p, const T *l, const T *q, Size stride, T *U)
+INLINE void load_vectors(const LoadTable *p, Size copy, const T *l, const T *q, T *U)
 {
+    const int32_t *first = p->first + copy * p->n_U;
     for (Size r = 0; r < p->n_U; r++) {
         T sum = 0;
-        for (int32_t e = p->first[r]; e < p->first[r + 1]; e++)
+        for (int32_t e = first[r]; e < first[r + 1]; e++)
             sum += l[e] * q[p->columns[e]];
-        U[r * stride] = sum;
+        U[r] = sum;
     }
 }
 
-/* Q += s L^T F, F with a stride. */
+/* Q += s L^T F of a copy. */
 template <class T>
-INLINE void load_lifted(const LoadTable *p, const T *l, T s, const T *x, Size stride, T *Q)
+INLINE void load_lifted(const LoadTable *p, Size copy, const T *l, T s, const T *x, T *Q)
 {
+    const int32_t *first = p->first + copy * p->n_U;
     for (Size r = 0; r < p->n_U; r++) {
-        T F = s * x[p->output[r] * stride];
-        for (int32_t e = p->first[r]; e < p->first[r + 1]; e++)
+        T F = s * x[p->output[r]];
+        for (int32_t e = first[r]; e < first[r + 1]; e++)
             Q[p->columns[e]] += l[e] * F;
     }
 }
 
 /* Numbers of a load that stand ahead of its results. */
-INLINE Size load_ahead(const LoadTable *p) { return 2 * p->n_U + p->n_signals + p->n_constants; }
-
-/* All numbers at q, v and signals, and partials of the operations behind them. */
-template <class T, class S>
-void load_numbers_at(const LoadTable *p, const LoadNumbers<T> *of, const S *signals, const T *q,
-                     const T *v, T *x)
+INLINE Size load_ahead(const LoadTable *p)
 {
-    Size before = load_ahead(p);
+    return 2 * p->n_U + p->n_signals + p->n_own + p->n_constants;
+}
+
+/* All numbers of a copy at q, v and signals, and partials of the operations behind them. False where
+ * a gate says that the copy has no force. */
+template <class T, class S>
+bool load_numbers_at(const LoadTable *p, Size copy, const LoadNumbers<T> *of, const S *signals,
+                     const T *q, const T *v, T *x)
+{
+    Size before = load_ahead(p), behind = 2 * p->n_U + p->n_signals, gate = 0;
     T *on_a = x + p->n_numbers, *on_b = on_a + p->n_operations;
-    load_vectors<T>(p, of->l, q, 1, x);
-    load_vectors<T>(p, of->l, v, 1, x + p->n_U);
+    load_vectors<T>(p, copy, of->l, q, x);
+    load_vectors<T>(p, copy, of->l, v, x + p->n_U);
     for (Size i = 0; i < p->n_signals; i++)
         x[2 * p->n_U + i] = signals[i];
+    memcpy(x + behind, of->own + copy * p->n_own, (size_t)p->n_own * sizeof(T));
     memcpy(x + before - p->n_constants, of->constants, (size_t)p->n_constants * sizeof(T));
-    for (Size k = 0; k < p->n_operations; k++)
+    for (Size k = 0; k < p->n_operations; k++) {
         x[before + k] = operation<T>(p->op[k], x[p->a[k]], x[p->b[k]], on_a + k, on_b + k);
+        if (gate < p->n_gates && p->gates[gate] == k) {
+            if (real_part(x[before + k]) == 0)
+                return false;
+            gate++;
+        }
+    }
+    return true;
 }
 
 /* Derivatives of all numbers, rows of `lanes` directions, from derivatives of U, V and signals. */
 template <class T> void load_derivatives(const LoadTable *p, Size lanes, const T *x, T *dx)
 {
-    Size before = load_ahead(p);
+    Size before = load_ahead(p), held = p->n_own + p->n_constants;
     const T *on_a = x + p->n_numbers, *on_b = on_a + p->n_operations;
-    memset(dx + (before - p->n_constants) * lanes, 0,
-           (size_t)(p->n_constants * lanes) * sizeof(T));
+    memset(dx + (before - held) * lanes, 0, (size_t)(held * lanes) * sizeof(T));
     for (Size k = 0; k < p->n_operations; k++) {
         const T *da = dx + p->a[k] * lanes, *db = dx + p->b[k] * lanes;
         T *__restrict dy = dx + (before + k) * lanes, by_a = on_a[k], by_b = on_b[k];
@@ -107,8 +125,9 @@ template <class T, class S>
 void load_force(const LoadTable *p, const LoadNumbers<T> *of, const S *factors, const T *q,
                 const T *v, T *work, T *Q)
 {
-    load_numbers_at<T>(p, of, factors + 1, q, v, work);
-    load_lifted<T>(p, of->l, factors[0], work, 1, Q);
+    for (Size copy = 0; copy < p->n_copies; copy++)
+        if (load_numbers_at<T>(p, copy, of, factors + 1, q, v, work))
+            load_lifted<T>(p, copy, of->l, factors[0], work, Q);
 }
 
 /* Q += s L^T times the derivative of F along dq, dv and, behind the first of `rates`, signals. */
@@ -118,12 +137,15 @@ void load_force_along(const LoadTable *p, const LoadNumbers<T> *of, const T *fac
                       T *Q)
 {
     T *dx = work + load_work<T>(p, 0);
-    load_numbers_at<T>(p, of, factors + 1, q, v, work);
-    load_vectors<T>(p, of->l, dq, 1, dx);
-    load_vectors<T>(p, of->l, dv, 1, dx + p->n_U);
-    memcpy(dx + 2 * p->n_U, rates + 1, (size_t)p->n_signals * sizeof(T));
-    load_derivatives<T>(p, 1, work, dx);
-    load_lifted<T>(p, of->l, factors[0], dx, 1, Q);
+    for (Size copy = 0; copy < p->n_copies; copy++) {
+        if (!load_numbers_at<T>(p, copy, of, factors + 1, q, v, work))
+            continue;
+        load_vectors<T>(p, copy, of->l, dq, dx);
+        load_vectors<T>(p, copy, of->l, dv, dx + p->n_U);
+        memcpy(dx + 2 * p->n_U, rates + 1, (size_t)p->n_signals * sizeof(T));
+        load_derivatives<T>(p, 1, work, dx);
+        load_lifted<T>(p, copy, of->l, factors[0], dx, Q);
+    }
 }
 
 /* values += sign s L^T F_U L, or with `velocity` sign s L^T F_V L. */
@@ -133,18 +155,24 @@ void load_tangent(const LoadTable *p, const LoadNumbers<T> *of, double sign, con
 {
     T s = sign * factors[0];
     Size lanes = p->n_U;
-    const int32_t *place = p->places;
+    const int32_t *first = p->first, *places = p->places;
     T *dx = work + load_work<T>(p, 0);
-    load_numbers_at<T>(p, of, factors + 1, q, v, work);
-    memset(dx, 0, (size_t)((2 * lanes + p->n_signals) * lanes) * sizeof(T));
-    for (Size i = 0; i < lanes; i++)
-        dx[(i + (velocity ? lanes : 0)) * lanes + i] = 1;
-    load_derivatives<T>(p, lanes, work, dx);
-    for (Size i = 0; i < lanes; i++)
-        for (Size j = 0; j < lanes; j++) {
-            T own = s * dx[p->output[i] * lanes + j];
-            for (int32_t m = p->first[i]; m < p->first[i + 1]; m++)
-                for (int32_t o = p->first[j]; o < p->first[j + 1]; o++)
-                    values[*place++] += own * of->l[m] * of->l[o];
-        }
+    for (Size copy = 0; copy < p->n_copies; copy++, first += lanes) {
+        Size entries = first[lanes] - first[0];
+        const int32_t *place = places;
+        places += entries * entries;
+        if (!load_numbers_at<T>(p, copy, of, factors + 1, q, v, work))
+            continue;
+        memset(dx, 0, (size_t)((2 * lanes + p->n_signals) * lanes) * sizeof(T));
+        for (Size i = 0; i < lanes; i++)
+            dx[(i + (velocity ? lanes : 0)) * lanes + i] = 1;
+        load_derivatives<T>(p, lanes, work, dx);
+        for (Size i = 0; i < lanes; i++)
+            for (Size j = 0; j < lanes; j++) {
+                T own = s * dx[p->output[i] * lanes + j];
+                for (int32_t m = first[i]; m < first[i + 1]; m++)
+                    for (int32_t o = first[j]; o < first[j + 1]; o++)
+                        values[*place++] += own * of->l[m] * of->l[o];
+            }
+    }
 }

@@ -318,14 +318,15 @@ bool in_order(Size ahead, const Array<int32_t, 1> &op, const Array<int32_t, 1> &
     return good;
 }
 
-/* Indices in the order of `LoadTable`, and numbers: entries of L, and constants. */
+/* Indices in the order of `LoadTable`, and numbers: entries of L, constants, and own numbers of
+ * copies. */
 struct LoadPlan {
     static constexpr const char *NAME = "ancfdae.kernels._kernels.LoadPlan";
     static constexpr const char *MISSING = "the first argument must be the plan of a load";
     using Indices = Array<int32_t, 1>;
     using Arguments =
-        std::tuple<std::tuple<Indices, Indices, Indices, Indices, Indices, Indices, Indices>,
-                   std::tuple<Numbers, Numbers>, Size, Size, Size>;
+        std::tuple<std::tuple<Indices, Indices, Indices, Indices, Indices, Indices, Indices, Indices>,
+                   std::tuple<Numbers, Numbers, Numbers>, Size, Size, Size, Size>;
     Arguments of;
     LoadTable plan;
     LoadNumbers<double> in_real;
@@ -334,21 +335,31 @@ struct LoadPlan {
 
     explicit LoadPlan(Arguments arguments) : of(std::move(arguments))
     {
-        auto &[indices, numbers, n_q, n_values, n_signals] = of;
-        auto &[first, columns, op, a, b, output, places] = indices;
-        auto &[l, constants] = numbers;
-        Size n_l = l.in_complex.size, n_U = first.size - 1, n_c = constants.in_complex.size;
-        Size ahead = 2 * n_U + n_signals + n_c;
-        complex_ = !l.in_real || !constants.in_real;
-        in_real = {data_of(l.in_real), data_of(constants.in_real)};
-        in_complex = {l.in_complex.data, constants.in_complex.data};
-        plan = {n_q,        n_U,          n_signals, n_c,    op.size, ahead + op.size, n_values,
-                first.data, columns.data, op.data,   a.data, b.data,  output.data,     places.data};
-        must(n_signals >= 0 && ascending(first.data, first.size, 1, n_l) && columns.size == n_l &&
+        auto &[indices, numbers, n_q, n_values, n_signals, n_copies] = of;
+        auto &[first, columns, op, a, b, output, places, gates] = indices;
+        auto &[l, constants, own] = numbers;
+        must(n_copies > 0, "a load must have a copy");
+        Size n_l = l.in_complex.size, n_U = (first.size - 1) / n_copies;
+        Size n_c = constants.in_complex.size, n_own = own.in_complex.size / n_copies;
+        Size ahead = 2 * n_U + n_signals + n_own + n_c, entries = 0;
+        complex_ = !l.in_real || !constants.in_real || !own.in_real;
+        in_real = {data_of(l.in_real), data_of(constants.in_real), data_of(own.in_real)};
+        in_complex = {l.in_complex.data, constants.in_complex.data, own.in_complex.data};
+        plan = {n_q,         n_U,        n_signals,    n_own,   n_c,    op.size, ahead + op.size,
+                n_values,    n_copies,   gates.size,   first.data, columns.data, op.data, a.data,
+                b.data,      output.data, places.data, gates.data};
+        must(n_signals >= 0 && first.size == n_copies * n_U + 1 &&
+                 own.in_complex.size == n_copies * n_own &&
+                 ascending(first.data, first.size, 1, n_l) && columns.size == n_l &&
                  within(columns, 0, n_q - 1) && in_order(ahead, op, a, b) && output.size == n_U &&
-                 within(output, 0, plan.n_numbers - 1) && places.size == n_l * n_l &&
-                 within(places, 0, n_values - 1),
+                 within(output, 0, plan.n_numbers - 1) && within(places, 0, n_values - 1) &&
+                 within(gates, 0, op.size - 1),
              "these are not the indices of a load");
+        for (Size copy = 0; copy < n_copies; copy++) {
+            Size of_copy = first.data[(copy + 1) * n_U] - first.data[copy * n_U];
+            entries += of_copy * of_copy;
+        }
+        must(places.size == entries, "there must be a place for each entry of a tangent");
     }
 
     template <class T> const auto *in() const { return &held_in<T>(in_real, in_complex); }

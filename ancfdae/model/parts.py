@@ -45,6 +45,9 @@ class Elements:
 
     d: int
     of_beam: Mapping[str, BeamElement]
+    #: Number of elements of each beam, and where points stand in the reference as declared.
+    counts: Mapping[str, int] = field(default_factory=dict)
+    place_of: Callable[[MaterialPoint], Array] = lambda point: np.zeros(0)
 
     def at(self, point: MaterialPoint) -> BeamElement:
         """Return the element at a point; of a rigid body the one whose nodes are like it."""
@@ -57,6 +60,17 @@ class CentreLine:
     """The integral of the position along the centre line of a beam, as a vector for loads."""
 
     beam: str
+
+
+@final
+@dataclass(frozen=True)
+class LineVector:
+    """A vector on the centre line, at xi of an element of a beam, counted from 0 on."""
+
+    beam: str
+    element: int
+    xi: float
+    quantity: Quantity
 
 
 @final
@@ -97,7 +111,13 @@ class StateVector:
 
 #: Vectors of material points (which point, and position or which slope), or of whole beams.
 Vectors: TypeAlias = tuple[
-    tuple[MaterialPoint, Quantity] | Normal | CentreLine | FrameDirection | StateVector, ...
+    tuple[MaterialPoint, Quantity]
+    | Normal
+    | CentreLine
+    | LineVector
+    | FrameDirection
+    | StateVector,
+    ...,
 ]
 
 
@@ -198,9 +218,15 @@ class Part(Designable, abc.ABC):
         return replace(self, ground=tuple(place))  # type: ignore[call-arg]
 
     @property
-    def whole_beam(self) -> str | None:
-        """Name of the beam that the part acts on as a whole."""
-        return self._given().get("beam")
+    def whole_beams(self) -> tuple[str, ...]:
+        """Names of the beams that the part acts on as wholes."""
+        beam = self._given().get("beam")
+        return () if beam is None else (beam,)
+
+    @property
+    def whole_bodies(self) -> tuple[str, ...]:
+        """Names of the rigid bodies that the part acts on, at points of its own."""
+        return ()
 
     @abc.abstractmethod
     def vectors(self, elements: Elements) -> Vectors:
@@ -253,7 +279,7 @@ class Part(Designable, abc.ABC):
         vectors: Any = self.vectors(elements)
         of_point = MaterialPoint, Quantity
         if not (isinstance(vectors, tuple) and vectors) or not all(
-            isinstance(x, Normal | CentreLine | FrameDirection | StateVector)
+            isinstance(x, Normal | CentreLine | LineVector | FrameDirection | StateVector)
             or (isinstance(x, tuple) and len(x) == 2 and all(map(isinstance, x, of_point)))
             for x in vectors
         ):

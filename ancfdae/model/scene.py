@@ -176,9 +176,11 @@ class Scene(SceneDesign):
             if isinstance(part, RigidBody):
                 continue
             where = f"{part.role} {part.name!r}"
+            for name in part.whole_beams:
+                named(f"{where}, beam", name, self.beams)
+            for name in part.whole_bodies:
+                named(f"{where}, body", name, [x for x in self.bodies if isinstance(x, RigidBody)])
             part.check_space(elements)
-            if part.whole_beam is not None:
-                named(f"{where}, beam", part.whole_beam, self.beams)
             for point in part.points:
                 self._check_point(where, point)
 

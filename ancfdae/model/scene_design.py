@@ -46,7 +46,9 @@ class SceneDesign(Designable):
     @cached_property
     def elements(self) -> Elements:
         """Types of element of all beams, by the name of the beam."""
-        return Elements(self.dimension, {beam.name: beam.element for beam in self.beams})
+        kinds = {beam.name: beam.element for beam in self.beams}
+        counts = {beam.name: beam.element_count for beam in self.beams}
+        return Elements(self.dimension, kinds, counts, self.place_of)
 
     @cached_property
     def members(self) -> tuple[BeamBody | RigidBody, ...]:

@@ -14,7 +14,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.operations import ANGLE, Operations
+from ancfdae.numerics.jets import positive, step
+from ancfdae.numerics.operations import ANGLE, POSITIVE, STEP, Operations
 
 _HALF_TURN: Final = np.pi
 
@@ -66,6 +67,8 @@ def _walked(
 def _value(function: Any, x: Array, y: Array, same: bool) -> Array:
     if function is ANGLE:
         return np.arctan2(x, y)
+    if function in _OF_SIGN:
+        return np.asarray(_OF_SIGN[function](x))
     return np.asarray(function(x, y) if function in _OF_TWO else function(x))
 
 
@@ -76,6 +79,8 @@ def _bounds(function: Any, x: Interval, y: Interval, same: bool) -> Interval:
         low, high = _OF_TWO[function](x, y)
     elif function in _RISING:
         low, high = function(x.low), function(x.high)
+    elif function in _OF_SIGN:
+        low, high = _OF_SIGN[function](x.low), _OF_SIGN[function](x.high)
     else:
         low, high = _OF_ONE[function](x)
     unknown = np.isnan(low) | np.isnan(high)
@@ -144,6 +149,7 @@ _OF_TWO: Final[dict[Any, Callable[[Interval, Interval], Interval]]] = {
     np.power: _power,
     ANGLE: _angle,
 }
+_OF_SIGN: Final = {POSITIVE: positive, STEP: step}
 _OF_ONE: Final[dict[Any, Callable[[Interval], Interval]]] = {
     np.negative: lambda x: Interval(-x.high, -x.low),
     np.sin: lambda x: _wave(x, _HALF_TURN / 2),

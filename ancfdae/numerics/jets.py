@@ -57,6 +57,14 @@ class Carried(NDArrayOperatorsMixin, abc.ABC):
     def angle(self, x: Any) -> Any:
         """Return the angle of (x, self)."""
 
+    @abc.abstractmethod
+    def positive(self) -> Any:
+        """Return the array where it is positive, else 0."""
+
+    @abc.abstractmethod
+    def step(self) -> Any:
+        """Return 1 where it is positive, else 0."""
+
     @property
     @abc.abstractmethod
     def shape(self) -> tuple[int, ...]:
@@ -145,6 +153,15 @@ class Jet(Carried):
         low_x, low_y = Jet(*x.derivatives[:-1]), Jet(*self.derivatives[:-1])
         rate = (low_x * Jet(*y_1) - low_y * Jet(*x_1)) / (low_x * low_x + low_y * low_y)
         return Jet(angle(y_0, x_0), *rate.derivatives)
+
+    def positive(self) -> Jet:
+        """Return the value where it is positive, else 0; its derivative at 0 is 0."""
+        return self.map(lambda x: np.where(self.derivatives[0].real <= 0, 0.0, x))
+
+    def step(self) -> Jet:
+        """Return 1 where the value is positive, else 0, with derivatives of 0."""
+        x, *others = self.derivatives
+        return Jet(step(x), *(0 * y for y in others))
 
     def joined(self, parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Jet:
         """Return jets whose derivatives are joined one by one."""
@@ -252,6 +269,19 @@ def angle(y: Any, x: Any) -> Any:
     turned = (x.real * y.imag - y.real * x.imag) / size
     value = np.arctan2(y.real, x.real)
     return value + 1j * turned if np.iscomplexobj(x) or np.iscomplexobj(y) else value
+
+
+def positive(x: Any) -> Any:
+    """Return x where its real part is positive, else 0.
+
+    The derivative is 1 or 0; at x = 0, where none exists, it is 0.
+    """
+    return x.positive() if isinstance(x, Carried) else np.where(np.real(x) <= 0, 0.0, x)
+
+
+def step(x: Any) -> Any:
+    """Return 1 where the real part of x is positive, else 0."""
+    return x.step() if isinstance(x, Carried) else np.where(np.real(x) <= 0, 0.0, 1.0)
 
 
 def concatenate(parts: Sequence[Any]) -> Any:

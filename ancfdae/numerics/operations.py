@@ -26,14 +26,17 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import FAILURES
 from ancfdae.numerics.jets import DERIVATIVES, Carried, without_derivatives
 
-#: The function that is no function of NumPy: the angle of two numbers.
-ANGLE = "angle"
+#: Functions that are none of NumPy: the angle of two numbers, what is positive of a number and
+#: whether it is.
+ANGLE, POSITIVE, STEP = "angle", "positive", "step"
 # In the order of `kernels/load_plan.h`.
 _OF_TWO = (np.add, np.subtract, np.multiply, np.divide, ANGLE, np.power)
 _OF_ONE = (np.negative, np.sqrt, np.exp, np.log, np.sin, np.cos, np.tan, np.sinh, np.cosh, np.tanh)
 _CODES: dict[Any, int] = {
     function: code
-    for code, function in enumerate((*_OF_TWO, *_OF_ONE, np.arctan, np.square, np.reciprocal))
+    for code, function in enumerate(
+        (*_OF_TWO, *_OF_ONE, np.arctan, np.square, np.reciprocal, POSITIVE, STEP)
+    )
 }
 # Calls of functions that are no operations, and their results.
 _CALL, _RESULT = "call", "result"
@@ -99,7 +102,7 @@ class Operations:
         if known is not None:
             return known
         constants = [self.value(n) if n < 0 else None for n in numbers]
-        if all(x is not None for x in constants) and function is not ANGLE:
+        if all(x is not None for x in constants) and function not in (ANGLE, POSITIVE, STEP):
             return self.constant(function(*constants))
         short = _shortened(function, numbers, constants)
         if short is not None:
@@ -183,6 +186,10 @@ class Operations:
         """Return the derivative of z = f(x, y) from those of x and y."""
         if function is np.negative:
             return self.apply(np.negative, dx)
+        if function is POSITIVE:
+            return self.apply(np.multiply, self.apply(STEP, numbers[0]), dx)
+        if function is STEP:
+            return self.constant(0.0)
         x, y, z, x_, y_ = (Traced(self, at) for at in (*numbers, dx, dy))
         if function in _RATES:
             return _RATES[function](x, y, z, x_, y_).at
@@ -222,6 +229,11 @@ class Operations:
         all, or those given; what results do not follow from is left out.
         """
         return self._placed(results, inputs)[:-2]
+
+    def order(self, numbers: Array, results: Array) -> list[int]:
+        """Return the places, ascending, of numbers among the operations that results need."""
+        places = {self._n_inputs + k: place for place, k in enumerate(self._needed(results))}
+        return sorted(places[x] for x in numbers.ravel().tolist() if x in places)
 
     def _placed(
         self, results: Array, inputs: Sequence[int] | None
@@ -310,6 +322,14 @@ class Listed(Carried):
     def angle(self, x: Any) -> Listed:
         """Return the angle of (x, self)."""
         return self._apply(ANGLE, self, x)
+
+    def positive(self) -> Listed:
+        """Return the array where it is positive, else 0."""
+        return self._apply(POSITIVE, self)
+
+    def step(self) -> Listed:
+        """Return 1 where it is positive, else 0."""
+        return self._apply(STEP, self)
 
     def joined(self, parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Listed:
         """Return the entries of several arrays as one array."""

@@ -5,13 +5,14 @@ from typing import Final, final
 
 import numpy as np
 
+from ancfdae.assembly.load_input import LoadInput, own_numbers
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.equations import Solution
 from ancfdae.model.bodies import MaterialPoint, Quantity, RigidBody
 from ancfdae.model.joints.joint import Joint
 from ancfdae.model.loads.load import Load
-from ancfdae.model.parts import CentreLine, Sign
+from ancfdae.model.parts import CentreLine, LineVector, Sign
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
@@ -114,6 +115,10 @@ class Symbols:
                 places = self._stations(name.beam, motion.q)
                 spread = np.broadcast_to(force, places.shape)
                 arrows.append(Arrows("force per length", load.name, places, spread))
+            elif isinstance(name, LineVector):
+                if name.quantity is Quantity.POSITION:
+                    places = self._vectors((name,)).of(motion.q)
+                    arrows.append(Arrows("force", load.name, places, force))
             elif isinstance(name, tuple) and name[1] is Quantity.POSITION:
                 if load.stroke is None:
                     places = self._places(name[0], motion.q)[:, None]
@@ -133,10 +138,13 @@ class Symbols:
         """Return the generalised forces on the vectors of a load, shape (k, n, d)."""
         vectors = self._vectors(load.vectors(self._scene.elements))
         p = np.array(list(load.parameters().values()), dtype=float)
-        U, V = vectors.of(motion.q), vectors.of(motion.v)
-        signals, reference = load.signals(p, motion.t, 0), vectors.of(self._q_o[None])[0]
-        F = np.asarray(load.force_at(U, V, signals, p, reference))
-        return F * load.factor(p, motion.t, 0)[:, None, None]
+        p_b = np.zeros((len(p), self._naming.lengths_b.shape[1]))
+        own, own_b = own_numbers(load.copies(self._scene.elements), self._naming, p, p_b)
+        reference = vectors.of(self._q_o[None])[0][: vectors.count // len(own)]
+        item = LoadInput(load, vectors, p, p_b, reference, {}, np.zeros(0), own, own_b)
+        factors = item.factors(motion.t, 0)
+        F = item.forces(vectors.of(motion.q), vectors.of(motion.v), factors[:, 1:])
+        return F * factors[:, :1, None]
 
     def _vectors(self, names: Names) -> Vectors:
         vectors, n_b = point_vectors(self._naming, names), self._naming.lengths_b.shape[1]

@@ -1050,7 +1050,7 @@ def test_plans_of_lists_that_do_not_fit_are_refused(field):
             Model(plan._replace(**{field: value}), layout, rules, None)
 
 
-CALL, RESULT = 19, 20
+CALL, RESULT = 21, 22
 
 
 def doubled(rows):

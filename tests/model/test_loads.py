@@ -9,14 +9,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.optimize
 
 from ancfdae import (
     CABLE_2D,
     HHT,
     PID,
     Beam,
+    BeamContact,
+    BeamPairContact,
     Bushing,
     Clamp,
+    Contact,
     DCMotor,
     DistributedForce,
     FirstOrderLag,
@@ -29,6 +33,7 @@ from ancfdae import (
     RigidBody,
     RotationalFriction,
     Scene,
+    SphereContacts,
     SpringDamper,
     TorsionalSpringDamper,
     TranslationalFriction,
@@ -101,21 +106,48 @@ def force_by_hand(s, q, v):
     return points, [-tension * e / l, tension * e / l][: len(points)]
 
 
+def touching_by_hand(s, point, virtual):
+    """Force of contact with a plane at a point of a beam, and its power in a virtual velocity."""
+    load, d = s.load, s.scene.dimension
+    n = np.array(load.obstacle.normal) / np.linalg.norm(load.obstacle.normal)
+    radius = load.radius or 0.0
+    depth = radius - n @ (vector_by_hand(s.system, s.q, point, 0) - load.obstacle.place)
+    assert depth > 0
+    w, moved = (vector_by_hand(s.system, x, point, 0) for x in (s.v, virtual))
+    turns = load.friction is not None and s.scene.beams[0].element is not CABLE_2D
+    slopes = range(2, d + 1) if turns else ()
+    for k in slopes:
+        r_k = vector_by_hand(s.system, s.q, point, k)
+        part = -radius * (n @ r_k) / (r_k @ r_k)
+        w = w + part * vector_by_hand(s.system, s.v, point, k)
+        moved = moved + part * vector_by_hand(s.system, virtual, point, k)
+    N, F = load.stiffness * depth**load.exponent, 0 * n
+    if load.restitution is not None:
+        e = load.restitution
+        # From kinetic energies before and after: u (1 + e) = ln(1 + u) - ln(1 - e u).
+        u = scipy.optimize.brentq(
+            lambda u: u * (1 + e) - np.log((1 + u) / (1 - e * u)), 1e-6, (1 - 1e-9) / e, xtol=1e-15
+        )
+        N = max(N * (1 - u / load.impact_speed * (w @ n)), 0.0)
+    if load.friction is not None:
+        slip = w - (w @ n) * n
+        limit = (np.linalg.norm(slip) ** 4 + load.slip_speed**4) ** 0.25
+        F = -load.friction * N * slip / limit
+    return N * n + F, (N * n + F) @ moved
+
+
 def power_by_hand(s, virtual):
     """Power of the load in a virtual velocity: of each force on its point, or per length."""
+    if isinstance(s.load, Contact):
+        return touching_by_hand(s, s.load.point, virtual)[1]
+    if isinstance(s.load, BeamContact):
+        return along_by_hand(
+            s, s.load.points_per_element, lambda x: touching_by_hand(s, x, virtual)[1]
+        )
     if isinstance(s.load, DistributedForce):
         f = np.array(s.load.force_per_length)
-        x, w = np.polynomial.legendre.leggauss(4)
-        place = s.system.naming.layout.beam(s.load.beam)
-        fractions, total = np.array(place.fractions), 0.0
-        first = place.first_element
-        lengths = s.system.naming.lengths[first : first + place.element_count]
         # Cubic positions: four Gauss points are exact.
-        for left, right, length in zip(fractions[:-1], fractions[1:], lengths, strict=True):
-            for xi, weight in zip((1 + x) / 2, w / 2, strict=True):
-                point = s.scene.beam(s.load.beam).at(left + xi * (right - left))
-                total += weight * length * (f @ vector_by_hand(s.system, virtual, point, 0))
-        return total
+        return along_by_hand(s, 4, lambda x: f @ vector_by_hand(s.system, virtual, x, 0))
     if isinstance(s.load, Moment):
         return moment_power(s, virtual)
     if isinstance(
@@ -131,6 +163,20 @@ def power_by_hand(s, virtual):
     points, forces = force_by_hand(s, s.q, s.v)
     pairs = zip(points, forces, strict=True)
     return sum(F @ vector_by_hand(s.system, virtual, point, 0) for point, F in pairs)
+
+
+def along_by_hand(s, count, of_point):
+    """Integral of a function of points along the beam of a load, by Gauss points in elements."""
+    x, w = np.polynomial.legendre.leggauss(count)
+    place = s.system.naming.layout.beam(s.load.beam)
+    fractions, total = np.array(place.fractions), 0.0
+    first = place.first_element
+    lengths = s.system.naming.lengths[first : first + place.element_count]
+    for left, right, length in zip(fractions[:-1], fractions[1:], lengths, strict=True):
+        for xi, weight in zip((1 + x) / 2, w / 2, strict=True):
+            point = s.scene.beam(s.load.beam).at(left + xi * (right - left))
+            total = total + weight * length * of_point(point)
+    return total
 
 
 def moment_power(s, virtual):
@@ -330,6 +376,11 @@ def test_resultant_of_a_load_is_its_force(one):
     if isinstance(one.load, DistributedForce):
         length = one.scene.beam(one.load.beam).length
         expected = length * np.array(one.load.force_per_length)
+    elif isinstance(one.load, BeamContact):
+        count, rest = one.load.points_per_element, 0 * one.q
+        expected = along_by_hand(one, count, lambda x: touching_by_hand(one, x, rest)[0])
+    elif isinstance(one.load, Contact):
+        expected = touching_by_hand(one, one.load.point, 0 * one.q)[0]
     elif isinstance(one.load, TranslationalFriction | Bushing | FirstOrderLag):
         # Of a translation of everything: nothing between two beams.
         expected = [power_by_hand(one, field) for field in translation.reshape(-1, d).T]
@@ -708,9 +759,13 @@ def test_loads_that_follow_are_those_without_an_energy(follows):
 
 def test_loads_with_an_energy_are_known():
     springs = {
+        BeamContact,
         Bushing,
+        Contact,
         RotationalFriction,
         TranslationalFriction,
+        BeamPairContact,
+        SphereContacts,
         SpringDamper,
         TorsionalSpringDamper,
     }

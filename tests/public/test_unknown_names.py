@@ -20,7 +20,8 @@ from tests.support.documents import ROOT
     ("name", "serves"),
     [
         ("Cable", "CABLE_2D"),
-        ("Contact", "not supported"),
+        ("collision", "BeamContact"),
+        ("Wall", "Plane"),
         ("Gear", "not supported"),
         ("time", "elapsed_time()"),
         ("accelerations", "solution.acceleration(point)"),

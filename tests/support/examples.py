@@ -15,13 +15,14 @@ from typing import Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ancfdae import RigidBody, Scene, assemble
+from ancfdae import Plane, RigidBody, Scene, assemble
 from ancfdae.errors import InvalidInputError
 from ancfdae.extend import Law, MaterialPoint
 from ancfdae.facade import public_names
 from ancfdae.laws import BSpline, Harmonic, RunUp
 from ancfdae.model import laws
 from ancfdae.model.joints.joint import DrivenJoint, JointEquations
+from ancfdae.model.loads.obstacles import Obstacle
 
 #: Oblique and of no special length.
 ARROW = (0.6, -0.8, 0.3)
@@ -52,6 +53,10 @@ def public_classes(module, base):
     return {kind.__name__: kind for kind in kinds if not inspect.isabstract(kind)}
 
 
+#: Numbers where rules refuse 0.7 to 1.5.
+_NUMBERS = {"exponent": 1.5, "restitution": 0.3}
+
+
 def values_of(hint, name, points, d):
     """Values for a field of this type, the first one for a field that must be given."""
     if get_origin(hint) in (UnionType, Union):
@@ -61,7 +66,9 @@ def values_of(hint, name, points, d):
     return {
         MaterialPoint: [points[1 if name == "other" else 0]],
         Law: [Harmonic(amplitude=0.4, frequency=3.0, phase=0.2, offset=0.1)],
-        float: [0.7],
+        Obstacle: [Plane([0.3, 4.0, 0.2][:d], [0.2, 1.1, 0.3][:d])],
+        float: [_NUMBERS.get(name, 0.7)],
+        int: [3],
         bool: [True],
         str: [points[0].beam],
     }.get(hint, [])

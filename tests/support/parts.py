@@ -140,7 +140,7 @@ class Alone(MeasuredSetting):
 
     def __init__(self, name, part):
         self.own = [f"{part.name}.{parameter}" for parameter in part.parameters()]
-        touched = dict.fromkeys([part.whole_beam, *(point.beam for point in part.points)])
+        touched = dict.fromkeys([*part.whole_beams, *(point.beam for point in part.points)])
         chosen = [beam for beam in MEMBERS[name.split()[0]] if beam.name in touched]
         scene = Scene(chosen, **{f"{part.role}s": [part]})
         super().__init__(scene, [*self.own, *(f"{beam.name}.length" for beam in chosen)])

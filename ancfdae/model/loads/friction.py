@@ -6,8 +6,7 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors.checks import require_direction, require_positive
-from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.checks import require_direction, require_positive, require_together
 from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.design import design_numbers
 from ancfdae.model.loads.load import LAW_FIELD, Load, SectionLoad
@@ -37,14 +36,6 @@ def friction(speed: Any, levels: tuple[Any, ...]) -> Any:
     if breakaway is not None:
         level = coulomb + (breakaway - coulomb) * np.exp(-np.square(speed / stribeck_speed))
     return level * np.tanh(speed / smooth_speed) + viscous * speed
-
-
-def require_stribeck(where: str, breakaway: object, stribeck_speed: object) -> None:
-    """Refuse a breakaway level without a speed, and the other way round."""
-    if (breakaway is None) != (stribeck_speed is None):
-        got = "one of them"
-        rule, repair = "breakaway and stribeck_speed belong together", "Give both, or none."
-        raise InvalidInputError(where, rule, got, repair)
 
 
 @final
@@ -91,7 +82,8 @@ class RotationalFriction(SectionLoad):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
+        given = {"breakaway": self.breakaway, "stribeck_speed": self.stribeck_speed}
+        require_together(f"load {self.name!r}", given)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """Return -R(theta') theta_U: the friction moment R times the gradient of the angle."""
@@ -139,7 +131,8 @@ class TranslationalFriction(Load):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
+        given = {"breakaway": self.breakaway, "stribeck_speed": self.stribeck_speed}
+        require_together(f"load {self.name!r}", given)
 
     def vectors(self, elements: Elements) -> Vectors:
         """Positions of the points and slopes of the section that has the line."""

@@ -8,7 +8,7 @@ design derivatives.
 """
 
 import abc
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, final
 
@@ -28,6 +28,27 @@ LAW_FIELD = ("law", require_law)
 def require_damping(where: str, value: object) -> None:
     """Raise InvalidInputError unless a damping is a finite number from zero on."""
     require_not_negative(where, value, "Zero is undamped; a negative value would feed energy in.")
+
+
+@final
+@dataclass(frozen=True)
+class Copies:
+    """How often a load stands in a scene: the same formula on other vectors and own numbers.
+
+    Parameters
+    ----------
+    own : array, shape (n, n_own)
+        Numbers of each copy, which `Load.force_at` gets behind the signals; in SI units.
+    lengths : mapping of int to tuple
+        For columns of `own` the elements, as the name of a beam and a number counted from 0 on,
+        whose lengths multiply the numbers of the copies.
+    parameters : array of int, shape (n, m), optional
+        Places of parameters of the load that are further own numbers of each copy.
+    """
+
+    own: Array
+    lengths: Mapping[int, tuple[tuple[str, int], ...]] = field(default_factory=dict)
+    parameters: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +78,9 @@ class Load(Part):
     #: Whether the force may change more suddenly with positions or velocities than they change: a
     #: run within a tolerance then looks for such places along its path.
     sharp: ClassVar[bool] = True
+
+    #: Whether the force acts during short contacts, which the steps of a run must not pass over.
+    touches: ClassVar[bool] = False
 
     law: Law | None = field(default=None, kw_only=True)
 
@@ -90,6 +114,20 @@ class Load(Part):
         By default it reads no laws.
         """
         return self.force(U, V, p, U_o)
+
+    def copies(self, elements: Elements) -> Copies | None:
+        """Return the copies of a load; its `vectors` belong to one copy after the other.
+
+        None for a load that stands once.
+        """
+        return None
+
+    def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
+        """Return numbers of which each says by 0 that there is no force; arguments as `force_at`.
+
+        What the force takes beside them is then not computed.
+        """
+        return ()
 
     def signals(self, p: Array, t: Array, order: int) -> Array | None:
         """Return the laws that `force_at` reads, or their time derivative, at times t, (k, n).

@@ -61,6 +61,8 @@ _OPERATIONS: Final = 2000
 _SAMPLES, _CALLS, _EACH = 2**15, 2**10, 64
 # Stops in the longest chord that follows a place, and how far apart they may be within it; all.
 _STOPS, _APART, _ALL = 12, 0.25, 1800
+# Copies of a load that are looked at, and times at which their forces are compared.
+_COPIES, _TIMES = 4, 65
 # Degree up to which polynomials of observables change no more suddenly than these.
 _LOW: Final = 4
 # Chords of this length before and after a place belong to it: its tails.
@@ -563,27 +565,49 @@ def _forces(system: MechanicalSystem, path: _Path) -> list[_Group]:
 
 
 def _loaded(item: LoadInput, path: _Path) -> list[_Group]:
-    """Return the forces of a load, with its law of time, along the path of its vectors."""
+    """Return the forces of a load, with its law of time, along the path of its vectors.
+
+    Of a load in several copies those with the largest forces.
+    """
     n_q, size, t = path.sizes[0], item.reference.size, path.t
     rows = path.Y[:, 1 : 1 + n_q], path.Y[:, 1 + n_q : 1 + 2 * n_q], path.slopes[:, 1 + n_q :]
-    U, V, A = (item.vectors.of(x[:, :n_q]).reshape(len(t), size) for x in rows)
+    U, V, A = (item.vectors.of(x[:, :n_q]).reshape(len(t), -1, size) for x in rows)
     factors, rates = (item.factors(t, order) for order in (0, 1))
     if not np.any(factors[:, 0]):
         return []
-    # The law of the load stands behind its signals.
-    factors, rates = (np.roll(x, -1, axis=1) for x in (factors, rates))
-    Y = np.concatenate([path.Y[:, :1], U, V, factors], axis=1)
-    slopes = np.concatenate([path.slopes[:, :1], V, A, rates], axis=1)
-    n_signals = factors.shape[1] - 1
-    n = 2 * size + n_signals
-    # U, V and signals come first, then their rates; the time and the law, and their rates.
-    operations, at, time, factor = Operations(2 * n + 4), np.arange(n), 2 * n, 2 * n + 1
-    forces = item.listed(operations, n_signals).ravel().tolist()
-    outputs = np.array([operations.apply(np.multiply, x, factor) for x in forces])
-    columns = np.array([time, *at, factor]), np.array([time + 2, *(n + at), factor + 2])
-    moving = _Path(t, Y, slopes, (size, n_signals))
-    group = _with_rates(operations, outputs, columns, {}, moving)
-    return [] if group is None else [group]
+    n_signals, n_own = factors.shape[1] - 1, item.own.shape[1]
+    moving = list[_Group | None]()
+    for copy in _acting(item, U, V, factors):
+        own = np.repeat(item.own[[copy]].real, len(t), axis=0)
+        # The law of the load stands behind its signals and own numbers.
+        columns = factors[:, 1:], own, factors[:, :1]
+        slopes = rates[:, 1:], 0 * own, rates[:, :1]
+        Y = np.concatenate([path.Y[:, :1], U[:, copy], V[:, copy], *columns], axis=1)
+        dY = np.concatenate([path.slopes[:, :1], V[:, copy], A[:, copy], *slopes], axis=1)
+        n = 2 * size + n_signals + n_own
+        # U, V, signals and own numbers, then their rates; the time and the law, and their rates.
+        operations, at, time, factor = Operations(2 * n + 4), np.arange(n), 2 * n, 2 * n + 1
+        forces = item.listed(operations, n_signals)[0].ravel().tolist()
+        outputs = np.array([operations.apply(np.multiply, x, factor) for x in forces])
+        both = np.array([time, *at, factor]), np.array([time + 2, *(n + at), factor + 2])
+        along = _Path(t, Y, dY, (size, n_signals + n_own))
+        moving.append(_with_rates(operations, outputs, both, {}, along))
+    return [group for group in moving if group is not None]
+
+
+def _acting(item: LoadInput, U: Array, V: Array, factors: Array) -> list[int]:
+    """Return the copies of a load with the largest forces at some times of a path."""
+    count = U.shape[1]
+    if count <= _COPIES:
+        return list(range(count))
+    some = np.unique(np.linspace(0, len(U) - 1, _TIMES).astype(int))
+    F = np.zeros(count)
+    for k in some:
+        x, y = (row[[k]].reshape(1, -1, item.vectors.d) for row in (U, V))
+        with np.errstate(all="ignore"):
+            force = item.forces(x, y, factors[[k], 1:]).reshape(count, -1)
+        F = np.fmax(F, np.abs(force.real).max(axis=1))
+    return sorted(np.argsort(F)[-_COPIES:].tolist())
 
 
 def _called(system: MechanicalSystem, path: _Path) -> Callable[[Array, Array], Array]:

@@ -1,0 +1,389 @@
+"""Contact of bodies with each other as a load: many spheres, and the centre lines of two beams."""
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from ancfdae.errors.checks import (
+    require_count,
+    require_each,
+    require_not_negative,
+    require_positive,
+    require_text,
+    require_unique,
+)
+from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.model.bodies import MaterialPoint, Quantity
+from ancfdae.model.design import require_numbers
+from ancfdae.model.loads.contact import FORCE_FIELDS, ContactLoad
+from ancfdae.model.loads.contact_law import moving_with, on_body
+from ancfdae.model.loads.load import LAW_FIELD, Copies
+from ancfdae.model.loads.obstacles import CENTRE
+from ancfdae.model.parts import Elements, FrameDirection, LineVector, Vectors
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import concatenate, dot, positive
+from ancfdae.numerics.quadrature import box_rule
+
+# Newton iterations for the closest point of a cubic, and how far beyond its ends they may lead.
+_ITERATIONS, _BEYOND = 6, 0.3
+# Half of the zone in which contact passes from an element to the next one, over their lengths.
+_ZONE = 0.1
+
+
+def _apart(e: Any, size: Any) -> tuple[Any, Any]:
+    """Return the length and the direction of e, both defined at e = 0."""
+    l = np.sqrt(dot(e, e) + (CENTRE * size) ** 2)
+    return l, e / l
+
+
+def _within(ends: Array, others: Array, reach: float | None) -> Array:
+    """Return the pairs of balls (place, radius), (n, d + 1), that are within reach, (k, 2)."""
+    if reach is None:
+        return np.argwhere(np.ones((len(ends), len(others)), dtype=bool))
+    from scipy.spatial import cKDTree
+
+    trees = [cKDTree(x[:, :-1]) for x in (ends, others)]
+    far = reach + ends[:, -1].max() + others[:, -1].max()
+    pairs = [(i, j) for i, near in enumerate(trees[0].query_ball_tree(trees[1], far)) for j in near]
+    found = np.array(pairs, dtype=int).reshape(-1, 2)
+    i, j = found.T
+    gaps = np.linalg.norm(ends[i, :-1] - others[j, :-1], axis=1) - ends[i, -1] - others[j, -1]
+    order = np.lexsort((j, i))
+    return found[order][gaps[order] <= reach]
+
+
+@dataclass(frozen=True)
+class PairContact(ContactLoad):
+    """Base of contact between bodies of a scene, of which some pairs may be left out."""
+
+    reach: float | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.reach is not None:
+            require_positive(f"load {self.name!r}, reach", self.reach)
+
+    @final
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """Raise TypeError: the force of a pair needs its own numbers, which `force_at` takes."""
+        raise TypeError("force_at has the own numbers of the pair")
+
+    @abc.abstractmethod
+    def within(self, places: Sequence[Array], reach: float | None) -> Array:
+        """Return the pairs, (n, 2), whose gaps are `reach` at most, where nodes are at places.
+
+        `places` are arrays (n_nodes, d) of the `whole_beams`, or of the `whole_bodies`. All pairs
+        without reach.
+        """
+
+    @final
+    def pairs(self, elements: Elements) -> Array:
+        """Return the pairs that may touch, (n, 2); InvalidInputError if all are out of reach."""
+        places = []
+        for name in (*self.whole_beams, *self.whole_bodies):
+            at = np.linspace(0.0, 1.0, elements.counts.get(name, 0) + 1).tolist()
+            points = [MaterialPoint(name, x if name in elements.counts else None) for x in at]
+            places.append(np.array([elements.place_of(point) for point in points]))
+        found = self.within(places, self.reach)
+        if not len(found):
+            where, rule = f"load {self.name!r}, reach", "must reach a pair of bodies"
+            raise InvalidInputError(where, rule, self.reach, "Give a larger one, or leave it out.")
+        return found
+
+
+@final
+@dataclass(frozen=True)
+class SphereContacts(PairContact):
+    """Contact of rigid bodies with each other, each a sphere around its reference point.
+
+    All pairs may touch, or the pairs that `reach` leaves. Forces follow the law of `Contact`.
+    Design targets: ``stiffness``, ``radius[0]``, ``radius[1]`` ... in the order of the bodies,
+    ``restitution``, ``impact_speed``, ``friction`` and ``slip_speed``.
+
+    Parameters
+    ----------
+    bodies : sequence of str
+        Names of rigid bodies.
+    radii : sequence of float
+        Radius of each; m.
+    stiffness, exponent, restitution, impact_speed, friction, slip_speed
+        As in `Contact`.
+    reach : float, optional
+        Pairs whose gap in the reference configuration is larger are left out; m. A run in which
+        bodies move so far that one of them could have touched ends in words.
+    """
+
+    bodies: Sequence[str]
+    radii: Sequence[float]
+
+    kind = "contacts"
+    design_fields = (
+        *(x for x in FORCE_FIELDS if x[0] != "radius"),
+        ("radii", require_numbers),
+        LAW_FIELD,
+    )
+    indexed_fields: ClassVar = {"radii": "radius"}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        where = f"load {self.name!r}"
+        require_each(f"{where}, bodies", self.bodies, (str,), "Give names of rigid bodies.")
+        require_unique(f"{where}, bodies", "must differ", list(self.bodies), "Name each once.")
+        if self.radius is not None or len(self.radii) != len(self.bodies) or len(self.bodies) < 2:
+            rule, repair = "must have two bodies or more, and a radius for each", "Give `radii`."
+            raise InvalidInputError(where, rule, f"{len(self.radii)} radii", repair)
+        for radius in self.radii:
+            require_positive(f"{where}, radii", radius)
+
+    @property
+    def whole_bodies(self) -> tuple[str, ...]:
+        """Names of the bodies."""
+        return tuple(self.bodies)
+
+    def within(self, places: Sequence[Array], reach: float | None) -> Array:
+        """Return the pairs of bodies, (n, 2), the first one before the second."""
+        balls = np.column_stack([np.concatenate(places), np.asarray(self.radii, float)])
+        found = _within(balls, balls, reach)
+        return found[found[:, 0] < found[:, 1]]
+
+    def vectors(self, elements: Elements) -> Vectors:
+        """Return, for each pair, positions of both bodies, with their axes where friction acts."""
+        count = 1 if self.friction is None else elements.d + 1
+        return tuple(
+            FrameDirection(self.bodies[body], k)
+            for pair in self.pairs(elements).tolist()
+            for body in pair
+            for k in range(count)
+        )
+
+    def copies(self, elements: Elements) -> Copies:
+        """Return a copy for each pair, with its two radii."""
+        pairs, (places, _) = self.pairs(elements), self.design_places
+        first = places[[name for name, _ in self.design_fields].index("radii")]
+        assert isinstance(first, slice)
+        return Copies(np.zeros((len(pairs), 0)), parameters=first.start + pairs)
+
+    def _touched(self, U: Any, signals: Any, n: int) -> tuple[Any, Any]:
+        radii = signals[..., -2:-1, None], signals[..., -1:, None]
+        l, normal = _apart(U[..., :1, :] - U[..., n : n + 1, :], radii[0] + radii[1])
+        return positive(radii[0] + radii[1] - l), normal
+
+    def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
+        """Return the depth: without one there is no force."""
+        return (self._touched(U, signals, len(U_o) // 2)[0],)
+
+    def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
+        """Return N n + T at the surface of the first body, and the opposite on the second."""
+        n = len(U_o) // 2
+        depth, normal = self._touched(U, signals, n)
+        stiffness, restitution, impact_speed, friction, slip_speed, _, _ = self.split(p)
+        arm = -signals[..., -2:-1, None] * normal
+        parts, w = moving_with(U[..., :n, :], V[..., :n, :], arm)
+        reach = U[..., :1, :] + arm - U[..., n : n + 1, :]
+        others, along = moving_with(U[..., n:, :], V[..., n:, :], reach)
+        values = stiffness, None, restitution, impact_speed, friction, slip_speed
+        F = self.pressed(values, depth, normal, w - along)
+        return concatenate([on_body(F, parts), on_body(-F, others)])
+
+
+@final
+@dataclass(frozen=True)
+class BeamPairContact(PairContact):
+    """Contact of two beams or cables, centre lines with radii.
+
+    Gauss points along `beam` touch the closest points of the other centre line. The force per unit
+    of reference length of `beam` is that of `Contact`. A contact at a crossing is short: there the
+    points must lie closer than the radii. Design targets: ``stiffness``, ``radius``,
+    ``other_radius``, ``restitution``, ``impact_speed``, ``friction`` and ``slip_speed``.
+
+    Parameters
+    ----------
+    beam, other_beam : str
+        Names of two beams; the second one without kinks.
+    stiffness : float
+        k, positive; N/m^(m+1).
+    radius, other_radius : float
+        From the centre lines to the surfaces; m.
+    points_per_element : int, optional
+        Gauss points in each element of `beam`, 4 by default.
+    exponent, restitution, impact_speed, friction, slip_speed
+        As in `Contact`.
+    reach : float, optional
+        As in `SphereContacts`, for elements; m.
+    """
+
+    beam: str
+    other_beam: str
+    points_per_element: int = 4
+    other_radius: float = field(kw_only=True)
+
+    design_fields = (*FORCE_FIELDS, ("other_radius", require_not_negative), LAW_FIELD)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        where = f"load {self.name!r}"
+        require_text(f"{where}, other_beam", self.other_beam)
+        names = [self.beam, self.other_beam]
+        require_unique(where, "must be of two beams", names, "A beam does not touch itself.")
+        repair = "Give the number of points."
+        require_count(f"{where}, points_per_element", self.points_per_element, repair, 64)
+        if self.radius is None:
+            rule, repair = "must be given", "Give the radius of the first beam."
+            raise InvalidInputError(f"{where}, radius", rule, None, repair)
+
+    @property
+    def whole_beams(self) -> tuple[str, ...]:
+        """Names of both beams."""
+        return (self.beam, self.other_beam)
+
+    def within(self, places: Sequence[Array], reach: float | None) -> Array:
+        """Return the pairs of elements, (n, 2), whose chords, in balls, are within reach."""
+        balls = []
+        for nodes, radius in zip(places, (self.radius or 0.0, self.other_radius), strict=True):
+            halves = np.diff(nodes, axis=0) / 2
+            # A fifth more, for elements that are bent.
+            sizes = 1.2 * np.linalg.norm(halves, axis=1) + radius
+            balls.append(np.column_stack([nodes[:-1] + halves, sizes]))
+        return _within(balls[0], balls[1], reach)
+
+    def vectors(self, elements: Elements) -> Vectors:
+        """Return, for each Gauss point and element, the point, its axes and vectors of nodes."""
+        both = [self.turning(MaterialPoint(x, 0.0), elements) for x in self.whole_beams]
+        points = box_rule((self.points_per_element,))[0][:, 0].tolist()
+        names: list[Any] = []
+        for k, j in self.pairs(elements).tolist():
+            line = (Quantity.POSITION, Quantity.SLOPE_X)
+            at = [(xi, x) for x in line for xi in (0.0, 1.0)]
+            at += [(xi, x) for xi in (0.0, 1.0) for x in both[1]]
+            ends = [LineVector(self.other_beam, j, *each) for each in at]
+            for xi in points:
+                own = (Quantity.POSITION, *both[0])
+                names += [LineVector(self.beam, k, xi, x) for x in own]
+                names += ends
+        return tuple(names)
+
+    def copies(self, elements: Elements) -> Copies:
+        """Return one copy for each Gauss point and element of the other beam.
+
+        Own numbers are the length that the point stands for, whether the element is the first or
+        the last one, and the lengths of the element and of those before and behind it.
+        """
+        pairs, weights = self.pairs(elements), box_rule((self.points_per_element,))[1]
+        last = elements.counts[self.other_beam] - 1
+        k, j = np.repeat(pairs, len(weights), axis=0).T
+        own = np.ones((len(k), 6))
+        own[:, 0], own[:, 1], own[:, 2] = np.tile(weights, len(pairs)), j == 0, j == last
+        at = (k, j, np.maximum(j - 1, 0), np.minimum(j + 1, last))
+        beams = self.beam, *[self.other_beam] * 3
+        lengths = {
+            column: tuple((beam, int(x)) for x in which)
+            for column, beam, which in zip((0, 3, 4, 5), beams, at, strict=True)
+        }
+        return Copies(own, lengths)
+
+    def _split(self, U: Any) -> tuple[Any, Any, Any]:
+        """Return position and axes of the point, node vectors, and axes at both ends."""
+        n, d = U.shape[-2:]
+        # Each of both beams turns with d - 1 slopes, or with none.
+        turning = (n - 5) // (d - 1)
+        own = 1 + (turning % 2) * (d - 1)
+        return U[..., :own, :], U[..., own : own + 4, :], U[..., own + 4 :, :]
+
+    def _near(self, U: Any, signals: Any, p: Array) -> Any:
+        """Return a number that is 0 where the point is too far from the element to touch it.
+
+        The cubic lies within a ball around the middle of its ends that holds its Bezier points.
+        """
+        values, l = self.split(p), signals[..., 3:4, None]
+        point, X, _ = self._split(U)
+        half, slopes = (X[..., 1:2, :] - X[..., :1, :]) / 2, X[..., 2:, :]
+        size = np.sqrt(dot(half, half)) + l / 3 * np.sqrt(
+            dot(slopes, slopes).sum(axis=-2, keepdims=True)
+        )
+        e = point[..., :1, :] - X[..., :1, :] - half
+        size = size + values[1] + values[6]
+        return positive(size * size - dot(e, e))
+
+    def _touched(self, U: Any, signals: Any, p: Array) -> tuple[Any, Any, Any, Any]:
+        """Return depth and normal, xi of the closest point, and the share of the element."""
+        values, l = self.split(p), signals[..., 3:4, None]
+        point, X, _ = self._split(U)
+        c, size, chord = point[..., :1, :], values[1] + values[6], X[..., 1:2, :] - X[..., :1, :]
+        xi = _clamped(dot(c - X[..., :1, :], chord) / dot(chord, chord), 0.0)
+        for _ in range(_ITERATIONS):
+            r, r_1, r_2 = (_weighted(w, X) for w in _hermite(xi, l))
+            slope = dot(r_1, r_1) - dot(c - r, r_2)
+            xi = _clamped(xi + dot(c - r, r_1) / slope, _BEYOND)
+        first, last = signals[..., 1:2, None], signals[..., 2:3, None]
+        before, behind = (
+            x * l / (x + l) for x in (signals[..., 4:5, None], signals[..., 5:6, None])
+        )
+        share = (first + (1 - first) * _passed(xi * l / before)) * (
+            last + (1 - last) * _passed((1 - xi) * l / behind)
+        )
+        # Beyond its ends a beam is round.
+        xi = xi + first * positive(-xi) - last * positive(xi - 1)
+        distance, n = _apart(c - _weighted(_hermite(xi, l)[0], X), size)
+        return positive(size - distance), n, xi, share
+
+    def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
+        """Return whether the point is near, and the depth: without one there is no force."""
+        near = self._near(U, signals, p)
+        return near, self._touched(U, signals, p)[0]
+
+    def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
+        """Return N n + T on the point and the opposite on the element, times a length."""
+        depth, n, xi, share = self._touched(U, signals, p)
+        *values, _, _ = self.split(p)
+        (point, X, axes), (rates, X_1, axes_1) = self._split(U), self._split(V)
+        weights = _hermite(xi, signals[..., 3:4, None])[0]
+        half = axes.shape[-2] // 2
+        line, line_1 = (
+            concatenate([_weighted(weights, x), *_between(y, xi, half)])
+            for x, y in ((X, axes), (X_1, axes_1))
+        )
+        arm = -values[1] * n
+        parts, w = moving_with(point, rates, arm)
+        others, along = moving_with(line, line_1, point[..., :1, :] + arm - line[..., :1, :])
+        F = self.pressed(values, depth, n, w - along) * (share * signals[..., :1, None])
+        result = [on_body(F, parts), *(-weight * F for weight in weights)]
+        if others is not None:
+            result += [-(1 - xi) * others * F, -xi * others * F]
+        return concatenate(result)
+
+
+def _clamped(xi: Any, beyond: float) -> Any:
+    """Return xi between -beyond and 1 + beyond."""
+    return positive(xi + beyond) - positive(xi - 1 - beyond) - beyond
+
+
+def _passed(x: Any) -> Any:
+    """Return a smooth step from 0 to 1 in a zone around 0, with s(x) + s(-x) = 1."""
+    y = positive(x / (2 * _ZONE) + 0.5)
+    y = y - positive(y - 1)
+    return y * y * y * (10 - 15 * y + 6 * y * y)
+
+
+def _hermite(xi: Any, l: Any) -> tuple[tuple[Any, ...], ...]:
+    """Return weights of the positions and the slopes of both ends at xi, and two derivatives."""
+    x2 = xi * xi
+    h = x2 * (3 - 2 * xi)
+    h_1, h_2 = 6 * xi * (1 - xi), 6 - 12 * xi
+    value = 1 - h, h, l * xi * (1 - xi) * (1 - xi), l * x2 * (xi - 1)
+    first = -h_1, h_1, l * (1 - 4 * xi + 3 * x2), l * (3 * x2 - 2 * xi)
+    second = -h_2, h_2, l * (6 * xi - 4), l * (6 * xi - 2)
+    return value, first, second
+
+
+def _weighted(weights: tuple[Any, ...], X: Any) -> Any:
+    """Return the sum of vectors of X, (..., n, d), with weights, as (..., 1, d)."""
+    terms = [w * X[..., k : k + 1, :] for k, w in enumerate(weights)]
+    return terms[0] + terms[1] + terms[2] + terms[3]
+
+
+def _between(axes: Any, xi: Any, half: int) -> tuple[Any, ...]:
+    """Return axes at xi from the axes of both ends, which follow each other; () without axes."""
+    return ((1 - xi) * axes[..., :half, :] + xi * axes[..., half:, :],) if half else ()
