@@ -599,7 +599,7 @@ def test_what_has_no_accelerations_is_told():
 def test_arguments_that_do_not_fit_are_refused(wrong):
     system = Elbow()
     arguments = {
-        "lists": system.index_1,
+        "lists": system.index_1(True),
         "b": system.b,
         "scale": np.ones(6),
         "t": np.zeros(2),
@@ -637,10 +637,15 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
         with pytest.raises(ValueError, match="no room"):
             explicit_march(*fixed, tuple(tolerances), 0.0, 1.0, 2, beyond)
         return
+    lists = arguments["lists"]
     for function in (index_1_rows, index_1_projected):
         function(*arguments.values())
+        # Without derivatives three lists are enough.
+        alone = {**arguments, "lists": system.index_1(False), "states": np.ones((2, 2, 1, 4))}
+        assert len(alone["lists"]) == 3
+        function(*alone.values())
         bad = {
-            "lists": [system.index_1[:5], system.index_1[::-1], (1,) * 6],
+            "lists": [lists[:5], lists[::-1], lists[:3], (1,) * 6],
             "b": [system.b[:5], np.ones(11)],
             "scale": [np.ones(3), np.ones(7)],
             "t": [np.zeros(3)],

@@ -381,10 +381,10 @@ class FormulaSystem(ListedSystem):
         """Return the parts of a motion by their names."""
         return {f"{sign}{name}": x for name, x in zip(_RATES, motion, strict=False)}
 
-    @property
-    def index_1(self) -> tuple[OperationList, ...]:
-        """The lists from which a kernel finds accelerations."""
-        return self._formulas.index_1
+    def index_1(self, derivatives: bool) -> tuple[OperationList, ...]:
+        """Return the lists from which a kernel finds accelerations."""
+        lists = self._formulas.accelerations
+        return lists + self._formulas.differentiated if derivatives else lists
 
     def right_side(self) -> tuple[Operations, dict[str, Array], dict[str, Array]]:
         """Return the list, numbers of Q, M, Phi_q and the side of Phi'', and numbers of inputs."""

@@ -451,10 +451,9 @@ class PlannedSystem(MechanicalSystem):
 class ListedSystem(MechanicalSystem):
     """A system whose accelerations a kernel finds by itself, from lists of operations."""
 
-    @property
     @abc.abstractmethod
-    def index_1(self) -> tuple[OperationList, ...]:
-        """The lists of `kernels/index_1.h`."""
+    def index_1(self, derivatives: bool) -> tuple[OperationList, ...]:
+        """Return the lists of `kernels/index_1.h`, with those of design derivatives or without."""
 
     @property
     @abc.abstractmethod

@@ -32,6 +32,9 @@ try:
         OperationList as OperationList,
     )
     from ancfdae.kernels._kernels import (
+        OperationTrace as OperationTrace,
+    )
+    from ancfdae.kernels._kernels import (
         add_scaled as add_scaled,
     )
     from ancfdae.kernels._kernels import (

@@ -261,6 +261,16 @@ template <> struct From<Size> {
         return number;
     }
 };
+template <> struct From<int32_t> {
+    static int32_t object(PyObject *x)
+    {
+        Size number = PyNumber_AsSsize_t(x, PyExc_ValueError);
+        if (PyErr_Occurred())
+            throw Failed();
+        must(number >= INT32_MIN && number <= INT32_MAX, "a number is too large");
+        return (int32_t)number;
+    }
+};
 template <> struct From<bool> {
     static bool object(PyObject *x)
     {
