@@ -217,7 +217,7 @@ class FormulaSystem(ListedSystem):
         for x in (q, v):
             if x.shape != shape:
                 raise wrong_shape(where, shape, x.shape)
-        if self.n_b:
+        if self.n_b and self._formulas.moving_start:
             b = self.b.real
             *_, db = self._changes(q.real, v.real)
 

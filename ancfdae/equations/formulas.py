@@ -93,6 +93,14 @@ def _arguments(inputs: str, parts: Sequence[Array]) -> list[Any]:
     return [x.item() if name == "t" else x for name, x in zip(inputs, parts, strict=False)]
 
 
+def _has_symbols(function: Callable[[], Any]) -> bool:
+    """Whether a function returns symbols, or cannot be called with them in what it reads."""
+    try:
+        return np.asarray(function()).dtype.kind not in "biuf"
+    except (InvalidInputError, *TRACE_FAILURES):
+        return True
+
+
 def wrong_shape(where: str, shape: tuple[int, ...], got: tuple[int, ...]) -> InvalidInputError:
     """Return the error for a method that returns an array of another shape."""
     rule = f"must have shape {shape}"
@@ -140,6 +148,8 @@ class Formulas:
             moved, why = None, told(error)
         if not (why or np.array_equal(Traced.numbers(operations, moved.b), self._at["b"])):
             raise InvalidInputError(f"{self.kind.__name__}.with_values", *FORGOTTEN)
+        #: Whether the start may depend on b.
+        self.moving_start = moved is None or _has_symbols(moved.start)
         self._M = self._traced_or_called(system, moved, why, "mass_matrix", "q", (n, n))
         self._Q = self._traced_or_called(system, moved, why, "force", "tqv", (n,))
         self._Phi = self._traced_or_called(system, moved, why, "position_constraint", "tq", (m,))
