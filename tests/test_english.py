@@ -73,7 +73,7 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "opens with what": 52,
+    "opens with what": 51,
     "as far as": 5,
     "is none": 70,
     "that of, those of": 536,

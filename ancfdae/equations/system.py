@@ -453,7 +453,7 @@ class ListedSystem(MechanicalSystem):
 
     @abc.abstractmethod
     def index_1(self, derivatives: bool) -> tuple[OperationList, ...]:
-        """Return the lists of `kernels/index_1.h`, with those of design derivatives or without."""
+        """Return the lists of `kernels/index_1.h`, with or without lists of design derivatives."""
 
     @property
     @abc.abstractmethod

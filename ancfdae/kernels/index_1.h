@@ -7,7 +7,7 @@
  *   PLACE, SPEED  t, q, v, b                      Phi; dPhi/dt
  *   SIDES         t, q, v, a, lam, b; q, v, b     (Q - M a - Phi_q^T lam)', -(Phi'')'
  *   PLACES, SPEEDS  t, q, v, b; q, v, b           changes of Phi and dPhi/dt
- * The last three are those of derivatives: without these there are three lists.
+ * The last three give derivatives: without these there are three lists.
  */
 enum { MATRIX, PLACE, SPEED, SIDES, PLACES, SPEEDS, INDEX_1_LISTS };
 

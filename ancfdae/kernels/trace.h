@@ -217,7 +217,7 @@ struct Trace {
             f(own[2]);
     }
 
-    /* Rates of all numbers in a direction, in which inputs have `rates`: those of `all` operations. */
+    /* Rates of all numbers in a direction, in which inputs have `rates`, by `all` operations. */
     Numbered along(const Numbered &all, Numbered rates, const Rates &of_call)
     {
         int32_t zero = constant(0);
