@@ -135,7 +135,7 @@ class Operations:
         return list(found.astype(np.int64).reshape(len(directions), *outputs.shape))
 
     def _rates_of_call(self, index: int, moved: Array) -> Array:
-        """Return rates of the results of a call, (size,), from rates of its inputs; (0,) at rest."""
+        """Return rates of the results of a call, (size,), from rates of inputs; (0,) at rest."""
         function, numbers = self._calls[index]
         found = function.rates(self, numbers, dict(zip(numbers, moved.tolist(), strict=True)))
         return _numbers([] if found is None else found)
