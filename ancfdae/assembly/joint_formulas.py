@@ -101,7 +101,7 @@ class _Trace:
             raise InvalidInputError(
                 where,
                 "must be smooth functions of NumPy, which are called with symbols",
-                f"code that cannot be: {told(error)}",
+                f"code that cannot be: {told(error)}".rstrip("."),
                 "Call what needs numbers as an ExternalFunction.",
             ) from error
         if len(numbers) != self._rows:
@@ -118,8 +118,13 @@ class _Trace:
         return Traced.array(self._operations, numbers)
 
     def _require_parameters(self, Phi: Array) -> None:
-        """Refuse equations that read design fields of the joint itself, whose values then stay."""
+        """Refuse equations that read design fields of the joint itself, whose values then stay.
+
+        And others that differ from call to call.
+        """
         joint = self._joint
+        if not np.array_equal(self._numbers(joint), Phi):
+            raise self._no_function("other equations at the second call")
         moved = {x: y + _OTHER * (abs(y) or 1.0) for x, y in joint.parameters().items()}
         try:
             other = joint.with_parameters(moved)
@@ -147,9 +152,12 @@ class _Trace:
         gap, size = np.abs(listed - called)[known], np.abs(called)[known]
         size = np.max(np.maximum(size, np.abs(beside[known] - listed[known]) / _OTHER), initial=0.0)
         if np.any(gap > _SAME * size):
-            raise InvalidInputError(
-                f"equations of joint {joint.name!r}",
-                "must follow from U, p, reference and laws alone",
-                f"other values for numbers than for symbols, by {np.max(gap):.1e}",
-                "Keep no state in the joint, and convert no arguments.",
-            )
+            got = f"other values for numbers than for symbols, by {np.max(gap):.1e}"
+            raise self._no_function(got)
+
+    def _no_function(self, got: str) -> InvalidInputError:
+        where = f"equations of joint {self._joint.name!r}"
+        rule = "must follow from U, p, reference and laws alone"
+        return InvalidInputError(
+            where, rule, got, "Keep no state in the joint, and convert no arguments."
+        )

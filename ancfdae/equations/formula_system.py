@@ -217,7 +217,7 @@ class FormulaSystem(ListedSystem):
         for x in (q, v):
             if x.shape != shape:
                 raise wrong_shape(where, shape, x.shape)
-        if self.n_b:
+        if self.n_b and self._formulas.moving_start:
             b = self.b.real
             *_, db = self._changes(q.real, v.real)
 
@@ -381,10 +381,10 @@ class FormulaSystem(ListedSystem):
         """Return the parts of a motion by their names."""
         return {f"{sign}{name}": x for name, x in zip(_RATES, motion, strict=False)}
 
-    @property
-    def index_1(self) -> tuple[OperationList, ...]:
-        """The lists from which a kernel finds accelerations."""
-        return self._formulas.index_1
+    def index_1(self, derivatives: bool) -> tuple[OperationList, ...]:
+        """Return the lists from which a kernel finds accelerations."""
+        lists = self._formulas.accelerations
+        return lists + self._formulas.differentiated if derivatives else lists
 
     def right_side(self) -> tuple[Operations, dict[str, Array], dict[str, Array]]:
         """Return the list, numbers of Q, M, Phi_q and the side of Phi'', and numbers of inputs."""

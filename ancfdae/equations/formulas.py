@@ -93,6 +93,14 @@ def _arguments(inputs: str, parts: Sequence[Array]) -> list[Any]:
     return [x.item() if name == "t" else x for name, x in zip(inputs, parts, strict=False)]
 
 
+def _has_symbols(function: Callable[[], Any]) -> bool:
+    """Whether a function returns symbols, or cannot be called with them in what it reads."""
+    try:
+        return np.asarray(function()).dtype.kind not in "biuf"
+    except (InvalidInputError, *TRACE_FAILURES):
+        return True
+
+
 def wrong_shape(where: str, shape: tuple[int, ...], got: tuple[int, ...]) -> InvalidInputError:
     """Return the error for a method that returns an array of another shape."""
     rule = f"must have shape {shape}"
@@ -140,6 +148,8 @@ class Formulas:
             moved, why = None, told(error)
         if not (why or np.array_equal(Traced.numbers(operations, moved.b), self._at["b"])):
             raise InvalidInputError(f"{self.kind.__name__}.with_values", *FORGOTTEN)
+        #: Whether the start may depend on b.
+        self.moving_start = moved is None or _has_symbols(moved.start)
         self._M = self._traced_or_called(system, moved, why, "mass_matrix", "q", (n, n))
         self._Q = self._traced_or_called(system, moved, why, "force", "tqv", (n,))
         self._Phi = self._traced_or_called(system, moved, why, "position_constraint", "tq", (m,))
@@ -177,16 +187,14 @@ class Formulas:
         if made is None:
             made = self._lists[key] = self._compiled(of(self, *which))
         parts = [np.asarray(at[name]) for name in made.inputs]
-        if rows is None:
-            x = np.concatenate(parts) if parts else np.zeros(0)
-            out = list_values(made.operations, x)
-            pairs = zip(made.places, made.shapes, strict=True)
-            return [out[i].reshape(shape) for i, shape in pairs]
-        wide = [np.broadcast_to(part, (rows, part.shape[-1])) for part in parts]
-        x = np.concatenate([np.zeros((rows, 0)), *wide], axis=1)
+        lead = () if rows is None else (rows,)
+        sizes = np.cumsum([0, *(part.shape[-1] for part in parts)]).tolist()
+        x = np.empty((*lead, sizes[-1]), np.result_type(float, *parts))
+        for part, begin, end in zip(parts, sizes, sizes[1:], strict=False):
+            x[..., begin:end] = part
         out = list_values(made.operations, x)
         pairs = zip(made.places, made.shapes, strict=True)
-        return [out[:, i].reshape(rows, *shape) for i, shape in pairs]
+        return [out[..., i].reshape(*lead, *shape) for i, shape in pairs]
 
     def _compiled(self, values: tuple[Array, ...]) -> _List:
         outputs = np.concatenate([x.ravel() for x in values])
@@ -279,22 +287,25 @@ class Formulas:
         return self._by(self._residual(forces), "b"), self._by(self._Phi, "b")
 
     @cached_property
-    def index_1(self) -> tuple[OperationList, ...]:
-        """Return what accelerations and their derivatives follow from (`kernels/index_1.h`)."""
+    def accelerations(self) -> tuple[OperationList, ...]:
+        """Lists from which accelerations and projections follow (`kernels/index_1.h`)."""
+        Phi, rate = (self.constraint(order)[0] for order in range(2))
+        held = {"t": self._one, "q": self._at["v"]}
+        gamma = Traced.numbers(self._operations, -self._traced(self._moved(rate, held)[0]))
+        values = [self._M, self._jacobian, self._Q, gamma], [Phi], [rate]
+        return tuple(self._list(x, "t", "q", "v", "b") for x in values)
+
+    @cached_property
+    def differentiated(self) -> tuple[OperationList, ...]:
+        """Lists from which derivatives of `accelerations` follow."""
+        state, changes = ("t", "q", "v"), ("b", "dq", "dv", "db")
         moved = {"q": "dq", "v": "dv", "b": "db"}
         Phi, rate, second = (self.constraint(order)[0] for order in range(3))
-        held = {"t": self._one, "q": self._at["v"]}
-        right = [self._moved(rate, held)[0], self._along(self._residual(True), **moved)]
-        right.append(self._along(second, **moved))
-        gamma, *sides = (Traced.numbers(self._operations, -self._traced(x)) for x in right)
-        state, changes = ("t", "q", "v"), ("b", "dq", "dv", "db")
+        right = (self._along(x, **moved) for x in (self._residual(True), second))
+        sides = [Traced.numbers(self._operations, -self._traced(x)) for x in right]
         return (
-            self._list([self._M, self._jacobian, self._Q, gamma], *state, "b"),
             self._list(sides, *state, "a", "lam", *changes),
-            self._list([Phi], *state, "b"),
-            self._list([rate], *state, "b"),
-            self._list([self._along(Phi, **moved)], *state, *changes),
-            self._list([self._along(rate, **moved)], *state, *changes),
+            *(self._list([self._along(x, **moved)], *state, *changes) for x in (Phi, rate)),
         )
 
     @cached_property

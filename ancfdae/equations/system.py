@@ -456,10 +456,9 @@ class PlannedSystem(MechanicalSystem):
 class ListedSystem(MechanicalSystem):
     """A system whose accelerations a kernel finds by itself, from lists of operations."""
 
-    @property
     @abc.abstractmethod
-    def index_1(self) -> tuple[OperationList, ...]:
-        """The lists of `kernels/index_1.h`."""
+    def index_1(self, derivatives: bool) -> tuple[OperationList, ...]:
+        """Return the lists of `kernels/index_1.h`, with or without lists of design derivatives."""
 
     @property
     @abc.abstractmethod

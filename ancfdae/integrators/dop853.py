@@ -137,7 +137,8 @@ class Dop853:
     def __init__(
         self, accelerations: Accelerations, t: float, state: Array, found: Array, h: float
     ) -> None:
-        self._accelerations, self._equations = accelerations, accelerations.for_kernel
+        self._accelerations = accelerations
+        self._equations = accelerations.for_kernel(state.shape[1])
         _, rows, n = state.shape
         self._rows, self.states = np.zeros((2 + _ALL, rows * n)), np.zeros((_ALL, *state.shape))
         self._found = np.zeros((_ALL, *found.shape))

@@ -16,14 +16,14 @@ design derivatives of the state are moved onto the derivatives of the constraint
 """
 
 from collections.abc import Callable
-from typing import TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
 from ancfdae.equations import ListedSystem, MechanicalSystem, reaction
 from ancfdae.equations.held import acceleration_side, held_totals
 from ancfdae.errors.kinds import SingularMatrix
-from ancfdae.kernels import SINGULAR, OperationList, index_1
+from ancfdae.kernels import SINGULAR, index_1
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
@@ -143,9 +143,8 @@ class Accelerations:
     #: Steps that a kernel takes at once: here every evaluation calls Python.
     steps_at_once: int = 1
 
-    @property
-    def for_kernel(self) -> tuple[object, ...]:
-        """The equations as `explicit_march` takes them."""
+    def for_kernel(self, rows: int) -> tuple[Any, ...]:
+        """Return the equations as `explicit_march` takes them for states of some rows."""
 
         def told(
             function: Callable[[float, Array], Array],
@@ -181,11 +180,9 @@ class ListedAccelerations(Accelerations):
 
     steps_at_once = 64
 
-    def __init__(
-        self, system: ListedSystem, matrices: SaddlePoint, lists: tuple[OperationList, ...]
-    ) -> None:
+    def __init__(self, system: ListedSystem, matrices: SaddlePoint) -> None:
         super().__init__(system, matrices)
-        self._of = lists, system.b, matrices.scale
+        self._lists, self._others = system.index_1, (system.b, matrices.scale)
 
     def rows(self, t: float, q: Array, v: Array) -> Array:
         """Return (a, lam), and below it design derivatives if q and v have those as rows."""
@@ -193,7 +190,9 @@ class ListedAccelerations(Accelerations):
 
     def rows_of(self, t: Array, states: Array) -> Array:
         """Return `rows` of k states, (k, 2, rows, n_q)."""
-        return self._found(index_1(*self._of, False, t, states), t, states, self._matrices.size)
+        lists, b, scale = self.for_kernel(states.shape[2])
+        found = index_1(lists, b, scale, False, t, states)
+        return self._found(found, t, states, self._matrices.size)
 
     def projected(self, t: float, rows: Array) -> Array:
         """Return the rows of a state moved onto the constraints."""
@@ -201,7 +200,9 @@ class ListedAccelerations(Accelerations):
 
     def projected_of(self, t: Array, states: Array) -> Array:
         """Return `projected` of k states."""
-        return self._found(index_1(*self._of, True, t, states), t, states, states.shape[3])
+        lists, b, scale = self.for_kernel(states.shape[2])
+        found = index_1(lists, b, scale, True, t, states)
+        return self._found(found, t, states, states.shape[3])
 
     def _found(self, found: Array | int, t: Array, states: Array, size: int) -> Array:
         """Return what a kernel found: no numbers where a value is not finite."""
@@ -212,10 +213,9 @@ class ListedAccelerations(Accelerations):
             raise SingularMatrix
         return np.full((*states.shape[:-1], size), np.nan)
 
-    @property
-    def for_kernel(self) -> tuple[object, ...]:
-        """The equations as `explicit_march` takes them."""
-        return self._of
+    def for_kernel(self, rows: int) -> tuple[Any, ...]:
+        """Return the equations as `explicit_march` takes them for states of some rows."""
+        return self._lists(rows > 1), *self._others
 
     def count(self, evaluations: int, projections: int) -> None:
         """Count the matrices that a kernel factorised."""
@@ -225,7 +225,7 @@ class ListedAccelerations(Accelerations):
 def accelerations(system: MechanicalSystem, matrices: SaddlePoint) -> Accelerations:
     """Return what solves for the accelerations of a system."""
     if isinstance(system, ListedSystem):
-        return ListedAccelerations(system, matrices, system.index_1)
+        return ListedAccelerations(system, matrices)
     return Accelerations(system, matrices)
 
 

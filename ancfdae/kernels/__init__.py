@@ -23,6 +23,7 @@ try:
         LoadPlan as LoadPlan,
         Model as Model,
         OperationList as OperationList,
+        OperationTrace as OperationTrace,
         band_factor as band_factor,
         band_solve as band_solve,
         constraint_curvature as constraint_curvature,

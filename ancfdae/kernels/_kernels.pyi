@@ -167,6 +167,52 @@ class LoadPlan:
     ) -> None: ...
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]: ...
 
+class OperationTrace:
+    """A list of operations in the making (`trace.h`); numbers are those of `trace.h`, as int32."""
+
+    def __init__(self, n_inputs: int, /) -> None: ...
+    def constant(self, real: float, imaginary: float, /) -> int:
+        """Return the number of a constant."""
+
+    def value(self, number: int, /) -> tuple[float, float]:
+        """Return real and imaginary part of a constant."""
+
+    def apply(self, operation: int, x: int, y: int, /) -> int:
+        """Return the number of a result; y is x of operations of one number."""
+
+    def power(self, x: int, exponent: float, /) -> int:
+        """Return the number of a power: whole ones are products."""
+
+    def call(self, inputs: Array, size: int, /) -> int:
+        """Return the number of a call, behind which its results stand."""
+
+    def along(
+        self, outputs: Array, rates: Array, of_call: Callable[[int, Array], Array], /
+    ) -> Array:
+        """Return rates of outputs, (k, n_outputs), from rates of inputs, (k, n_inputs).
+
+        `of_call` returns the rates of results of a call from those of its inputs, none if none
+        moves.
+        """
+
+    def partials(self, output: int, /) -> Array:
+        """Return partials of an output that follows from no call, (n_inputs,)."""
+
+    def rows(self, outputs: Array, /) -> Array:
+        """Return what outputs follow from, in order: number, operation, x and y, (k, 4)."""
+
+    def inputs(self, outputs: Array, /) -> Array:
+        """Return the inputs that outputs follow from, (k,)."""
+
+    def placed(self, outputs: Array, inputs: Array, /) -> tuple[Array, ...]:
+        """Return constants, operations, their numbers, outputs, calls, and which calls they are.
+
+        These are the arguments of an `OperationList` of the inputs.
+        """
+
+    def sizes(self, /) -> tuple[int, int]:
+        """Return how many operations and constants there are."""
+
 class OperationList:
     """A list of operations on inputs and constants; `load_plan.h` has the codes of operations.
 

@@ -220,6 +220,15 @@ template <class V> class Kept
     V &operator*() const { return *operator->(); }
 };
 
+/* What is held for the scalar T. */
+template <class T, class R, class C> const auto &held_in(const R &in_real, const C &in_complex)
+{
+    if constexpr (std::is_same<T, double>::value)
+        return in_real;
+    else
+        return in_complex;
+}
+
 /* ---- conversions ---------------------------------------------------------------------------- */
 
 /* Numbers that are used as complex ones, and as real ones where they are. */
@@ -266,6 +275,16 @@ template <> struct From<Size> {
             throw Failed();
         must(number >= 0, "a number is negative or too large");
         return number;
+    }
+};
+template <> struct From<int32_t> {
+    static int32_t object(PyObject *x)
+    {
+        Size number = PyNumber_AsSsize_t(x, PyExc_ValueError);
+        if (PyErr_Occurred())
+            throw Failed();
+        must(number >= INT32_MIN && number <= INT32_MAX, "a number is too large");
+        return (int32_t)number;
     }
 };
 template <> struct From<bool> {

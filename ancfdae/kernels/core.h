@@ -4,6 +4,7 @@
  * compute, docs/theory why.
  */
 
+#include <array>
 #include <cfloat>
 #include <chrono>
 #include <climits>
@@ -13,8 +14,13 @@
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
+#include <functional>
+#include <map>
 #include <tuple>
 #include <type_traits>
+#include <unordered_map>
+#include <utility>
+#include <vector>
 
 /* Words that headers of Windows take. */
 #undef near
@@ -69,6 +75,7 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
 #include "loads.h"
 #include "lists.h"
+#include "trace.h"
 
 #include "constraint_formulas.h"
 #include "constraints.h"

@@ -4,11 +4,12 @@
  * A state is q above its n_b design derivatives, then v likewise: (2, 1 + n_b, n), or (2, 1, n).
  * Lists take all of their inputs in this order, changes of q, v and b last:
  *   MATRIX        t, q, v, b                      M, Phi_q, Q, gamma
- *   SIDES         t, q, v, a, lam, b; q, v, b     (Q - M a - Phi_q^T lam)', -(Phi'')'
  *   PLACE, SPEED  t, q, v, b                      Phi; dPhi/dt
- *   PLACES, SPEEDS  t, q, v, b; q, v, b           their changes
+ *   SIDES         t, q, v, a, lam, b; q, v, b     (Q - M a - Phi_q^T lam)', -(Phi'')'
+ *   PLACES, SPEEDS  t, q, v, b; q, v, b           changes of Phi and dPhi/dt
+ * The last three give derivatives: without these there are three lists.
  */
-enum { MATRIX, SIDES, PLACE, SPEED, PLACES, SPEEDS, INDEX_1_LISTS };
+enum { MATRIX, PLACE, SPEED, SIDES, PLACES, SPEEDS, INDEX_1_LISTS };
 
 /* Why there is no result. */
 enum { SOLVED, NOT_FINITE, SINGULAR };
@@ -25,7 +26,7 @@ Size index_1_room(const Index1System *s)
 {
     Size most = 0, size = s->n + s->m;
     for (int i = 0; i < INDEX_1_LISTS; i++)
-        if (s->lists[i]->n_numbers > most)
+        if (s->lists[i] && s->lists[i]->n_numbers > most)
             most = s->lists[i]->n_numbers;
     return most * LIST_LANES + size * (size + 1 + 2 * LIST_LANES);
 }
@@ -50,7 +51,7 @@ const double *index_1_evaluated(const Index1System *s, int which, double t, cons
         SHARED(n + s->m, s->x[j])
     }
     SHARED(n_b, s->b[j])
-    if (which == SIDES || which >= PLACES) {
+    if (which >= SIDES) {
         SHARED(n, q[(1 + first + i) * n + j])
         SHARED(n, v[(1 + first + i) * n + j])
         SHARED(n_b, j == first + i)

@@ -171,6 +171,11 @@ PyMODINIT_FUNC PyInit__kernels(void)
     if (module &&
         !(type_added<ConstraintPlan>(module, {}) && type_added<LoadPlan>(module, {}) &&
           type_added<OperationList>(module, {}) &&
+          type_added<OperationTrace, &py_trace_constant, &py_trace_value, &py_trace_apply,
+                     &py_trace_power, &py_trace_call, &py_trace_along, &py_trace_partials,
+                     &py_trace_rows, &py_trace_inputs, &py_trace_placed, &py_trace_sizes>(
+              module, {"constant", "value", "apply", "power", "call", "along", "partials", "rows",
+                       "inputs", "placed", "sizes"}) &&
           type_added<Model, &py_march<double, Model>, &py_rest<double, Model>,
                      &py_solve_stages<double, Model>, &py_differentiate_steps,
                      &py_pull_back_steps, &py_find_stages, &py_differentiate_stages,

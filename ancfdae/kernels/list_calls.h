@@ -98,6 +98,200 @@ struct OperationList {
     }
 };
 
+/* ---- lists in the making (trace.h) ---------------------------------------------------------- */
+
+using Places = Array<int32_t, 1>;
+using Indexed = Array<int32_t>;
+
+Indexed array_of(const Numbered &numbers)
+{
+    auto out = zeros<int32_t>({(Size)numbers.size()});
+    std::copy(numbers.begin(), numbers.end(), out.data);
+    return out;
+}
+
+/* (n_inputs): a list without operations. */
+struct OperationTrace : Trace {
+    static constexpr const char *NAME = "ancfdae.kernels._kernels.OperationTrace";
+    static constexpr const char *MISSING = "the first argument must be a list in the making";
+    using Arguments = std::tuple<Size>;
+
+    explicit OperationTrace(Arguments arguments) : Trace(std::get<0>(arguments))
+    {
+        must(std::get<0>(arguments) <= INT_MAX / 2, "a number of inputs is too large");
+    }
+    void require(const int32_t *numbers, Size count) const
+    {
+        for (Size i = 0; i < count; i++)
+            must(numbers[i] < size() && numbers[i] >= -(Size)constants.size(),
+                 "these are not numbers of the list");
+    }
+};
+
+int py_trace_constant(Kept<OperationTrace> trace, double re, double im)
+{
+    return trace->constant({re, im});
+}
+
+std::tuple<double, double> py_trace_value(Kept<OperationTrace> trace, int32_t number)
+{
+    must(number < 0, "a constant has a number below zero");
+    trace->require(&number, 1);
+    Complex x = trace->value(number);
+    return {x.re, x.im};
+}
+
+int py_trace_apply(Kept<OperationTrace> trace, int32_t op, int32_t x, int32_t y)
+{
+    const int32_t both[] = {x, y};
+    must(op >= 0 && op < OPERATIONS, "there is no operation of this number");
+    trace->require(both, 2);
+    return trace->apply(op, x, y);
+}
+
+int py_trace_power(Kept<OperationTrace> trace, int32_t x, double n)
+{
+    trace->require(&x, 1);
+    return trace->power(x, n);
+}
+
+int py_trace_call(Kept<OperationTrace> trace, Places inputs, Size size)
+{
+    trace->require(inputs.data, inputs.size);
+    must(size < INT_MAX / 4, "a function has too many results");
+    return trace->call(Numbered(inputs.data, inputs.data + inputs.size), size);
+}
+
+/* Rows of rates of outputs in directions, each a row of rates of all inputs. */
+Indexed py_trace_along(Kept<OperationTrace> trace, Places outputs, Array<int32_t, 2> rates,
+                              Ref of_call)
+{
+    Size n = trace->n_inputs, count = outputs.size, rows = rates.rows(1);
+    must(rates.has({-1, n}), "a direction must have a rate for each input");
+    trace->require(outputs.data, count);
+    trace->require(rates.data, rates.size);
+    auto out = zeros<int32_t>({rows, count});
+    Numbered all = trace->needed(outputs.data, count);
+    auto called = [&](int32_t index, const Numbered &moved) {
+        Ref number = made(PyLong_FromLong(index)), given(array_of(moved).release());
+        Places found(made(PyObject_CallFunctionObjArgs(of_call.get(), number.get(), given.get(),
+                                                       nullptr)).get());
+        must(found.size == trace->calls[(size_t)index].size || found.size == 0,
+             "rates must be those of all results of a call");
+        trace->require(found.data, found.size);
+        return Numbered(found.data, found.data + found.size);
+    };
+    int32_t zero = trace->constant(0);
+    for (Size r = 0; r < rows; r++) {
+        const int32_t *own = rates.data + r * n;
+        Numbered of_all = trace->along(all, Numbered(own, own + n), called);
+        for (Size i = 0; i < count; i++)
+            out.data[r * count + i] =
+                outputs.data[i] < 0 ? zero : of_all[(size_t)outputs.data[i]];
+    }
+    return out;
+}
+
+Indexed py_trace_partials(Kept<OperationTrace> trace, int32_t output)
+{
+    trace->require(&output, 1);
+    return array_of(trace->partials(output));
+}
+
+/* How many operations and constants there are. */
+std::tuple<Size, Size> py_trace_sizes(Kept<OperationTrace> trace)
+{
+    return {(Size)trace->operations.size(), (Size)trace->constants.size()};
+}
+
+/* Rows of the operations that outputs follow from: number, operation and both its numbers. */
+Indexed py_trace_rows(Kept<OperationTrace> trace, Places outputs)
+{
+    trace->require(outputs.data, outputs.size);
+    Numbered all = trace->needed(outputs.data, outputs.size);
+    auto out = zeros<int32_t>({(Size)all.size(), 4});
+    for (size_t k = 0; k < all.size(); k++) {
+        auto [op, x, y] = trace->of(all[k]);
+        const int32_t row[] = {all[k], op, x, y};
+        std::copy(row, row + 4, out.data + 4 * k);
+    }
+    return out;
+}
+
+/* Inputs that outputs follow from. */
+Indexed py_trace_inputs(Kept<OperationTrace> trace, Places outputs)
+{
+    trace->require(outputs.data, outputs.size);
+    std::vector<char> used((size_t)trace->n_inputs);
+    auto note = [&](int32_t x) {
+        if (x >= 0 && x < trace->n_inputs)
+            used[(size_t)x] = 1;
+    };
+    for (int32_t z : trace->needed(outputs.data, outputs.size))
+        trace->for_operands(z, note);
+    std::for_each(outputs.data, outputs.data + outputs.size, note);
+    Numbered all;
+    for (size_t x = 0; x < used.size(); x++)
+        if (used[x])
+            all.push_back((int32_t)x);
+    return array_of(all);
+}
+
+/* Constants, operations with both their numbers, outputs, calls, and which functions these call: what
+ * an `OperationList` of some inputs is made of, counted in the order of these, of constants and of
+ * results; what outputs do not follow from is left out. */
+std::tuple<Array<Complex>, Indexed, Indexed, Indexed, Indexed, Indexed, Indexed>
+py_trace_placed(Kept<OperationTrace> trace, Places outputs, Places inputs)
+{
+    trace->require(outputs.data, outputs.size);
+    trace->require(inputs.data, inputs.size);
+    Numbered all = trace->needed(outputs.data, outputs.size), place((size_t)trace->size(), -1);
+    Numbered of_constant(trace->constants.size(), -1), kept, op, a, b, to, calls, functions;
+    auto note = [&](int32_t x) {
+        if (x < 0)
+            of_constant[(size_t)(-x - 1)] = 0;
+    };
+    for (int32_t z : all)
+        trace->for_operands(z, note);
+    std::for_each(outputs.data, outputs.data + outputs.size, note);
+    int32_t next = 0;
+    for (Size i = 0; i < inputs.size; i++)
+        place[(size_t)inputs.data[i]] = next++;
+    for (size_t i = 0; i < of_constant.size(); i++)
+        if (of_constant[i] == 0)
+            of_constant[i] = next++, kept.push_back(-(int32_t)i - 1);
+    for (int32_t z : all)
+        place[(size_t)z] = next++;
+    auto at = [&](int32_t x) {
+        int32_t found = x < 0 ? of_constant[(size_t)(-x - 1)] : place[(size_t)x];
+        must(found >= 0, "outputs follow from other inputs");
+        return found;
+    };
+    for (int32_t z : all) {
+        auto [code, x, y] = trace->of(z);
+        op.push_back(code);
+        if (code != CALL) {
+            a.push_back(at(x)), b.push_back(at(code == RESULT ? x : y));
+            continue;
+        }
+        const TraceCall &own = trace->calls[(size_t)x];
+        a.push_back((int32_t)calls.size()), b.push_back((int32_t)functions.size());
+        functions.push_back(x);
+        calls.push_back((int32_t)own.inputs.size()), calls.push_back(own.size);
+        for (int32_t input : own.inputs)
+            calls.push_back(at(input));
+        for (int32_t i = 0; i < own.size; i++)
+            calls.push_back(place[(size_t)(z + 1 + i)]);
+    }
+    for (Size i = 0; i < outputs.size; i++)
+        to.push_back(at(outputs.data[i]));
+    auto constants = zeros<Complex>({(Size)kept.size()});
+    for (size_t i = 0; i < kept.size(); i++)
+        constants.data[i] = trace->value(kept[i]);
+    return {std::move(constants), array_of(op), array_of(a),     array_of(b),
+            array_of(to),         array_of(calls), array_of(functions)};
+}
+
 template <class T> Array<T> py_list_values(Kept<OperationList> of, Array<T, 1> x)
 {
     const Operations *p = &of->list;
@@ -117,10 +311,12 @@ struct Index1Model : Index1System {
 
     Index1Model(const std::vector<Kept<OperationList>> &all, const Array<double, 1> &design,
                 const Array<double, 1> &scales, const npy_intp *shape)
+        : Index1System()
     {
         static const int values[] = {MATRIX, PLACE, SPEED}, changes[] = {SIDES, PLACES, SPEEDS};
-        must(all.size() == INDEX_1_LISTS, "there must be six lists of operations");
-        for (size_t i = 0; i < INDEX_1_LISTS; i++)
+        must(all.size() == INDEX_1_LISTS || (all.size() == SIDES && shape[1] == 1),
+             "there must be six lists of operations, or three without derivatives");
+        for (size_t i = 0; i < all.size(); i++)
             lists[i] = &all[i]->list, constants[i] = all[i]->constants<double>();
         b = design.data, n_b = design.size, rows = shape[1], n = shape[2];
         scale = scales.data, m = scales.size - n;
@@ -129,9 +325,8 @@ struct Index1Model : Index1System {
         for (int i = 0; good && i < 3; i++) {
             const Operations *of = lists[values[i]], *by = lists[changes[i]];
             Size more = 2 * n + n_b + (i == 0 ? size : 0);
-            good = of->n_inputs == plain && by->n_inputs == plain + more &&
-                   of->n_outputs == (i == 0 ? n * size + size : m) &&
-                   by->n_outputs == (i == 0 ? size : m);
+            good = of->n_inputs == plain && of->n_outputs == (i == 0 ? n * size + size : m) &&
+                   (!by || (by->n_inputs == plain + more && by->n_outputs == (i == 0 ? size : m)));
         }
         must(good, "lists, design, scale and states do not fit together");
         memory = room_for<double>(index_1_room(this) + size);

@@ -1,14 +1,5 @@
 /* What Python calls of constraints and loads: plans, made once, and functions of them. */
 
-/* What is held for the scalar T. */
-template <class T, class R, class C> const auto &held_in(const R &in_real, const C &in_complex)
-{
-    if constexpr (std::is_same<T, double>::value)
-        return in_real;
-    else
-        return in_complex;
-}
-
 /* Indices and numbers in the order of `ConstraintTable` and `ConstraintNumbers`. */
 struct ConstraintPlan {
     static constexpr const char *NAME = "ancfdae.kernels._kernels.ConstraintPlan";

@@ -6,7 +6,8 @@ tracers, so that any code of NumPy that moves numbers about and computes with th
 
 **Derivatives** are more operations of the same list (`Operations.along`). Of an operation
 z = f(x, y) it writes z' = f_x x' + f_y y', where x' and y' are numbers of the list as well, zero
-for what the direction does not move. What it returns can be differentiated again.
+for what the direction does not move. What it returns can be differentiated again. A kernel holds
+and differentiates the list (`kernels/trace.h`).
 """
 
 from __future__ import annotations
@@ -15,16 +16,15 @@ import linecache
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import Any, NoReturn, Protocol, final
 
 import numpy as np
 
-from ancfdae.kernels import OperationList
+from ancfdae.kernels import OperationList, OperationTrace
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import FAILURES
-from ancfdae.numerics.jets import DERIVATIVES, Carried, without_derivatives
+from ancfdae.numerics.jets import Carried, without_derivatives
 
 #: Functions that are none of NumPy: the angle of two numbers, what is positive of a number and
 #: whether it is.
@@ -41,12 +41,9 @@ _CODES: dict[Any, int] = {
 # Calls of functions that are no operations, and their results.
 _CALL, _RESULT = "call", "result"
 _CODES |= {_CALL: len(_CODES), _RESULT: len(_CODES) + 1}
-# Whole exponents up to this are written as products: a complex step through `power` would lose its
-# imaginary part at negative numbers.
+_FUNCTIONS = tuple(_CODES)
+# Whole exponents up to this are written as products (`kernels/trace.h`).
 _PRODUCTS = 64
-# Added to a root, and to the base of a negative power, in derivatives: 0/0 becomes 0, and
-# numbers above 1e-134 (1e-184) stay as they are. The derivative of |v| v at v = 0 is then 0.
-_ROOT, _RAISED = 1e-150, 1e-200
 # Folders whose lines are not a user's.
 _OWN = str(Path(np.__file__).parent), str(Path(__file__).parents[1])
 
@@ -69,93 +66,82 @@ class Callee(Protocol):
 
 @final
 class Operations:
-    """A list of operations on `n_inputs` inputs and on constants.
+    """A list of operations on `n_inputs` inputs and on constants, which a kernel writes.
 
     Numbers are inputs, from 0 on, results, from `n_inputs` on, and constants, from -1 down.
     """
 
     def __init__(self, n_inputs: int) -> None:
         self._n_inputs = n_inputs
-        self._constants: list[Any] = []
-        self._known: dict[tuple[Any, ...], int] = {}
-        self._list: list[tuple[Any, int, int]] = []
+        #: The list itself (`kernels/trace.h`).
+        self.trace = OperationTrace(n_inputs)
         self._calls: list[tuple[Callee, tuple[int, ...]]] = []
+        self._called: dict[tuple[int, ...], int] = {}
         #: Roots and powers with broken exponents, with the line of the user's code that takes each.
         self.roots: dict[int, str] = {}
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the operations as rows, from which `__setstate__` writes them again."""
+        operations, constants = self.trace.sizes()
+        return {
+            "n_inputs": self._n_inputs,
+            "constants": [self.value(-1 - i) for i in range(constants)],
+            "rows": self.trace.rows(_numbers(self._n_inputs + np.arange(operations))).tolist(),
+            "calls": self._calls,
+            "roots": self.roots,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Write the list again: the same operations in the same order have the same numbers."""
+        Operations.__init__(self, state["n_inputs"])
+        for value in state["constants"]:
+            self.constant(value)
+        for _, code, x, y in state["rows"]:
+            if code == _CODES[_CALL]:
+                self.call(*state["calls"][x])
+            elif code != _CODES[_RESULT]:
+                self.trace.apply(code, x, y)
+        self.roots = state["roots"]
+
     def constant(self, value: Any) -> int:
         """Return the number of a constant."""
-        key = "constant", complex(value)
-        if key not in self._known:
-            self._constants.append(value)
-            self._known[key] = -len(self._constants)
-        return self._known[key]
+        x = complex(value)
+        return self.trace.constant(x.real, x.imag)
 
     def value(self, number: int) -> Any:
         """Return the value of a constant."""
-        return self._constants[-number - 1]
+        real, imaginary = self.trace.value(number)
+        return complex(real, imaginary) if imaginary else real
 
     def apply(self, function: Any, *numbers: int) -> int:
         """Return the number of a result; what is known already is not listed again."""
-        key = function, *numbers
-        known = self._known.get(key)
-        if known is not None:
-            return known
-        constants = [self.value(n) if n < 0 else None for n in numbers]
-        if all(x is not None for x in constants) and function not in (ANGLE, POSITIVE, STEP):
-            return self.constant(function(*constants))
-        short = _shortened(function, numbers, constants)
-        if short is not None:
-            return self.constant(0.0) if short == _NOTHING else numbers[short]
-        self._list.append((function, numbers[0], numbers[-1]))
-        self._known[key] = self._n_inputs + len(self._list) - 1
-        return self._known[key]
+        return self.trace.apply(_CODES[function], numbers[0], numbers[-1])
 
     def call(self, function: Callee, numbers: Sequence[int]) -> Array:
         """Return the numbers of what a function returns, (size,)."""
-        key = _CALL, id(function), *numbers
-        at = self._known.get(key)
+        key = id(function), *numbers
+        at = self._called.get(key)
         if at is None:
-            at = self._known[key] = self._n_inputs + len(self._list)
-            index = len(self._calls)
             self._calls.append((function, tuple(numbers)))
-            self._list.append((_CALL, index, index))
-            self._list += [(_RESULT, at, i) for i in range(function.size)]
+            at = self._called[key] = self.trace.call(_numbers(numbers), function.size)
         return np.arange(at + 1, at + 1 + function.size)
-
-    def _operands(self, k: int) -> Sequence[int]:
-        """Return the numbers that operation k takes."""
-        function, x, y = self._list[k]
-        if function == _CALL:
-            return self._calls[x][1]
-        return (x,) if function == _RESULT else (x, y)
 
     def along(self, outputs: Array, *directions: Mapping[int, int]) -> list[Array]:
         """Return numbers of the derivatives of outputs along each direction.
 
         A direction maps inputs to the numbers at which they change; other inputs are held.
         """
-        needed, zero = self._needed(outputs), self.constant(0.0)
-        before, found = self._n_inputs, []
-        for direction in directions:
-            rates = dict(direction)
-            for k in needed:
-                function, x, y = self._list[k]
-                if function == _CALL:
-                    callee, numbers = self._calls[x]
-                    moved = callee.rates(self, numbers, rates)
-                    flat = [] if moved is None else moved.tolist()
-                    rates |= {before + k + 1 + i: y for i, y in enumerate(flat) if y != zero}
-                    continue
-                if function == _RESULT or (x not in rates and y not in rates):
-                    continue
-                dx, dy = rates.get(x, zero), rates.get(y, zero)
-                rate = self._rate(function, (x, y, before + k), dx, dy)
-                if rate != zero:
-                    rates[before + k] = rate
-            flat = [rates.get(x, zero) for x in outputs.ravel().tolist()]
-            found.append(np.array(flat, dtype=np.int64).reshape(outputs.shape))
-        return found
+        rates = np.full((len(directions), self._n_inputs), self.constant(0.0), dtype=np.int32)
+        for row, direction in zip(rates, directions, strict=True):
+            row[list(direction)] = list(direction.values())
+        found = self.trace.along(_numbers(outputs), rates, self._rates_of_call)
+        return list(found.astype(np.int64).reshape(len(directions), *outputs.shape))
+
+    def _rates_of_call(self, index: int, moved: Array) -> Array:
+        """Return rates of the results of a call, (size,), from rates of inputs; (0,) at rest."""
+        function, numbers = self._calls[index]
+        found = function.rates(self, numbers, dict(zip(numbers, moved.tolist(), strict=True)))
+        return _numbers([] if found is None else found)
 
     def partials(self, output: int) -> dict[int, int]:
         """Return the numbers of the partials of one output, by the inputs that it follows from.
@@ -164,132 +150,55 @@ class Operations:
         has, for any number of inputs. Where the list calls functions, along one input after the
         other.
         """
-        one, zero, outputs = self.constant(1.0), self.constant(0.0), np.array([output])
+        outputs = np.array([output])
+        used = sorted(self.inputs(outputs))
         if self.calls(outputs):
-            used = sorted(self.inputs(outputs))
-            columns = self.along(outputs, *({x: one} for x in used))
+            columns = self.along(outputs, *({x: self.constant(1.0)} for x in used))
             return {x: int(y[0]) for x, y in zip(used, columns, strict=True)}
-        weights = {output: one}
-        for k in reversed(self._needed(outputs)):
-            z = self._n_inputs + k
-            function, x, y = self._list[k]
-            weight = weights.pop(z, None)
-            both = ((x, one, zero), (y, zero, one))
-            for operand, dx, dy in both if function in _OF_TWO else both[:1]:
-                if weight is not None and operand >= 0:
-                    slope = self._rate(function, (x, y, z), dx, dy)
-                    term = self.apply(np.multiply, weight, slope)
-                    weights[operand] = self.apply(np.add, weights.get(operand, zero), term)
-        return weights
-
-    def _rate(self, function: Any, numbers: tuple[int, int, int], dx: int, dy: int) -> int:
-        """Return the derivative of z = f(x, y) from those of x and y."""
-        if function is np.negative:
-            return self.apply(np.negative, dx)
-        if function is POSITIVE:
-            return self.apply(np.multiply, self.apply(STEP, numbers[0]), dx)
-        if function is STEP:
-            return self.constant(0.0)
-        x, y, z, x_, y_ = (Traced(self, at) for at in (*numbers, dx, dy))
-        if function in _RATES:
-            return _RATES[function](x, y, z, x_, y_).at
-        first: Traced = DERIVATIVES[function][0](x, z) * x_
-        return first.at
+        partials = self.trace.partials(output).tolist()
+        return {x: partials[x] for x in used}
 
     def inputs(self, outputs: Array) -> set[int]:
         """Return the inputs that outputs follow from."""
-        operands = chain.from_iterable(map(self._operands, self._needed(outputs)))
-        used = {*operands, *outputs.ravel().tolist()}
-        return {x for x in used if 0 <= x < self._n_inputs}
+        return set(self.trace.inputs(_numbers(outputs)).tolist())
 
     def calls(self, outputs: Array) -> bool:
         """Whether outputs follow from a call."""
-        return any(self._list[k][0] == _CALL for k in self._needed(outputs))
+        return bool(np.any(self.trace.rows(_numbers(outputs))[:, 1] == _CODES[_CALL]))
 
     def rows(self, outputs: Array) -> list[tuple[int, Any, int, int]]:
         """Return the operations that outputs follow from: numbers, functions and arguments."""
-        return [(self._n_inputs + k, *self._list[k]) for k in self._needed(outputs)]
+        rows = self.trace.rows(_numbers(outputs)).tolist()
+        return [(number, _FUNCTIONS[code], x, y) for number, code, x, y in rows]
 
-    def _needed(self, outputs: Array) -> list[int]:
-        """Return the operations that outputs follow from, in their order."""
-        n, found, waiting = self._n_inputs, set[int](), set(outputs.ravel().tolist())
-        while waiting:
-            k = waiting.pop() - n
-            if k >= 0 and k not in found:
-                found.add(k)
-                waiting.update(self._operands(k))
-        return sorted(found)
-
-    def arrays(
-        self, results: Array, inputs: Sequence[int] | None = None
-    ) -> tuple[Array, Array, Array, Array, Array]:
+    def arrays(self, results: Array) -> tuple[Array, ...]:
         """Return constants, operations with both their numbers, and results; of formulas of loads.
 
-        Numbers are counted in the order of inputs, constants and results of operations. Inputs are
-        all, or those given; what results do not follow from is left out.
+        Numbers are counted in the order of inputs, constants and results of operations. What
+        results do not follow from is left out.
         """
-        return self._placed(results, inputs)[:-2]
+        ahead = _numbers(np.arange(self._n_inputs))
+        constants, *arrays = self.trace.placed(_numbers(results), ahead)[:5]
+        return constants if np.any(constants.imag) else constants.real.copy(), *arrays
 
     def order(self, numbers: Array, results: Array) -> list[int]:
         """Return the places, ascending, of numbers among the operations that results need."""
-        places = {self._n_inputs + k: place for place, k in enumerate(self._needed(results))}
+        needed = self.trace.rows(_numbers(results))[:, 0].tolist()
+        places = {number: place for place, number in enumerate(needed)}
         return sorted(places[x] for x in numbers.ravel().tolist() if x in places)
-
-    def _placed(
-        self, results: Array, inputs: Sequence[int] | None
-    ) -> tuple[Array, Array, Array, Array, Array, Array, tuple[Callee, ...]]:
-        """Return `arrays`, and calls with their functions (`kernels/load_plan.h`)."""
-        needed, flat = self._needed(results), results.ravel().tolist()
-        used = {*chain.from_iterable(map(self._operands, needed)), *flat}
-        kept = sorted((x for x in used if x < 0), reverse=True)
-        ahead = range(self._n_inputs) if inputs is None else inputs
-        numbers = [*ahead, *kept, *(self._n_inputs + k for k in needed)]
-        place = {number: i for i, number in enumerate(numbers)}
-        triples, calls, functions = list[tuple[int, int, int]](), list[int](), list[Callee]()
-        for k in needed:
-            function, x, y = self._list[k]
-            if function == _CALL:
-                callee, given = self._calls[x]
-                triples.append((_CODES[_CALL], len(calls), len(functions)))
-                functions.append(callee)
-                first = self._n_inputs + k + 1
-                to = (place.get(i, -1) for i in range(first, first + callee.size))
-                calls += [len(given), callee.size, *(place[i] for i in given), *to]
-            else:
-                triples.append((_CODES[function], place[x], place[x if function == _RESULT else y]))
-        op, a, b = np.array(triples, dtype=np.int32).reshape(-1, 3).T
-        constants = np.array([self._constants[-x - 1] for x in kept] or np.zeros(0))
-        outputs, of_calls = (np.array(x, dtype=np.int32) for x in ([place[x] for x in flat], calls))
-        return constants, op, a, b, outputs, of_calls, tuple(functions)
 
     def compiled(self, outputs: Array, inputs: Sequence[int]) -> OperationList:
         """Return what evaluates real outputs at given inputs; outputs follow from no other."""
-        constants, op, a, b, to, calls, functions = self._placed(outputs, inputs)
-        n = len(inputs)
-        return OperationList(n, constants.astype(float), op, a, b, to, calls, functions)
+        placed = self.trace.placed(_numbers(outputs), _numbers(inputs))
+        constants, op, a, b, to, calls, functions = placed
+        called = tuple(self._calls[i][0] for i in functions.tolist())
+        real = constants.real.copy()
+        return OperationList(len(inputs), real, op, a, b, to, calls, called)
 
 
-_NOTHING = -1
-
-
-def _shortened(function: Any, numbers: Sequence[int], constants: Sequence[Any]) -> int | None:
-    """Return which argument is the result already, or that it is zero; None if neither."""
-    first, last = constants[0], constants[-1]
-    if function is np.multiply:
-        for one, other in ((first, 1), (last, 0)):
-            if one is not None and one == 0:
-                return _NOTHING
-            if one is not None and one == 1:
-                return other
-    if function is np.add and first is not None and first == 0:
-        return 1
-    if function in (np.add, np.subtract) and last is not None and last == 0:
-        return 0
-    if function is np.divide and first is not None and first == 0:
-        return _NOTHING
-    if function is np.divide and last is not None and last == 1:
-        return 0
-    return None
+def _numbers(numbers: Any) -> Array:
+    """Return numbers of a list as kernels take them, (k,)."""
+    return np.asarray(numbers, dtype=np.int32).ravel()
 
 
 @final
@@ -406,16 +315,15 @@ class Traced:
         return np.array(flat, dtype=np.int64).reshape(x.shape)
 
     def _of(self, function: Any, *others: Any) -> Any:
-        if isinstance(others[0], np.ndarray) or isinstance(others[-1], np.ndarray):
-            return NotImplemented  # Arrays take their entries one by one.
-        operations = self.operations
-        numbers = (_number(operations, x) for x in others)
+        operations, numbers = self.operations, []
+        for x in others:
+            if type(x) is Traced:
+                numbers.append(x.at)
+            elif isinstance(x, np.ndarray):
+                return NotImplemented  # Arrays take their entries one by one.
+            else:
+                numbers.append(_number(operations, x))
         return Traced(operations, operations.apply(function, *numbers))
-
-    @property
-    def value(self) -> float:
-        """The value of a constant."""
-        return self.operations.value(self.at)
 
     # Arithmetic.
 
@@ -455,17 +363,9 @@ class Traced:
         if isinstance(exponent, np.ndarray):
             return NotImplemented
         n = float(exponent)
-        if n == 0.5:
-            return self.sqrt()
-        if not n.is_integer() or abs(n) > _PRODUCTS:
-            return self._noted(self._of(np.power, self, n))
-        if n < 0:
-            return 1.0 / self ** (-n)
-        if n < 2:
-            return self if n == 1 else Traced(self.operations, self.operations.constant(1.0))
-        half = self ** (n // 2)
-        whole = half._of(np.square, half)
-        return whole * self if n % 2 else whole
+        power = Traced(self.operations, self.operations.trace.power(self.at, n))
+        whole = n.is_integer() and abs(n) <= _PRODUCTS
+        return power if whole else self._noted(power)
 
     def __rpow__(self, base: Any) -> Any:
         return (self * np.log(float(base))).exp()
@@ -625,16 +525,3 @@ def _number(operations: Operations, x: Any) -> int:
     if isinstance(x, complex):
         _refuse("a complex number")
     return operations.constant(float(x))
-
-
-#: Derivatives of operations of two numbers x and y with the result z, from those of x and y.
-_RATES: dict[Any, Callable[[Any, Any, Any, Any, Any], Any]] = {
-    np.add: lambda x, y, z, dx, dy: dx + dy,
-    np.subtract: lambda x, y, z, dx, dy: dx - dy,
-    np.multiply: lambda x, y, z, dx, dy: dx * y + x * dy,
-    np.divide: lambda x, y, z, dx, dy: (dx - z * dy) / y,
-    ANGLE: lambda x, y, z, dx, dy: (y * dx - x * dy) / (x * x + y * y),
-    # Its exponent is a constant.
-    np.power: lambda x, y, z, dx, dy: y * (x if y.value > 1 else x + _RAISED) ** (y.value - 1) * dx,
-    np.sqrt: lambda x, y, z, dx, dy: 0.5 / (z + _ROOT) * dx,
-}

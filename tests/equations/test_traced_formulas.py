@@ -598,7 +598,7 @@ def test_what_has_no_accelerations_is_told():
 def test_arguments_that_do_not_fit_are_refused(wrong):
     system = Elbow()
     arguments = {
-        "lists": system.index_1,
+        "lists": system.index_1(True),
         "b": system.b,
         "scale": np.ones(6),
         "t": np.zeros(2),
@@ -636,11 +636,16 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
         with pytest.raises(ValueError, match="no room"):
             explicit_march(*fixed, tuple(tolerances), 0.0, 1.0, 2, beyond)
         return
+    lists = arguments["lists"]
     for projected in (False, True):
         good = dict.fromkeys(("lists", "b", "scale", "projected"), projected) | arguments
         index_1(*good.values())
+        # Without derivatives three lists are enough.
+        alone = {**good, "lists": system.index_1(False), "states": np.ones((2, 2, 1, 4))}
+        assert len(alone["lists"]) == 3
+        index_1(*alone.values())
         bad = {
-            "lists": [system.index_1[:5], system.index_1[::-1], (1,) * 6],
+            "lists": [lists[:5], lists[::-1], lists[:3], (1,) * 6],
             "b": [system.b[:5], np.ones(11)],
             "scale": [np.ones(3), np.ones(7)],
             "t": [np.zeros(3)],

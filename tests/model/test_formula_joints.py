@@ -1,5 +1,6 @@
 """Joints by formulas: closed forms, minimal coordinates, and twins among other joints."""
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -499,6 +500,9 @@ def test_equations_that_say_the_same_are_refused():
         simulate(twice, 0.1, HHT(0.01))
 
 
+COUNT = itertools.count()
+
+
 @dataclass(frozen=True)
 class Careless(FormulaJoint):
     """Equations that go wrong in the way that a field says."""
@@ -519,6 +523,8 @@ class Careless(FormulaJoint):
             "if": lambda: [U[0, 0] if U[0, 1] > 0 else U[0, 1]],
             "abs": lambda: [abs(U[0, 0]) - radius],
             "float": lambda: [float(U[0, 0]) - radius],
+            "state": lambda: [U[0] @ U[0] - radius**2 - next(COUNT)],
+            "kind": lambda: [U[0] @ U[0] - radius**2 - (U.dtype == object)],
         }
         return ways[self.way]()
 
@@ -531,6 +537,8 @@ class Careless(FormulaJoint):
         ("if", "a comparison of the state"),
         ("abs", "abs, which has a kink"),
         ("float", "a number where the state"),
+        ("state", "other equations at the second call"),
+        ("kind", "other values for numbers than for symbols, by 1"),
     ],
 )
 def test_equations_that_cannot_be_formulas_are_refused(way, message):
