@@ -3,13 +3,13 @@
     python -m validation.event_outcomes 1000
     python -m validation.event_outcomes 200 4000
 
-draw 1,000 scenes from seeds 0, 1, ..., or 200 from seed 4000 on, and print those whose end is none
-that a user can read. Events happen at once or never, touch zero, have poles, are NaN, steep, or
+draw 1,000 scenes from seeds 0, 1, ..., or 200 from seed 4000 on, and print those that do not end
+as they must. Events happen at once or never, touch zero, have poles, are NaN, steep, or
 closed at the start; restitutions are 0, 1, tiny, or above one; modes lead to each other, or hold
 joints that are open. Every scene must end within a time limit as a run, an outcome in words or an
-error of the package. A run that reaches its end must have finite states, gaps that are not negative
-beyond round-off, and no more energy than at its start where no impact adds any; and its gradient,
-if it has one, must be finite and equal by two methods.
+error of the package. A run that reaches its end must have finite states and gaps that are not
+negative beyond round-off. Where no impact adds energy it must not gain any. Its gradient, if it has
+one, must be finite and equal by two methods.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.observables.states import states_of
 from validation.events.minimal import Array
 
-# Seconds after which a scene counts as one that hangs.
+# Seconds of the processor after which a scene counts as one that hangs.
 _PATIENCE = 60
 # Negative gaps and gained energy up to this part of their sizes are errors of the steps.
-_ROUND_OFF, _GAINED, _APART = 1e-8, 1e-2, 1e-7
+_ROUND_OFF, _GAINED, _APART, _LOST = 1e-8, 1e-2, 1e-7, 1e-15
 
 
 class _TooLong(Exception):
@@ -87,10 +87,10 @@ class _Scene:
         self.gaps = self._gaps(points)
         self.events: list[Any] = [self._impact(k, gap) for k, gap in enumerate(self.gaps)]
         self.events += [self._odd(k, points) for k in range(int(rng.integers(0, 3)))]
-        rng.shuffle(self.events)  # type: ignore[arg-type]
+        rng.shuffle(self.events)
         self.modes = {"other": Mode(self.other, self.events[: int(rng.integers(0, 3))])}
         self.t_end = float(rng.choice([1e-6, 0.3, 1.0, 1.0, 3.0]))
-        step = self.t_end / float(rng.choice([5, 20, 100]))
+        step = self.t_end / float(rng.choice([5, 20, 40]))
         self.integrator = [HHT(step), HHT(rtol=1e-4), Radau(step), Radau(rtol=1e-6), DOP853(1e-7)][
             int(rng.integers(0, 5))
         ]
@@ -200,11 +200,14 @@ def outcome(seed: int) -> tuple[str, str]:
     except AncfdaeError as error:
         return f"finished, gradient refused: {type(error).__name__}", ""
     apart = np.max(np.abs(direct - other)) / (np.max(np.abs(direct)) or 1.0)
-    return "finished, gradient", f"methods apart by {apart:.1e}" if apart > _APART else ""
+    # Durations, which derivatives are divided by, have the round-off of the whole run.
+    shortest = min(float(phase.t[-1] - phase.t[0]) for phase in run.phases)
+    limit = max(_APART, _LOST * scene.t_end / shortest)
+    return "finished, gradient", f"methods apart by {apart:.1e}" if apart > limit else ""
 
 
 def _wrong(scene: _Scene, run: EventSolution) -> str:
-    """Return what a finished run violates."""
+    """Return the condition that a finished run violates, in words, or an empty text."""
     if not (np.all(np.isfinite(run.q)) and np.all(np.isfinite(run.v))):
         return "states that are not finite"
     modes = {event.mode for event in run.events}
@@ -237,10 +240,10 @@ def _give_up(signum: int, frame: FrameType | None) -> None:
 
 def main(count: int, first: int = 0) -> int:
     """Run scenes, print what is wrong and how many ended how; return the number of wrong ones."""
-    signal.signal(signal.SIGALRM, _give_up)
+    signal.signal(signal.SIGPROF, _give_up)
     ends, wrong = Counter[str](), 0
     for seed in range(first, first + count):
-        signal.alarm(_PATIENCE)
+        signal.setitimer(signal.ITIMER_PROF, _PATIENCE)
         try:
             with warnings.catch_warnings(), np.errstate(all="ignore"):
                 warnings.simplefilter("ignore")
@@ -250,7 +253,7 @@ def main(count: int, first: int = 0) -> int:
         except Exception as error:  # noqa: BLE001  # whatever is no error of the package is wrong
             end, bad = "other error", f"{type(error).__name__}: {error}"
         finally:
-            signal.alarm(0)
+            signal.setitimer(signal.ITIMER_PROF, 0)
         ends[end] += 1
         if bad:
             wrong += 1

@@ -105,7 +105,8 @@ class Misfit:
         integrator : Integrator
         design : sequence of str or DesignVariable
             What is to be found, as in `differentiate`; bounds of variables are those of the fit.
-        events, modes : optional
+        events : sequence of Event, optional
+        modes : mapping of str to Mode, optional
             Events of every run, and the models that it continues with, as in `simulate`.
         """
         require_positive("t_end", t_end)

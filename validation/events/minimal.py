@@ -1,7 +1,7 @@
 """Linkages in minimal coordinates with their own impacts, by SciPy: references of report `events`.
 
-Bars have angles phi, and all points are sums of e_j = exp(i phi_j) in the complex plane. The angles
-of a closed loop follow from the others. Nothing of the package is used here.
+Bars have angles phi, and all points are sums of e_j = exp(i phi_j) in the complex plane. In a
+closed loop the last angles follow from the free ones. Nothing of the package is used here.
 """
 
 from __future__ import annotations
