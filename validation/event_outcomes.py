@@ -200,9 +200,9 @@ def outcome(seed: int) -> tuple[str, str]:
     except AncfdaeError as error:
         return f"finished, gradient refused: {type(error).__name__}", ""
     apart = np.max(np.abs(direct - other)) / (np.max(np.abs(direct)) or 1.0)
-    # Durations, which derivatives are divided by, have the round-off of the whole run.
-    shortest = min(float(phase.t[-1] - phase.t[0]) for phase in run.phases)
-    limit = max(_APART, _LOST * scene.t_end / shortest)
+    # Derivatives after a phase have the round-off of coordinates over the distance moved in it.
+    moved = min(float(np.max(np.abs(phase.q[-1] - phase.q[0]))) for phase in run.phases)
+    limit = max(_APART, _LOST * float(np.max(np.abs(run.q))) / (moved or np.inf))
     return "finished, gradient", f"methods apart by {apart:.1e}" if apart > limit else ""
 
 
