@@ -15,6 +15,7 @@ from validation import (
 )
 from validation.crank_slider import report as crank_slider
 from validation.design import report as design
+from validation.events import report as events
 from validation.extremes import report as extremes
 from validation.literature import report as literature
 from validation.models import report as models
@@ -175,6 +176,14 @@ CATALOGUE: tuple[Definition, ...] = (
         "many runs, beside what the project asks of them?",
         run=performance.run,
         source="aim",
+    ),
+    Definition(
+        name="events",
+        title="Impacts, locks, ends of runs and free end times",
+        question="Are motions with events and their derivatives right where closed forms or "
+        "integrations in minimal coordinates say so, and do awkward events end in words?",
+        run=events.run,
+        source="wanted",
     ),
     Definition(
         name="models",

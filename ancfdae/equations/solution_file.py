@@ -77,7 +77,7 @@ def read(path: Path, naming: Unpack) -> dict[str, Any]:
 def restored(
     path: Path, writer: str, of: Callable[[Mapping[str, Array], Mapping[str, Any]], T]
 ) -> T:
-    """Return what `of` makes of arrays and everything else of a file; `writer` names its call."""
+    """Return the result of `of` for arrays and JSON data of a file, which `writer` wrote."""
     try:
         # Opened here, because np.load does not close a file that is not a complete archive.
         with path.open("rb") as raw:

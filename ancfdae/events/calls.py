@@ -167,7 +167,7 @@ class EventRun:
         return results
 
     def _with_end(self, slopes: Array, in_end: float) -> Array:
-        """Return a gradient with the derivative in the end time, where that is a variable."""
+        """Return a gradient, (n_b,), with the derivative in the end time if that is a variable."""
         return np.append(slopes, in_end) if self.free_end else slopes
 
     def _adjoint(

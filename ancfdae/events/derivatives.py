@@ -104,9 +104,10 @@ def _through(phase: Phase, start: _Start) -> tuple[PhaseDerivatives, _Start]:
     q_b, v_b, a_b, lam_b = (x[..., :n] + x[..., n:] * D_b for x in states)
     t_b = start.t_b + np.outer(run.t / D, D_b)
     sensitivities = Sensitivities(base.design_names, base.b, q_b, v_b, a_b, lam_b)
-    in_D = (states[0][..., n], states[1][..., n], states[3][..., n])
-    in_duration = None if phase.event else in_D
-    done = PhaseDerivatives(phase, start.t_b, D_b, sensitivities, t_b, in_duration=in_duration)
+    in_D = None
+    if phase.event is None:
+        in_D = states[0][..., n], states[1][..., n], states[3][..., n]
+    done = PhaseDerivatives(phase, start.t_b, D_b, sensitivities, t_b, in_duration=in_D)
     return done, _Start(start.t_b + D_b, q_b[-1], v_b[-1])
 
 
@@ -227,7 +228,7 @@ def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
 
 
 def _after(jump: Jump, end: _Start) -> tuple[_Start, tuple[tuple[Array, Array], ...]]:
-    """Return the derivatives after a jump, and those of the times and impulses of its strikes."""
+    """Return the derivatives after a jump, and of times and impulses of its strikes."""
     moved, strikes_b = _directions(end), []
     for strike in jump.strikes:
         moved, impulses_b = strike.along(moved)

@@ -64,8 +64,8 @@ _FINEST = 512
 _CHAIN = 1000
 # Phases in a row that are as short as rest, of whatever events.
 _SHORT = 200
-# Phases, in two halves, after which the number of all events is foreseen, if they do not get
-# shorter by this factor from one half to the other.
+# Phases, in two halves, after which the number of all events is foreseen, if durations of
+# the second half are not shorter by this factor than in the first half.
 _FORESEEN, _STEADY = 400, 0.9
 _MANY = (
     f"At the rate of the last {_FORESEEN} events there would be more than {_MOST} until the end. "
@@ -534,7 +534,7 @@ def _ended_at(phase: Phase, steps: _StretchedSteps, crossing: Crossing, left: fl
 
 
 def _simple(phase: Phase, rates: Array, near: float) -> bool:
-    """Whether the rate at the end of a phase hardly changes within a time: the zero is simple."""
+    """Whether a time changes the rate at the end of a phase by less than a tenth: a simple zero."""
     t = phase.run.t
     bend = (rates[-1] - rates[-2]) / (t[-1] - t[-2])
     return bool(abs(rates[-1]) > 10 * abs(bend) * near)

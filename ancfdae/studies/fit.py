@@ -334,7 +334,8 @@ class Misfit:
         integrator : Integrator
         design : sequence of str or DesignVariable
             What is to be found, as in `differentiate`; see `bounds` of the result.
-        events, modes : optional
+        events : sequence of Event, optional
+        modes : mapping of str to Mode, optional
             Events of every run, and the models that it continues with, as in `simulate`.
         progress : bool
             Whether to show a progress bar, which counts the designs that were computed.

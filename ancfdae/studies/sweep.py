@@ -109,7 +109,7 @@ class Evaluator:
         return {"value": self.of.value(system, states_of(solution), totals)}
 
     def _with_events(self, system: MechanicalSystem) -> dict[str, Any]:
-        """Run a system with events; return ``value``, and instants ``t`` of an observable."""
+        """Run a system with events; return ``value``, and times ``t`` of an observable."""
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import observed, values
 

@@ -1,0 +1,1 @@
+"""Report on events: impacts, locks, ends of runs, and free end times."""
