@@ -2,7 +2,7 @@
 
 Run as ``python -m tests.tools.kernel_mutation NUMBER SEED``. Writes one wrong sign, number,
 comparison or index at a time into the C++ sources, compiles without optimisation, and tells which
-flips tests/kernels/test_kernels.py and tests/integrators/test_march.py let pass.
+flips the tests in TESTS let pass.
 """
 
 import random
@@ -31,6 +31,7 @@ COMPILE = [
 TESTS = [
     "tests/kernels/test_kernels.py",
     "tests/integrators/test_march.py",
+    "tests/model/test_parts.py",
     "-x",
     "-q",
     "-p",

@@ -42,6 +42,7 @@ TESTS = {
         ["tests/assembly/test_assembler.py"],
     ],
     "joints/": [
+        ["tests/model/test_parts.py", "-k", "joint"],
         ["tests/model/test_joints.py"],
         ["tests/assembly/test_assembler.py"],
         ["tests/public/test_bad_input.py"],
@@ -52,6 +53,7 @@ TESTS = {
         ["tests/model/test_drives.py"],
     ],
     "loads/": [
+        ["tests/model/test_parts.py", "-k", "load"],
         ["tests/model/test_loads.py"],
         ["tests/assembly/test_assembler.py"],
         ["tests/public/test_bad_input.py"],

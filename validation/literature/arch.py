@@ -57,7 +57,7 @@ class _Limit:
 
 def arch(report: Report, quick: bool) -> list[Requirement]:
     """Fill the section and return what was required of it."""
-    counts = (8, 16) if quick else (16, 32, 64)
+    counts = (16, 32) if quick else (16, 32, 64)
     report.heading("Deep circular arch: limit load")
     report.text(_TEXT)
     reference = _reference_limit(8 if quick else 22)
