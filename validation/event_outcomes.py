@@ -59,7 +59,7 @@ from ancfdae.observables import (
 )
 from ancfdae.results import EventSolution
 from ancfdae.sections import Rectangle
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
 from validation.events.minimal import Array
 
 # Seconds of the processor after which a scene counts as one that hangs.

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from documents import ROOT
 
 from ancfdae import HHT, Beam, Material, Pin, Scene, simulate
 from ancfdae.plotting import Film, animate
 from ancfdae.sections import Rectangle
+from tests.support.documents import ROOT
 
 ROD = Beam("rod", (0, 0), (0.4, 0), 2, Rectangle(0.02, 0.02), Material(1100, 5e6, 0.45))
 SCENE = Scene([ROD], [Pin(ROD.at_start)], gravity=(0, -9.81))

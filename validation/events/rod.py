@@ -24,7 +24,7 @@ from ancfdae import (
 )
 from ancfdae.observables import angular_momentum, kinetic_energy, multiplier, position, velocity
 from ancfdae.sections import Rectangle
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import States
 from validation.report import Agreement, Report
 
 __all__ = ["fill"]
