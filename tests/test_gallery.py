@@ -42,7 +42,7 @@ def tracked_arm(x: Names) -> bool:
 
 
 def net(x: Names) -> bool:
-    """The vertical pulls of the four ropes to the ball are its weight, but for 1 % of ropes."""
+    """The vertical pulls of the four ropes to the ball carry its weight, to 1 %."""
     pull = equilibrium_gradient(x["scene"], x["pull"], design=["ball.mass"]).value
     rest, rope = x["rest"].solution, x["ropes"][x["n"] * (x["n"] // 2 - 1) + x["n"] // 2]
     first, last = rest.position(rope.at_start)[0], rest.position(rope.at_end)[0]
@@ -61,7 +61,7 @@ def rotor(x: Names) -> bool:
 
 
 def arch(x: Names) -> bool:
-    """It gives way to one side before its limit point, which a finer path shows to lie beyond."""
+    """The arch gives way to one side while its crown still sinks under a growing force."""
     return x["snap"].kind == "bifurcation" and bool(np.all(np.diff(x["sag"]) > 0))
 
 

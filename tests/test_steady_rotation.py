@@ -273,7 +273,7 @@ def spatial():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"gravity": (0, -9.81, 0)}, "along the axis of the turning frame"),
+        ({"gravity": (0, -9.81, 0)}, "along the axis of the rotating frame"),
         ({"frame": RotatingFrame(1.0, through=(0, 0))}, "must have 3 components"),
         ({"frame": 3.0}, "RotatingFrame"),
     ],
@@ -302,7 +302,7 @@ def test_campbell_diagrams_refuse_a_scene_at_rest_and_rates_out_of_order():
     scene = planar()
     with pytest.raises(InvalidInputError, match="ascend"):
         campbell(scene, [1.0, 1.0], 2)
-    with pytest.raises(InvalidInputError, match="turning frame"):
+    with pytest.raises(InvalidInputError, match="RotatingFrame"):
         campbell(Scene(scene.beams, scene.joints), [1.0], 2)
 
 

@@ -15,10 +15,10 @@ _POISSON = (-1.0, 0.5)
 
 
 def value_limits(scene: Scene, design: tuple[DesignVariable, ...], b: Array) -> tuple[Array, Array]:
-    """Return lower and upper limits of the values b, shape (n_b,); infinite where there are none.
+    """Return lower and upper limits of the values b, shape (n_b,); infinite without a limit.
 
-    A limit holds whatever the other variables are: zero for what must be positive or must not be
-    negative, and the limits of Poisson's ratio.
+    A limit holds whatever the other variables are: zero for a positive or non-negative parameter,
+    and the limits of Poisson's ratio.
     """
     pairs = zip(design, b.tolist(), strict=True)
     lower, upper = np.transpose([_limits(scene, variable, value) for variable, value in pairs])

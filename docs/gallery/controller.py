@@ -24,7 +24,7 @@ bodies = [PointMass(arm.at_end, 0.3)]
 scene = Scene([arm], [Pin(arm.at_start)], (0, -9.81), loads=[servo], bodies=bodies)
 
 # %%
-# Cost: deviation of the tip from its target, and a little of the square of the torque.
+# Cost: deviation of the tip from its target, and 1e-5 of the square of the torque.
 
 x, y = position(arm.at_end, 0), position(arm.at_end, 1)
 cost = Integral((x - np.cos(1)) ** 2 + (y - np.sin(1)) ** 2) + 1e-5 * Integral(effort("servo") ** 2)

@@ -26,7 +26,7 @@ class ControlAxis(abc.ABC):
 
     @abc.abstractmethod
     def count(self, d: int) -> int:
-        """Return the number of these vectors in d dimensions."""
+        """Return the number of vectors that the axis measures and acts on, in d dimensions."""
 
     @abc.abstractmethod
     def coordinate(self, U: Any, U_o: Array) -> tuple[Any, Any]:

@@ -93,7 +93,7 @@ class Controller(Load):
 
     @final
     def initial_states(self, p: Array) -> Sequence[Any]:
-        """Return `start`, one number for each state."""
+        """Return the states at t = 0, one number each, as the method `start` gives them."""
         given = tuple(self.start(p))
         self._require("start", given, self.states, "initial states", "state")
         return given

@@ -141,7 +141,11 @@ class Bushing(Load):
         return (*places, *section_of(self.points, elements))
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return -(k x + c x') x_U - (k theta + c theta') theta_U, forces on the vectors."""
+        """Return the forces of springs and dampers on the vectors.
+
+        -(k x + c x') x_U - (k theta + c theta') theta_U with the displacement x and the angle
+        theta of the section at `point` against the other one.
+        """
         k, c, k_turn, c_turn, _ = self.split(p)
         n = len(self.points)
         F = -_resistance(*self._travel(U[..., None, :, :], U_o), V, k, c)

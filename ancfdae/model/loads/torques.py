@@ -49,7 +49,7 @@ class Moment(SectionLoad):
         require_flag("moment, follower", self.follower)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """(M - (M . n) n / 2) x r^k."""
+        """Return the forces (M - (M . n) n / 2) x r^k of the moment M on the slopes r_k; N."""
         M = self.split(p)[0]
         if U_o.shape[1] == 2:
             return M * (U @ QUARTER_TURN) / dot(U, U)
