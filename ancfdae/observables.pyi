@@ -7,6 +7,7 @@ from ancfdae.sensitivity.observables.drives import (
     driver_torque,
     joint_power,
     load_power,
+    spring_energy,
 )
 from ancfdae.sensitivity.observables.mass import (
     angular_momentum,
@@ -23,6 +24,7 @@ from ancfdae.sensitivity.observables.quantities import (
     gravitational_energy,
     kinetic_energy,
     multiplier,
+    potential_energy,
     reaction,
     strain_energy,
 )
@@ -72,11 +74,13 @@ __all__ = [
     "observe",
     "orientation",
     "position",
+    "potential_energy",
     "reaction",
     "rotation_angle",
     "shear_force",
     "slope",
     "slope_angle",
+    "spring_energy",
     "state",
     "strain_energy",
     "torsional_moment",

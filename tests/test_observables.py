@@ -35,7 +35,12 @@ from ancfdae.laws import Harmonic
 from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.observables.accelerations import acceleration
 from ancfdae.sensitivity.observables.controllers import effort, state
-from ancfdae.sensitivity.observables.drives import driver_torque, joint_power, load_power
+from ancfdae.sensitivity.observables.drives import (
+    driver_torque,
+    joint_power,
+    load_power,
+    spring_energy,
+)
 from ancfdae.sensitivity.observables.functions import _FUNCTIONS
 from ancfdae.sensitivity.observables.mass import (
     MassIntegral,
@@ -142,6 +147,7 @@ LEAVES = {
     "velocity": velocity(INNER, 1),
     "acceleration": acceleration(INNER, 1),
     "angular velocity": angular_velocity(INNER),
+    "energy of springs": spring_energy(),
     "direction": orientation(INNER, (1.0, 0.3, 0.0), 1),
     "angle of rotation": rotation_angle(INNER),
     "angle of rotation against another body": rotation_angle(INNER, other=ARM.at(0.3)),

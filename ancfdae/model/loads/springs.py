@@ -52,6 +52,7 @@ class SpringDamper(Load):
     ground: Sequence[float] | None = None
 
     sharp = False
+    stores = True
     kind = "spring"
     stroke = Stroke.SPRING
     elastic = True
@@ -77,6 +78,12 @@ class SpringDamper(Load):
         l, n = direction(e)
         F = -(k * (l - free_length) + damping * dot(n, w)) * n
         return F if self.other is None else concatenate([F, -F])
+
+    def energy(self, U: Any, p: Array, U_o: Array) -> Any:
+        """Return k (l - l_0)^2/2, shape (k,); J."""
+        k, _, free_length, ground, _ = self.split(p)
+        e = U[..., :1, :] - (ground if self.other is None else U[..., 1:, :])
+        return (k * (direction(e)[0] - free_length) ** 2 / 2)[..., 0, 0]
 
 
 @final
@@ -113,6 +120,7 @@ class Bushing(Load):
     other: MaterialPoint | None = None
 
     sharp = False
+    stores = True
     kind = "bushing"
     elastic = True
     design_fields = (
@@ -152,6 +160,15 @@ class Bushing(Load):
         turning = turn(U[..., n:, :], U_o[n:], np.eye(3))
         M = -_resistance(*turning, V[..., n:, :], k_turn, c_turn)
         return concatenate([F[..., :n, :], F[..., n:, :] + M])
+
+    def energy(self, U: Any, p: Array, U_o: Array) -> Any:
+        """Return half of k x^2 and of k theta^2, summed over the axes, shape (k,); J."""
+        k, _, k_turn, _, _ = self.split(p)
+        n = len(self.points)
+        travels = self._travel(U[..., None, :, :], U_o)[0][..., 0, 0]
+        angles = turn(U[..., n:, :], U_o[n:], np.eye(3))[0][..., 0, 0]
+        total = np.sum(k * travels**2, axis=-1) / 2
+        return total if k_turn is None else total + np.sum(k_turn * angles**2, axis=-1) / 2
 
     def _travel(self, U: Any, U_o: Array) -> tuple[Any, Any]:
         """Return components of r - r_other beyond the reference, (..., d, 1, 1), and gradients."""

@@ -131,6 +131,7 @@ class TorsionalSpringDamper(SectionLoad):
     sharp = False
     kind = "torsion-spring"
     elastic = True
+    stores = True
     design_fields = (
         *design_numbers("stiffness"),
         ("damping", require_damping),
@@ -147,3 +148,9 @@ class TorsionalSpringDamper(SectionLoad):
         theta, theta_U = turn(U, U_o, unit_axes(axis))
         torque = k * (theta - free_angle) + damping * rate_of(theta_U, V[..., None, :, :])
         return -(torque * theta_U)[..., 0, :, :]
+
+    def energy(self, U: Any, p: Array, U_o: Array) -> Any:
+        """Return k (theta - theta_0)^2/2, shape (k,); J."""
+        k, _, free_angle, axis, _ = self.split(p)
+        theta = turn(U, U_o, unit_axes(axis))[0]
+        return (k * (theta - free_angle) ** 2 / 2)[..., 0, 0, 0]

@@ -9,6 +9,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_kind, require_text
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.observables.drives import spring_energy
 from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import (
     Named,
@@ -55,6 +56,14 @@ def gravitational_energy() -> Observable:
     It is zero where the centre of mass r_c is at the origin.
     """
     return GravitationalEnergy()
+
+
+def potential_energy() -> Observable:
+    """Return the potential energy of the scene: strain of beams, weight, and springs; J.
+
+    With `kinetic_energy` its sum is constant where nothing else does work and nothing damps.
+    """
+    return strain_energy() + gravitational_energy() + spring_energy()
 
 
 def elapsed_time() -> Observable:
