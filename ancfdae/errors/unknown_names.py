@@ -22,8 +22,8 @@ _ACCELERATION = (
     "solution.acceleration(point) returns the vectors, (n_t, d)."
 )
 _ROTATION = (
-    "Rotations are observed by slope_angle(point) in the plane, by slope(point, along, axis) in "
-    "space; the slope vectors of a section turn with it."
+    "Rotations are observed by rotation_angle(point, axis, other), about an axis and in a joint, by "
+    "orientation(point, direction, axis) and by angular_velocity(point, axis)."
 )
 _RUN = "simulate(scene, t_end, HHT(step=...)) integrates the motion (docs/howto/integrator.md)."
 _GROUND = "The ground needs no object: joints and loads take ground=(x, y), a place."
@@ -57,7 +57,7 @@ _ANSWERS = {
     **dict.fromkeys(("gear", "gears", "rackandpinion", "screw", "belt", "coupler"), _GEAR),
     "accelerations": _ACCELERATION,
     **dict.fromkeys(
-        ("angle", "rotation", "orientation", "angularvelocity", "quaternion", "omega"), _ROTATION
+        ("angle", "rotation", "jointangle", "angularvelocity", "quaternion", "omega"), _ROTATION
     ),
     **dict.fromkeys(("time", "t"), "The time since the start is the observable elapsed_time()."),
     **dict.fromkeys(("solve", "integrate", "run", "step", "dynamicsolver", "simulation"), _RUN),
@@ -92,7 +92,8 @@ _ANSWERS = {
     ),
     **dict.fromkeys(
         ("energy", "potentialenergy"),
-        "Energies are kinetic_energy(), strain_energy() and gravitational_energy().",
+        "Energies are kinetic_energy(), potential_energy() and its parts: strain_energy(), "
+        "gravitational_energy() and spring_energy().",
     ),
     "displacement": "A displacement is position(point, axis) less its value at the start.",
 }
