@@ -287,7 +287,7 @@ def test_what_does_not_turn_steadily_is_refused(change, said):
 def test_the_plane_has_no_other_axis_and_its_gravity_turns():
     blade = planar().beams[0]
     for more in ({"frame": RotatingFrame(1.0, axis=(0, 0, 1))}, {"gravity": (0, -9.81)}):
-        with pytest.raises(InvalidInputError, match="rotat|turn"):
+        with pytest.raises(InvalidInputError, match=r"rotat|turn"):
             Scene([blade], [Clamp(blade.at_start)], **({"frame": RotatingFrame(1.0)} | more))
 
 

@@ -22,7 +22,7 @@ _ACCELERATION = (
     "solution.acceleration(point) returns the vectors, (n_t, d)."
 )
 _ROTATION = (
-    "Rotations are observed by rotation_angle(point, axis, other), about an axis and in a joint, by "
+    "Rotations are observed by rotation_angle(point, axis, other), also of a joint, by "
     "orientation(point, direction, axis) and by angular_velocity(point, axis)."
 )
 _RUN = "simulate(scene, t_end, HHT(step=...)) integrates the motion (docs/howto/integrator.md)."
