@@ -29,7 +29,7 @@ def _shown(value: float, digits: int = 2) -> str:
 
 
 def _range(values: Collection[float]) -> str:
-    """Return one number, or the least and the largest; "not reached" if there are none."""
+    """Return one number, or the least and the largest; "not reached" without a number."""
     if not values:
         return "not reached"
     low, high = _shown(min(values), 1), _shown(max(values), 1)

@@ -140,9 +140,9 @@ class SceneNaming(Naming):
         if not self.layout.joint(joint).holds_position:
             raise InvalidInputError(
                 f"reaction of {joint!r}",
-                "the joint must hold a point in all directions",
-                "a joint of another kind",
-                "Use `multipliers` and the equations in the joint's documentation.",
+                "must belong to a joint that holds its point in all directions",
+                "a joint that lets it slide or holds an angle",
+                "Call solution.multipliers(name), whose rows the docstring of the joint explains.",
             )
         return -lam[:, self.rows(joint)][:, : self.layout.d]
 
@@ -239,9 +239,9 @@ class SceneNaming(Naming):
         if point.fraction is not None:
             raise InvalidInputError(
                 f"point of {point.beam!r}",
-                "a rigid body has no fractions",
-                point.fraction,
-                "Write body.at(x, y).",
+                "points of a rigid body must be given by their coordinates in it",
+                f"the fraction {point.fraction:g} of a length",
+                f"Write {point.beam}.at(x, y), in space {point.beam}.at(x, y, z).",
             )
         weights = np.zeros(body.count, dtype=numbers.dtype)
         weights_b = np.zeros((body.count, self.lengths_b.shape[1]))

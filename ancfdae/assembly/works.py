@@ -117,14 +117,21 @@ def power(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
     return np.asarray(factor * np.sum((F * V)[..., :n, :], axis=(-2, -1)))
 
 
+def stored(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
+    """Return the elastic energy of a load over the leading axes; J."""
+    energy = item.load.energy(U, item.p, item.reference)
+    return np.asarray(np.broadcast_to(factors[:, 0], U.shape[:-2]) * energy)
+
+
 @final
 class Works:
-    """Power of driven joints and of loads, by name."""
+    """Power of driven joints and of loads, and energy of springs, by name."""
 
     def __init__(self, scene: Scene, inputs: PartInputs, layout: Layout, n_b: int) -> None:
         self._scene, self._inputs, self._layout, self._n_b = scene, inputs, layout, n_b
         self._joints: dict[tuple[str, bool], JointWork] = {}
         self._loads: dict[tuple[str, int | None], LoadFunction] = {}
+        self._springs: dict[str, LoadFunction] = {}
 
     def of_joint(self, name: str, unit_rate: bool) -> JointWork:
         """Return the evaluator of the power of a driven joint, or, at unit rate, of its force."""
@@ -155,6 +162,19 @@ class Works:
             load = named("load", name, self._scene.loads)
             self._loads[name, None] = LoadFunction(self._inputs.load(load), self._n_b, power)
         return self._loads[name, None]
+
+    def of_springs(self, name: str | None) -> list[LoadFunction]:
+        """Return evaluators of the energy of one load, or of every load that stores energy.
+
+        Raises UnknownNameError, and InvalidInputError for a load that stores none.
+        """
+        its = [named("load", name, self._scene.loads)] if name is not None else self._scene.loads
+        for load in its:
+            if load.name not in self._springs and (load.stores or name is not None):
+                item = self._inputs.load(load)
+                load.energy(item.reference, item.p, item.reference)  # raises if it stores none
+                self._springs[load.name] = LoadFunction(item, self._n_b, stored)
+        return [self._springs[x.name] for x in its if x.name in self._springs]
 
     def of_controller(self, name: str, axis: int) -> LoadFunction:
         """Return the evaluator of the effort of a controller on one of its axes.

@@ -233,9 +233,9 @@ class Solution:
     def _known_naming(self) -> Naming:
         if self.naming is None:
             raise InvalidInputError(
-                "named access",
-                "needs the solution of an ANCF scene",
-                "a system of another kind",
+                "solution",
+                "positions and reactions by name need the solution of a scene",
+                "the solution of a mechanical system, whose coordinates have no names",
                 "Use the arrays q, v, a and lam.",
             )
         return self.naming

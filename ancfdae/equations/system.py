@@ -257,10 +257,10 @@ class MechanicalSystem(ComplexSteps):
         return self.traits.breakpoints
 
     def over_time(self, t: Array) -> Array:
-        """Return functions that tell how forces and constraints depend on time, shape (k, n).
+        """Return forces and constraints at times t, shape (k, n), with the start's state held.
 
-        They are compared at instants (k,) only: what changes between two of them faster than steps
-        follow is found so. By default Q and Phi with the coordinates of the start held.
+        They show how Q and Phi depend on time by itself: changes that are too fast for the steps of
+        a run are found by comparing neighbouring times. By default Q and Phi at the start.
         """
         q, v = self.start()
         return np.array([np.append(self.force(s, q, v), self.constraint(s, q)) for s in t.tolist()])
@@ -418,7 +418,7 @@ class MechanicalSystem(ComplexSteps):
     ) -> tuple[Array, Array, Array]:
         """Return the partials of mu . `residual_along` with respect to q, v and b.
 
-        What they leave out, a, lam and the direction, is held.
+        Accelerations, multipliers and the direction are held fixed.
         """
         q, v, a, lam = states
         beside = (*states, *direction[1:])

@@ -22,8 +22,8 @@ _ACCELERATION = (
     "solution.acceleration(point) returns the vectors, (n_t, d)."
 )
 _ROTATION = (
-    "Rotations are observed by rotation_angle(point, axis), also against another body, by "
-    "orientation(point, direction, axis) and angular_velocity(point)."
+    "Rotations are observed by rotation_angle(point, axis, other), also of a joint, by "
+    "orientation(point, direction, axis) and by angular_velocity(point, axis)."
 )
 _RUN = "simulate(scene, t_end, HHT(step=...)) integrates the motion (docs/howto/integrator.md)."
 _GROUND = "The ground needs no object: joints and loads take ground=(x, y), a place."
@@ -60,7 +60,9 @@ _ANSWERS = {
     "and friction= of a Contact.",
     **dict.fromkeys(("gear", "gears", "rackandpinion", "screw", "belt", "coupler"), _GEAR),
     "accelerations": _ACCELERATION,
-    **dict.fromkeys(("angle", "rotation", "angularvelocity", "quaternion", "omega"), _ROTATION),
+    **dict.fromkeys(
+        ("angle", "rotation", "jointangle", "angularvelocity", "quaternion", "omega"), _ROTATION
+    ),
     **dict.fromkeys(("time", "t"), "The time since the start is the observable elapsed_time()."),
     **dict.fromkeys(("solve", "integrate", "run", "step", "dynamicsolver", "simulation"), _RUN),
     **dict.fromkeys(("ground", "fixed", "base", "world", "objectground"), _GROUND),
@@ -94,7 +96,8 @@ _ANSWERS = {
     ),
     **dict.fromkeys(
         ("energy", "potentialenergy"),
-        "Energies are kinetic_energy(), strain_energy() and gravitational_energy().",
+        "Energies are kinetic_energy(), potential_energy() and its parts: strain_energy(), "
+        "gravitational_energy() and spring_energy().",
     ),
     "displacement": "A displacement is position(point, axis) less its value at the start.",
 }

@@ -144,8 +144,8 @@ def require_closed_start(system: MechanicalSystem, jump: Jump) -> None:
             parts = np.abs(p.q) @ np.abs(q_b) + np.abs(p.b)
             if np.any(np.abs(p.q @ q_b + p.b) > _CLOSED * parts):
                 where = f"impact {impact.name!r} at the start"
-                rule = "must have a gap that stays closed at neighbouring designs"
-                repair = "Begin with bodies apart: their impact then has a time of its own."
+                rule = "must have a gap that stays zero when the design changes"
+                repair = "Start with the bodies apart, so that the impact has a time of its own."
                 raise InvalidInputError(where, rule, "a gap that depends on the design", repair)
 
 

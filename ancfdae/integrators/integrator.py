@@ -149,7 +149,7 @@ class AdjointIntegrator(Integrator):
         """
 
     def back_factorisations(self, solution: Solution) -> int:
-        """Return how many matrices `pull_back` factorises over a run; zero where nobody counts."""
+        """Return how many matrices `pull_back` factorises over a run; zero if it is not counted."""
         return 0
 
 

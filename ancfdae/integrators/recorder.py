@@ -116,7 +116,7 @@ class SolutionRecorder:
         self.instants, self._control = rows.stop, control
 
     def room(self, count: int) -> StateRows:
-        """Return the next rows of q, v, a and lam, for states that `take` counts."""
+        """Return the next `count` rows of q, v, a and lam, to be filled; `take` counts them."""
         while self.instants + count > len(self._arrays[0]):
             self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]
         q, v, a, lam = (x[self.instants : self.instants + count] for x in self._arrays[1:5])

@@ -108,7 +108,7 @@ class SteppedIntegrator(AdjointIntegrator):
 
     @final
     def sizes(self, solution: Solution) -> Array:
-        """Return the steps of a run of this integrator, shape (n,)."""
+        """Return the step sizes of a run of this integrator, shape (n,); s."""
         return self.steps.sizes(solution.t[:: self.degree])
 
     @final

@@ -242,7 +242,10 @@ class Part(Designable, abc.ABC):
         where, d = f"{self.role} {self.name!r}", elements.d
         if self.spatial and d != 3:
             raise InvalidInputError(
-                where, "needs a scene in space", f"one in {d} dimensions", "In the plane use Pin."
+                where,
+                "this kind of part needs a scene in space",
+                "a scene in the plane",
+                "Give points three components, or use Pin in the plane.",
             )
         for vector in self._known_vectors(elements):
             if isinstance(vector, tuple) and vector[0].fraction is not None:

@@ -62,9 +62,9 @@ class RotatingFrame(Designable):
         if np.linalg.norm(across) > _ACROSS * np.linalg.norm(g):
             raise InvalidInputError(
                 "Scene.gravity",
-                "must act along the axis of the turning frame: across it, it turns there",
+                "must act along the axis of the rotating frame, in which another direction rotates",
                 g.tolist(),
-                "Leave gravity out, or drive the scene by a RotationDriver in a frame at rest.",
+                "Omit gravity, or drive the scene by a RotationDriver in a frame at rest.",
             )
 
     def turn(self, p: Array, dimension: int) -> tuple[Array, Array, Array]:

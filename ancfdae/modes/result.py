@@ -154,9 +154,9 @@ class Modes(PrintedTable):
         if others is None and mode not in self.cut:
             raise InvalidInputError(
                 where,
-                "must come from direct differentiation",
-                "an adjoint",
-                "Use method=DirectDifferentiation().",
+                "needs modes that were differentiated directly",
+                "modes differentiated by adjoints",
+                "Call modes(..., method=DirectDifferentiation()).",
             )
         more = " with others that were not asked for" if mode in self.cut else ""
         raise InvalidInputError(

@@ -54,7 +54,7 @@ class DirectDifferentiation(Method):
 
     @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
-        """One run for all objectives (eq. 21)."""
+        """Differentiate all objectives by one run and one forward pass over it (eq. 21)."""
         solution, totals = run.integrals(objectives, differentiated=True, sensitivities=True)
         states, s = states_of(solution), solution.sensitivities
         assert s is not None
@@ -102,7 +102,7 @@ class Adjoint(GradientMethod):
 
     @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
-        """One run for all objectives, one transposed pass for each."""
+        """Differentiate all objectives by one run, and one backward pass over it for each."""
         system, integrator = run.system, run.integrator
         if not isinstance(integrator, AdjointIntegrator):
             rule, repair = (

@@ -81,7 +81,7 @@ class ContinuousAdjoint(GradientMethod):
 
     @in_one_thread
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
-        """One run for all objectives, one backward run for each."""
+        """Differentiate all objectives by one run, and one integration backward for each."""
         system = run.system
         for objective in objectives:
             if not all(isinstance(leaf, OverTime) for leaf in leaves(objective)):

@@ -207,9 +207,10 @@ def _first_critical(
             if place.crowded and place.ahead[0] <= min(near, abs(to - place.p)):
                 raise InvalidInputError(
                     "critical_load",
-                    "one motion must lose its stiffness, not two at once",
-                    f"two beyond {name} = {place.p:g}",
-                    "Hold one, or make their stiffness differ, as that of a square section.",
+                    "one motion alone must lose its stiffness, not two at once",
+                    f"two motions just beyond {name} = {place.p:g}",
+                    "Hold one of them by a joint, or make their stiffnesses differ: a square "
+                    "section buckles both ways at one load.",
                 )
             search = _Search(place, k, (begin, to), left)
             found = None if place.crowded else search.bifurcation() or search.limit_point()

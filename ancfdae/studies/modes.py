@@ -291,7 +291,7 @@ class Campbell(PrintedTable):
     rates : array, shape (k,)
         Rates of the frame; rad/s.
     exponents : array, shape (k, count), complex
-        s as in `Modes`, as seen in the turning frame. A mode keeps its column; where it does not
+        s as in `Modes`, as seen in the rotating frame. A mode keeps its column; where it does not
         vibrate, as between the critical speeds of a shaft that is not round, s is real, that of the
         motion which decays least or grows.
     exponents_b : array, shape (k, count, n_b), complex
@@ -314,7 +314,7 @@ class Campbell(PrintedTable):
 
     @property
     def frequencies(self) -> Array:
-        """Circular frequencies in the turning frame, shape (k, count); rad/s."""
+        """Circular frequencies in the rotating frame, shape (k, count); rad/s."""
         return self.exponents.imag
 
     @property
@@ -517,6 +517,6 @@ def _lowest(modes: Modes, count: int) -> Array:
 def _frame_of(scene: Scene) -> RotatingFrame:
     require_kind("scene", scene, (Scene,), "Call Scene(...).")
     if scene.frame is None:
-        rule, repair = "needs a turning frame", "Write Scene(..., frame=RotatingFrame(rate=1))."
-        raise InvalidInputError("campbell, scene", rule, "one at rest", repair)
+        rule, repair = "must have a RotatingFrame", "Write Scene(..., frame=RotatingFrame(0.0))."
+        raise InvalidInputError("campbell, scene", rule, "a scene in a frame at rest", repair)
     return scene.frame

@@ -146,9 +146,9 @@ class _Description:
             except Exception as error:
                 raise InvalidInputError(
                     f"{self._where}, file",
-                    "must be told from others by its contents",
-                    f"{kind.__name__}: {error}",
-                    "Leave the file out, or what holds this.",
+                    "needs arguments that pickle, by which its rows are found again",
+                    f"an object of type {kind.__name__} ({error})",
+                    "Omit `file`, or make this object inside the function.",
                 ) from error
             return
         yield from self.of(kind)

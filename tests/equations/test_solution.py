@@ -219,7 +219,7 @@ def test_named_access_needs_names(solution):
         lambda: nameless.nodes("rod"),
         lambda: nameless.reaction("wall"),
     ):
-        with pytest.raises(InvalidInputError, match=r"named access.*q, v, a and lam"):
+        with pytest.raises(InvalidInputError, match=r"by name.*q, v, a and lam"):
             action()
 
 

@@ -65,6 +65,7 @@ from ancfdae.sensitivity.observables.quantities import (
     load_power,
     multiplier,
     reaction,
+    spring_energy,
     state,
     strain_energy,
 )
@@ -148,6 +149,7 @@ LEAVES = {
     "velocity": velocity(INNER, 1),
     "acceleration": acceleration(INNER, 1),
     "angular velocity": angular_velocity(INNER),
+    "energy of springs": spring_energy(),
     "direction": orientation(INNER, (1.0, 0.3, 0.0), 1),
     "angle of rotation": rotation_angle(INNER),
     "angle of rotation against another body": rotation_angle(INNER, other=ARM.at(0.3)),

@@ -497,7 +497,7 @@ def test_a_file_tells_functions_by_what_they_do(tmp_path, monkeypatch):
     monkeypatch.setitem(globals(), "FACTOR", 3.0)
     with pytest.raises(InvalidInputError, match="rows of another what"):
         sweep(*call, design=["L"], file=tmp_path / "global")
-    with pytest.raises(InvalidInputError, match="what, file: must be told from others"):
+    with pytest.raises(InvalidInputError, match="what, file: needs arguments that pickle"):
         sweep(SYSTEM, [{}], closing_over(threading.Lock()), file=tmp_path / "lock")
 
 

@@ -155,5 +155,5 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         return first, Nodes(problem, solution, steps, first.node)
 
     def steps_of(self, solution: Solution) -> Steps:
-        """Return the steps of a run of this integrator."""
+        """Return the step sizes of a run of this integrator, shape (n,); s."""
         return Steps(self.sizes(solution), self.hht_alpha)

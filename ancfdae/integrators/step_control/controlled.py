@@ -122,7 +122,7 @@ class AdaptiveSteps(StepControl):
         return _ROWS
 
     def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
-        """Return the tolerance for the error of a step."""
+        """Return the tolerance for the error of a step, from sizes of states and derivatives."""
         atol = self.rtol if self.atol is None else self.atol
         return Tolerance(self.rtol, atol, t_end, sizes, sizes_b)
 

@@ -135,13 +135,13 @@ def _norms(vectors: Array) -> Array:
 
 
 def _default_height(tangent: Array) -> Array:
-    """Return the direction of the height as of a straight beam along the tangent."""
+    """Return the height of a straight beam along the tangent, a direction of shape (3,)."""
     along_z = abs(tangent[2]) > 1.0 - _NOISE
     return np.cross((0.0, 1.0, 0.0) if along_z else (0.0, 0.0, 1.0), tangent)
 
 
 def _across(where: str, axis: Sequence[float] | Array, tangent: Array) -> Array:
-    """Return the unit vector along the part of an axis across the tangent."""
+    """Return the unit vector along the part of an axis across the tangent, shape (3,)."""
     require_vector(f"{where}, height_axis", axis, (3,))
     given = np.asarray(axis, dtype=float)
     across = given - (given @ tangent) * tangent
@@ -163,5 +163,5 @@ def _carried(places: Array, tangents: Array, height: Array) -> Array:
 
 
 def _reflected(x: Array, normal: Array) -> Array:
-    """Return a vector reflected in the plane across a normal of any length."""
+    """Return a vector reflected in the plane across a normal of any length, shape (3,)."""
     return np.asarray(x - 2 * (normal @ x) / (normal @ normal) * normal)

@@ -65,7 +65,7 @@ class MaterialPoint:
         require_fraction(where, self.fraction)
 
     def numbers(self) -> dict[str, float]:
-        """Return the place on the beam or in the body, by name."""
+        """Return the coordinates of the point by name: fraction, y, z; in a rigid body x, y, z."""
         first = {"x": self.x} if self.fraction is None else {"fraction": self.fraction}
         return first | {"y": self.y, "z": self.z}
 

@@ -279,7 +279,7 @@ class RigidBody(Placed, Designable):
 
     @property
     def centre_of_mass(self) -> MaterialPoint:
-        """The centre of mass, where it is at these values."""
+        """The centre of mass, as a point of the body."""
         return self.at(*map(float, self.centre))  # type: ignore[arg-type]  # never None here
 
     def at(self, x: float, y: float = 0.0, z: float = 0.0) -> MaterialPoint:

@@ -169,7 +169,10 @@ class Joint(Part):
         return np.zeros((0, len(t)))
 
     def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
-        """Whether vectors that meet the equations stand where the law says, not half a turn off."""
+        """Whether the joint stands at the angle of its law, and not half a turn away from it.
+
+        The equations of a driven angle are met by both positions; U are the vectors, (n, d), at t.
+        """
         return True
 
     def by_turn(self, p: Array, t: Array) -> Array:
@@ -229,7 +232,7 @@ class Travelling(DrivenJoint):
 def empty_equations(
     rows: int, p: Array, reference: Array, shapes: Sequence[RightAngle] = ()
 ) -> JointEquations:
-    """Return coefficients of zeros for some equations and those of shapes, to be filled."""
+    """Return coefficients, all zero, for `rows` equations and one more for each of `shapes`."""
     (n, d), dtype, rows = reference.shape, np.result_type(p, reference), rows + len(shapes)
     linear, bilinear = np.zeros((rows, n, d), dtype), np.zeros((rows, n, n), dtype)
     return JointEquations(linear, bilinear, np.zeros(rows, dtype), tuple(shapes))

@@ -193,7 +193,7 @@ class Pin(Joint):
         return self.other is not None
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
-        """r(point) - r(other), or r(point) - ground."""
+        """Return the coefficients of r(point) - r(other), or of r(point) - ground."""
         n, d = reference.shape
         c = empty_equations(d, p, reference)
         place_coincidence(c, n, reference, *self.split(p))

@@ -118,7 +118,7 @@ class Spline(Law):
     indexed_fields: ClassVar[Mapping[str, str]] = {"values": "value"}
 
     def check(self) -> None:
-        """Refuse times that do not fit."""
+        """Raise InvalidInputError unless times ascend and the last lies within the period."""
         require_numbers("Spline, times", self.times)
         if len(self.times) < 2 or np.any(np.diff(self.times) <= 0):
             repair = "Give two times or more in ascending order."

@@ -141,7 +141,7 @@ class FirstOrderLag(Controller):
             raise InvalidInputError(where, rule, self.axis, repair)
 
     def axes(self, p: Array) -> tuple[ControlAxis, ...]:
-        """Return the angle, or the displacement along the direction."""
+        """Return one axis: an angle about `axis`, or a displacement along `direction`."""
         *_, direction, axis, _ = self.split(p)
         if direction is None:
             return (RotationAxis(self.point, axis, self.other),)

@@ -43,7 +43,7 @@ class ControlAxis(abc.ABC):
 
     @abc.abstractmethod
     def count(self, d: int) -> int:
-        """Return the number of these vectors in d dimensions."""
+        """Return the number of vectors that the axis measures and acts on, in d dimensions."""
 
     @abc.abstractmethod
     def coordinate(self, U: Any, U_o: Array) -> tuple[Any, Any]:
@@ -217,7 +217,7 @@ class Controller(Load):
 
     @final
     def initial_states(self, p: Array) -> Sequence[Any]:
-        """Return `start`, one number for each state."""
+        """Return the states at t = 0, one number each, as the method `start` gives them."""
         given = tuple(self.start(p))
         self._require("start", given, self.states, "initial states", "state")
         return given

@@ -137,7 +137,7 @@ class Moment(SectionLoad):
         require_flag("moment, follower", self.follower)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """(M - (M . n) n / 2) x r^k."""
+        """Return the forces (M - (M . n) n / 2) x r^k of the moment M on the slopes r_k; N."""
         M = self.split(p)[0]
         if U_o.shape[1] == 2:
             return M * (U @ QUARTER_TURN) / dot(U, U)
@@ -219,6 +219,7 @@ class TorsionalSpringDamper(SectionLoad):
     sharp = False
     kind = "torsion-spring"
     elastic = True
+    stores = True
     design_fields = (
         *design_numbers("stiffness"),
         ("damping", require_damping),
@@ -235,3 +236,9 @@ class TorsionalSpringDamper(SectionLoad):
         theta, theta_U = turn(U, U_o, unit_axes(axis))
         torque = k * (theta - free_angle) + damping * rate_of(theta_U, V[..., None, :, :])
         return -(torque * theta_U)[..., 0, :, :]
+
+    def energy(self, U: Any, p: Array, U_o: Array) -> Any:
+        """Return k (theta - theta_0)^2/2, shape (k,); J."""
+        k, _, free_angle, axis, _ = self.split(p)
+        theta = turn(U, U_o, unit_axes(axis))[0]
+        return (k * (theta - free_angle) ** 2 / 2)[..., 0, 0, 0]

@@ -81,8 +81,23 @@ class Load(Part):
 
     #: Whether the force acts during short contacts, which the steps of a run must not pass over.
     touches: ClassVar[bool] = False
+    #: Whether it stores elastic energy, which `energy` returns.
+    stores: ClassVar[bool] = False
 
     law: Law | None = field(default=None, kw_only=True)
+
+    def energy(self, U: Any, p: Array, U_o: Array) -> Any:
+        """Return the elastic energy of states U, (..., n_vectors, d), shape (...); J.
+
+        Its gradient in U is minus the force at rest. Raises InvalidInputError unless the load
+        `stores` energy.
+        """
+        raise InvalidInputError(
+            f"spring_energy of {self.name!r}",
+            "must be a spring, which stores energy",
+            f"a load of class {type(self).__name__}",
+            "Name a SpringDamper, TorsionalSpringDamper or Bushing.",
+        )
 
     def _check_declared(self) -> None:
         super()._check_declared()

@@ -51,6 +51,7 @@ class SpringDamper(Load):
     ground: Sequence[float] | None = None
 
     sharp = False
+    stores = True
     kind = "spring"
     stroke = Stroke.SPRING
     elastic = True
@@ -76,6 +77,12 @@ class SpringDamper(Load):
         l, n = direction(e)
         F = -(k * (l - free_length) + damping * dot(n, w)) * n
         return F if self.other is None else concatenate([F, -F])
+
+    def energy(self, U: Any, p: Array, U_o: Array) -> Any:
+        """Return k (l - l_0)^2/2, shape (k,); J."""
+        k, _, free_length, ground, _ = self.split(p)
+        e = U[..., :1, :] - (ground if self.other is None else U[..., 1:, :])
+        return (k * (direction(e)[0] - free_length) ** 2 / 2)[..., 0, 0]
 
 
 @final
@@ -112,6 +119,7 @@ class Bushing(Load):
     other: MaterialPoint | None = None
 
     sharp = False
+    stores = True
     kind = "bushing"
     elastic = True
     design_fields = (
@@ -140,13 +148,26 @@ class Bushing(Load):
         return (*places, *section_of(self.points, elements))
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
-        """Return -(k x + c x') x_U - (k theta + c theta') theta_U, forces on the vectors."""
+        """Return the forces of springs and dampers on the vectors.
+
+        -(k x + c x') x_U - (k theta + c theta') theta_U with the displacement x and the angle
+        theta of the section at `point` against the other one.
+        """
         k, c, k_turn, c_turn, _ = self.split(p)
         n = len(self.points)
         F = -_resistance(*self._travel(U[..., None, :, :], U_o), V, k, c)
         turning = turn(U[..., n:, :], U_o[n:], np.eye(3))
         M = -_resistance(*turning, V[..., n:, :], k_turn, c_turn)
         return concatenate([F[..., :n, :], F[..., n:, :] + M])
+
+    def energy(self, U: Any, p: Array, U_o: Array) -> Any:
+        """Return half of k x^2 and of k theta^2, summed over the axes, shape (k,); J."""
+        k, _, k_turn, _, _ = self.split(p)
+        n = len(self.points)
+        travels = self._travel(U[..., None, :, :], U_o)[0][..., 0, 0]
+        angles = turn(U[..., n:, :], U_o[n:], np.eye(3))[0][..., 0, 0]
+        total = np.sum(k * travels**2, axis=-1) / 2
+        return total if k_turn is None else total + np.sum(k_turn * angles**2, axis=-1) / 2
 
     def _travel(self, U: Any, U_o: Array) -> tuple[Any, Any]:
         """Return components of r - r_other beyond the reference, (..., d, 1, 1), and gradients."""

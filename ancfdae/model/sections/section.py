@@ -156,10 +156,10 @@ class Section(abc.ABC):
         """
         raise InvalidInputError(
             f"stress in a {type(self).__name__}",
-            "needs a section that knows its shear stress in torsion",
-            "one that does not",
-            "Use a section of a known shape, or make the stress of axial_force, bending_moment and"
-            " torque.",
+            "a von Mises stress needs a section whose shear stresses in torsion are known",
+            f"a {type(self).__name__}, which has no shape",
+            "Use a shape such as Rectangle or Tube, or combine axial_force, bending_moment and "
+            "torsional_moment.",
         )
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:

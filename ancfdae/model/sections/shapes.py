@@ -309,7 +309,10 @@ class GeneralSection(Section):
         return sizes[:, 3]
 
     def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Local over mean shear along y and z, (n, n_f), of the rectangle of these moments."""
+        """Return local over mean shear stress along y and z, (n, n_f) each; dimensionless.
+
+        They are those of the rectangle with the same area and second moments of area.
+        """
         area, I_y, I_z, _ = columns(sizes)
         h, w = (np.sqrt(12 * I / area) for I in (I_y, I_z))
         return stepped_share(h, h / 2, w, w, y), stepped_share(w, w / 2, h, h, z)

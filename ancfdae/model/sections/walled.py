@@ -120,7 +120,7 @@ class ISection(_Walled):
     webs = 1
 
     def contour(self, sizes: Array) -> tuple[Array, Array]:
-        """Return the twelve corners and places on the sides."""
+        """Return y and z of the twelve corners and of points between, shape (n, n_p) each; m."""
         h, w, t_w, t_f = sizes.T
         top, inner = h / 2, h / 2 - t_f
         y = np.stack([-top, -top, -inner, -inner, 0 * h, inner, inner, top, top], axis=1)

@@ -45,7 +45,8 @@ def orientation(point: MaterialPoint, direction: Sequence[float], axis: int) -> 
     point : MaterialPoint
         Point of a rigid body or of a beam, whose directions differ along it when it is bent.
     direction : sequence of float
-        The direction in the reference configuration, two or three components.
+        The direction in the reference configuration, two or three components; of any length,
+        dimensionless.
     axis : int
         Component, 0, 1 and 2 for x, y and z. ``orientation(p, e_j, i)`` is the entry ij of the
         rotation matrix of a rigid body.
@@ -136,7 +137,7 @@ class Rotated(Leaf, abc.ABC):
         return LeafGradient(q=Columns(slice(None), q), b=b)
 
     def _value(self, scene: AncfSystem, states: States, changes: Changes) -> Array:
-        """Return the values with some components of slopes changed, now and in the reference."""
+        """Return the values, shape (k,), with slopes changed now and in the reference."""
         d, turned = scene.naming.layout.d, []
         for p, point in enumerate(self.points):
             now = np.stack([slope.of(states.q, d) for slope in self._slopes(scene, point)], axis=1)
