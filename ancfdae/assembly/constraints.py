@@ -169,6 +169,8 @@ class JointConstraints:
 
     def pull_back(self, q: Array, lam: Array, t: Array, mu: Array, zeta: Array) -> Array:
         """Sum over instants of (Phi_q^T lam)_b^T mu + Phi_b^T zeta, shape (n_b,)."""
+        if not self.active:
+            return np.zeros(self.n_b)
         # Design partials of the derivative of lam . Phi along mu, and of zeta . Phi.
         return self._pulled(t, (q + 1j * STEP * mu,), lam + 1j * STEP * zeta)
 

@@ -332,15 +332,17 @@ class Inertia:
         """Sum over instants of (M a - gravity)_b^T x, shape (n_b,); a and x have shape (k, n_q)."""
         a = a - self._field.ravel() if gravity else a
         total = np.zeros(self._n_b, dtype=np.result_type(a, x))
-        A, X = (y.reshape(len(y), -1, self._d) for y in (a, x))
+        # Node vectors first, each at all time points.
+        A, X = (
+            np.concatenate(y.reshape(len(y), -1, self._d), axis=1, dtype=total.dtype)
+            for y in (a, x)
+        )
         for block in self._blocks:
-            # Sums over instants and axes first: x^T M_b a = M_b : (x a^T).
+            # Sums over time points and axes first: x^T M_b a = M_b : (x a^T).
             of = block.partials
             at = block.vectors[of.block]
-            left, right = X[:, at].transpose(1, 2, 0, 3), A[:, at].transpose(1, 0, 3, 2)
-            (n_pairs, n_a), inner = at.shape, len(a) * self._d
-            sums = left.reshape(n_pairs, n_a, inner) @ right.reshape(n_pairs, inner, n_a)
-            np.add.at(total, of.variable, np.sum(of.m_b * sums, axis=(1, 2)))
+            sums = X[at] @ A[at].mT
+            np.add.at(total, of.variable, np.einsum("pij,pij->p", of.m_b, sums))
         if gravity and len(self._field_active):
             fields = self._field_b.reshape(len(self._field_b), -1)
             total[self._field_active] -= fields @ self.times(np.sum(x, axis=0))
