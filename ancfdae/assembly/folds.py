@@ -204,7 +204,7 @@ class _Alike:
         return np.asarray((crushed | turned).any(axis=1))
 
     def share(self, Z: Array) -> Array:
-        """Return eta of the module for each beam, or zero where tension makes up for it."""
+        """Return eta of the module for each beam, (n_beams,); zero where tension suffices."""
         X = Z[self._ends]
         strain = 0.5 * (self._stretch(self._tangents(X)) / self._stretch_o - self._free)
         beyond = strain @ _BEYOND.T
@@ -236,7 +236,7 @@ class _Alike:
         return np.asarray(np.where(shaped, error / np.where(shaped, rest, 1.0), 0.0))
 
     def strain(self, Z: Array) -> Array:
-        """Return the largest strain of a fibre of each beam by stretching or bending."""
+        """Return the largest strain of a fibre of each beam, (n_beams,)."""
         X = Z[self._ends]
         stretch = self._stretch(self._tangents(X)) / self._stretch_o
         axial = 0.5 * self._largest(np.abs(stretch - self._free))

@@ -259,8 +259,10 @@ class Inertia:
             before = MassPlaces.of(vectors, numbering, pattern)
         self.places = before
         values = np.concatenate([np.repeat(x.m.ravel(), d) for x in blocks])
-        self._pattern, self.values = pattern, np.zeros(pattern.size, dtype=values.dtype)
-        np.add.at(self.values, self.places.at, values)
+        self._pattern, at, count = pattern, self.places.at, pattern.size
+        self.values = np.bincount(at, values.real, minlength=count)
+        if np.iscomplexobj(values):
+            self.values = self.values + 1j * np.bincount(at, values.imag, minlength=count)
         directions = self.places.directions
         self.weights = self.values[pattern.diagonal].real.copy()
         # A direction of a rigid body may have no inertia of its own: a straight cable has none

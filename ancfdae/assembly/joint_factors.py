@@ -62,7 +62,7 @@ class JointFactors:
         return self._table(t, orders)
 
     def _table(self, t: Array, orders: int) -> Array:
-        """Return the factors and their rates, or for no order what `by_turn` returns; kept."""
+        """Return the table of `over`, or of `by_turn` for zero orders, kept; (orders, k, n)."""
         key = t.tobytes(), orders
         table = self._tables.get(key)
         if table is None:

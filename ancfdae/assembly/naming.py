@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
@@ -54,10 +55,11 @@ class SceneNaming(Naming):
     layout: Layout
     lengths: Array
     lengths_b: Array
-    # Vectors of points that were asked for.
-    _known: dict[tuple[MaterialPoint, Quantity], PointVector] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
+
+    @cached_property
+    def _known(self) -> dict[tuple[MaterialPoint, Quantity], PointVector]:
+        """Vectors of points that were asked for."""
+        return {}
 
     def vector(
         self, point: MaterialPoint, quantity: Quantity, place: tuple[Array, Array] | None = None

@@ -310,8 +310,8 @@ class AncfSystem(PlannedSystem):
     def centred(self, q: Array) -> Array:
         """Positions relative to their mean by weight; directions and slopes as they are."""
         d, positions = self._numbering.d, self._numbering.positions
-        Z, w = q.reshape(-1, d).copy(), self.weights.reshape(-1, d)[positions, :1]
-        Z[positions] -= np.sum(w * Z[positions], axis=0) / np.sum(w)
+        Z, w = q.reshape(-1, d).copy(), self.weights.reshape(-1, d)[positions, 0]
+        Z[positions] -= w @ Z[positions] / w.sum()
         return Z.ravel()
 
     def folded(self, q: Array) -> str:
@@ -370,8 +370,12 @@ class AncfSystem(PlannedSystem):
     def mirrored(self, q: Array) -> tuple[int, str] | None:
         """Compare sides of sections, tangents and stretches with the first state."""
         numbering, found = self._numbering, None
-        own, count = self._mapping.values(self.b.real)[numbering.elements], _STATES // len(q) or 1
-        for table, parameters in ((numbering.frames, None), (numbering.vectors, own)):
+        tables: list[tuple[Array, Array | None]] = [(numbering.frames, None)]
+        count = _STATES // len(q) or 1
+        if len(numbering.vectors):
+            own = self._mapping.values(self.b.real)[numbering.elements]
+            tables.append((numbering.vectors, own))
+        for table, parameters in tables:
             for k in range(0, len(table), count):
                 some = slice(k, k + count)
                 law = None if parameters is None else parameters[some]

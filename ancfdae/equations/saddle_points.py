@@ -23,8 +23,8 @@ def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> 
     """Check the constraints and return the system's saddle-point matrices.
 
     They are checked and scaled at q, by default the start; RedundantConstraintsError if dependent.
-    A design with the same weights and Phi_q as the design before takes over its matrices, and with
-    weights near those of the last check its independent rows.
+    A design with the same weights and Phi_q as the design before takes over its matrices. Rows are
+    not checked again where Phi_q is the same and the last check had nearly the same weights.
     """
     values = system.constraint_q(t, system.start()[0] if q is None else q)
     patterns, weights = (system.pattern, system.constraint_pattern), system.weights

@@ -256,7 +256,7 @@ Array<R> py_ldl_solve(Array<T, 1> factors, Indices first, Array<int64_t, 1> orde
  * row_at, rows, factor_at, children, stack, most), and the multiplications of a factorisation. */
 using Longs = Array<int64_t, 1>;
 
-/* See `Sides`; without lengths the vectors are those of rigid bodies. */
+/* See `Sides`; without lengths the vectors belong to rigid bodies. */
 bool py_keeps_sides(Array<double, 2> q, Array<int64_t, 2> ends, Size d, Maybe<double, 1> lengths,
                     Maybe<double, 1> least)
 {
@@ -405,8 +405,8 @@ std::tuple<Factored, Size> py_fronts_factor(Terms<double> terms, Array<double> B
     return fronts_of(terms, B, chosen, places, of.fronts, nullptr);
 }
 
-/* By how many more pivots are negative than should be, and the growth, infinite where a pivot is
- * none, or has not its sign unless they are counted. */
+/* By how many more pivots are negative than should be, and the growth, infinite where a pivot
+ * vanishes, or has not its sign unless signs are counted. */
 std::tuple<Size, double> py_fronts_signs(Terms<double> terms, Array<double> B, Indices chosen,
                                          Indices places, FrontArguments of, bool counted)
 {

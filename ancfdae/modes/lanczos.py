@@ -17,9 +17,9 @@ from ancfdae.numerics.arrays import Array
 
 # First shift, relative to the largest entry of K: round-off leaves zero at 1e-16 of it.
 _NEAR_ZERO = 1e-12
-# A pair theta, x has converged where |F^-1 M x - theta x| is this part of theta; and has enough
-# digits to tell whether it coincides with another, _NEXT_TO the last one asked for or nearer. Rows
-# that are kept at most: for each mode, and beside them.
+# A pair theta, x has converged where |F^-1 M x - theta x| is this part of theta. _ENOUGH shows
+# whether a mode coincides with the last one asked for, from which it then differs by less than
+# _NEXT_TO. At most _EACH rows are kept for each mode, and _BESIDE more.
 _CONVERGED, _ENOUGH, _NEXT_TO, _EACH, _BESIDE = 1e-13, 1e-5, 0.01, 4, 120
 # The number of modes is counted at this part of the distance to the next one, if round-off may
 # move modes by _TRUSTED of that at most.
@@ -43,7 +43,7 @@ class Lanczos:
         self._left = self._size(self._next)
 
     def converge(self, asked: int) -> bool:
-        """Extend the space until the values have converged, if they can; all of them roughly."""
+        """Extend the space until the values asked for have converged, and the others roughly."""
         look = 2 * self._count + 2
         while self._m < self._most:
             self._extend()
@@ -101,7 +101,7 @@ class Lanczos:
         return float(np.sqrt(x @ self._small.times(self._small.M, x)))
 
     def _solved(self, force: Array) -> Array:
-        """Return a motion for a force; it keeps constraints to the round-off of stiff bodies."""
+        """Return the motion, (n_q,), for a force; stiff bodies round its constraints."""
         right = np.zeros(self._small.saddle.size)
         right[: len(force)] = force
         return self.factors.solve_roughly(right)[: len(force)]

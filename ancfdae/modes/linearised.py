@@ -264,7 +264,7 @@ class Linearised:
         return self.constrained(factors, factors.solve(np.concatenate([force, none]))[:n])
 
     def constrained(self, factors: Factorization, x: Array) -> Array:
-        """Return motions without the violation of constraints that round-off has left.
+        """Return motions, as x, without the violation of constraints that round-off has left.
 
         Forces of stiff bodies round more than the constraints.
         """

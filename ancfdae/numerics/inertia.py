@@ -180,8 +180,8 @@ class ConstrainedMatrix:
     def negative(self) -> tuple[int, float]:
         """Return a bound of the number of negative eigenvalues of K, and the growth of factors.
 
-        Fronts count those of K + B^T B / eps, which may have more. The growth is infinite where
-        pivots vanish.
+        Fronts count eigenvalues of K + B^T B / eps, which may have more. The growth is infinite
+        where pivots vanish.
         """
         if not self.pattern.wide:
             return self._signs(0.0)

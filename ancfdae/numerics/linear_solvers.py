@@ -112,7 +112,7 @@ class Factorization:
         return self.solver(right, False)
 
     def solve_roughly(self, right: Array) -> Array:
-        """Return the solution to twelve digits or more."""
+        """Return the solution to twelve digits or more, (n,) or (n, k)."""
         return self.rough(right) if self.rough else self.solve(right)
 
     def solve_transposed(self, right: Array) -> Array:

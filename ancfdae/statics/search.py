@@ -66,7 +66,7 @@ class LoadPath:
     ) -> None:
         self._balance, self._max_steps, self._fine = balance, max_steps, fine
         self.places, self.residual = [first], 0.0
-        # A solution that was too far from the place before to be told from a jump.
+        # A solution that was refused because it was too far from the place before.
         self._beyond: tuple[PathPoint, Balanced] | None = None
 
     def follow(self) -> Verdict:

@@ -76,7 +76,8 @@ def modes(
     Joints are kept exactly; those that are driven are held. Lowest first: growing motions (of an
     unstable equilibrium), rigid ones (s = 0), vibrations by |s|, then motions that only decay, by
     |s|. With damping vibrations are counted by the argument principle: all below the last one are
-    returned, or NoModes is raised. Large damped systems (more than 120 independent motions and
+    returned, or NoModes is raised. Undamped modes of large systems are counted by Sylvester's law
+    of inertia. Large damped systems (more than 120 independent motions and
     3 `count` + 40) are searched for real exponents next to their undamped frequencies only.
 
     Parameters

@@ -66,7 +66,7 @@ def test_a_mirrored_section_of_one_element_is_seen_in_any_state():
     for states, kept in (((straight, straight), True), ((straight, turned), False)):
         q = np.array(states).reshape(len(states), -1)
         assert keeps_sides(q, ends, 2, lengths, least) is kept
-    # From a mirrored start all others have the same sign.
+    # All states keep the sign of a mirrored start.
     mirrored = straight * [1, -1]
     q = np.array([mirrored, 1.1 * mirrored]).reshape(2, -1)
     assert keeps_sides(q, ends, 2, lengths, least)

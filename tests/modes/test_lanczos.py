@@ -68,7 +68,7 @@ def test_one_mode_that_lacks_is_counted():
 
 @pytest.mark.parametrize("copies", [1, 2, 3, 5])
 def test_modes_that_coincide_are_all_found(copies):
-    """Of each mode there is one copy for each cantilever, by Lanczos's method or by a search."""
+    """Each cantilever has a copy of each mode, found by Lanczos's method or by a search."""
     scene, one = cantilevers(copies, 60), linearised(cantilevers(1, 60))
     wanted = np.sqrt(np.repeat(dense(one, 3), copies))
     for count in (1, copies, copies + 1, 2 * copies):

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.support.documents import ROOT
 
 from ancfdae import HHT, Terminal, equilibrium_gradient, gradient, simulate
+from tests.support.documents import ROOT
 
 GALLERY = ROOT / "docs" / "gallery"
 Names = dict[str, Any]

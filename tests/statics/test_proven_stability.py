@@ -111,7 +111,7 @@ def test_a_jump_to_another_path_stays_refused_from_places_in_between():
 
 
 def test_rows_are_checked_again_when_weights_have_moved_far():
-    """Weights near those of the last check leave rows independent: they are not checked again."""
+    """Rows stay independent with nearly the same weights: they are not checked again."""
 
     def arm(mass):
         body = RigidBody("arm", (0.5, 0), mass, mass / 12)

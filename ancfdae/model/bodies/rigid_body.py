@@ -251,12 +251,11 @@ class RigidBody(Placed, Designable):
 
     def refuse_values(self, changes: Mapping[str, float]) -> None:
         """Raise what `with_parameters` raises; for masses and densities without making the body."""
-        new = self.changed_fields(changes)
-        if not new.keys() <= {"mass", "density"}:
-            replace(self, **new)
-        rules = dict(self.design_fields)
-        for name, value in new.items():
-            rules[name](f"body {self.name!r}, {name}", value)
+        if any(x not in ("mass", "density") or getattr(self, x) is None for x in changes):
+            replace(self, **self.changed_fields(changes))
+            return
+        for name, value in changes.items():
+            require_positive(f"body {self.name!r}, {name}", value)
 
     @property
     def dimension(self) -> int:
