@@ -9,6 +9,7 @@ import ancfdae
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
+from claims import CLAIMS  # noqa: E402
 from pictures import FILMS  # noqa: E402
 
 project = "ancfdae"
@@ -24,7 +25,8 @@ extensions = [
     "sphinx_gallery.gen_gallery",
 ]
 exclude_patterns = ["tutorial", "gallery"]  # The gallery reads them and writes below `made`.
-myst_enable_extensions = ["colon_fence", "attrs_inline", "dollarmath"]
+myst_enable_extensions = ["colon_fence", "attrs_inline", "dollarmath", "substitution"]
+myst_substitutions = CLAIMS
 myst_heading_anchors = 3
 highlight_language = "none"  # Indented blocks are formulas.
 nitpicky = True

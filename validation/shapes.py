@@ -21,8 +21,8 @@ from ancfdae import (
     equilibrium,
 )
 from ancfdae.sections import Circle, Rectangle
+from ancfdae.sensitivity.observables.observable import States
 from ancfdae.sensitivity.observables.quantities import strain_energy
-from ancfdae.sensitivity.observables.states import States
 from validation.report import Report
 
 __all__ = ["fill"]
@@ -50,7 +50,14 @@ def fill(report: Report, quick: bool) -> None:
     }
     report.heading("Helices, shafts and columns")
     report.text(_INTRODUCTION)
-    rows = [[title, *(_number(error(n)) for n in counts)] for title, error in cases.items()]
+    rows = []
+    for title, error in cases.items():
+        errors = [error(n) for n in counts]
+        rows.append([title, *map(_number, errors)])
+        short = title.split(" critical")[0].split(",")[0].replace(" ", "-")
+        for n, value in zip(counts, errors, strict=True):
+            if not np.isnan(value):
+                report.figure(f"shape.{short}.n{n}", value)
     report.table(["relative error, by elements", *map(str, counts)], rows)
     report.text(_CURVED)
     strains = (-0.02, -0.01, 0.01, 0.02)

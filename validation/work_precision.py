@@ -1,5 +1,6 @@
 """Report on work and precision: which integrator for which scene, by `work_precision`."""
 
+import itertools
 from collections.abc import Sequence
 
 from ancfdae import DOP853
@@ -28,6 +29,7 @@ __all__ = ["run"]
 # Lines that a plot shows; the others are in the tables.
 _SHOWN = (-0.05, -0.3)
 _TARGETS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6)
+_GROUP_TARGETS = (1e-2, 1e-4, 1e-6)
 # Results with larger errors are not counted.
 _ALLOWED = 10.0
 _GROUPS = {
@@ -83,13 +85,15 @@ def _choice(report: Report, found: Sequence[Measured]) -> None:
     for each in found:
         for kind, table in zip(OBJECTIVES, each.tables, strict=True):
             cells = []
-            for choice in _GROUPS.values():
-                for target in (1e-2, 1e-4):
-                    best = cheapest_of(table, target, choice)
-                    cells.append("-" if best is None else f"{best.seconds:.2g}")
+            for name, target in itertools.product(_GROUPS, _GROUP_TARGETS):
+                best = cheapest_of(table, target, _GROUPS[name])
+                cells.append("-" if best is None else f"{best.seconds:.2g}")
+                if best is not None:
+                    key = f"cheapest.{each.case.name}.{kind}.{name.replace(' ', '_')}.{target:.0e}"
+                    report.figure(key, best.seconds)
             rows.append([each.case.title, kind, *cells])
     report.text("Processor time in seconds of the cheapest setting of each kind:")
-    names = [f"{name}, {target}" for name in _GROUPS for target in ("1e-2", "1e-4")]
+    names = [f"{name}, {target:.0e}" for name in _GROUPS for target in _GROUP_TARGETS]
     report.table(["scene", "gradient", *names], rows)
     report.text(_ANSWER)
 

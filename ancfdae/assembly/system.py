@@ -16,6 +16,7 @@ from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbers import Numbers
 from ancfdae.assembly.parameters import parameter_map
+from ancfdae.assembly.value_limits import value_limits
 from ancfdae.assembly.works import Works
 from ancfdae.equations import (
     DesignPartials,
@@ -206,6 +207,10 @@ class AncfSystem(PlannedSystem):
             scene.refuse_values(dict(zip(design, b.real.tolist(), strict=True)))
         numbers = self._numbers.at(b) or Numbers.first(scene, design, self._mapping, b)
         return AncfSystem(numbers, None if scene.rest is None else self._rest_numbers)
+
+    def value_limits(self) -> tuple[Array, Array]:
+        """Return values between which parts take each variable, shape (n_b,); else infinite."""
+        return value_limits(self._scene, self._structure.design, self.b.real)
 
     @cached_property
     def _rest(self) -> RestingStart | None:

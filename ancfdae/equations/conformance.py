@@ -1,7 +1,7 @@
 """Check of an implementation of the protocol: every member against the values."""
 
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -14,10 +14,11 @@ from ancfdae.equations.proof import (
     shapes,
     start,
 )
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.equations.system import MechanicalSystem
 from ancfdae.errors.checks import require_count, require_index, require_kind
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.text import listed
+from ancfdae.errors.text import listed, page
 
 # Design values that vanish are varied by parts of one, the largest of which is half of this.
 _AWAY = 0.1
@@ -70,6 +71,16 @@ class SystemCheck:
                 f"{len(self.wrong)} of {len(self.findings)} that do not: {names}",
                 "Correct these methods; print the report for all of them.",
             )
+
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas with a row for each finding: name, error, tolerance, passed."""
+        rows = [(x.name, x.error, x.tolerance, x.passed) for x in self.findings]
+        return pandas().DataFrame(rows, columns=["finding", "error", "tolerance", "passed"])
+
+    def _repr_html_(self) -> str:
+        first = sorted(self.findings, key=lambda x: x.passed)
+        rows = [(x.name, f"{x.error:.1e}", f"{x.tolerance:.1e}") for x in first]
+        return page(repr(self), [("finding", "error", "tolerance"), *rows])
 
     def __repr__(self) -> str:
         wrong = f"wrong: {listed(x.name for x in self.wrong)}" if self.wrong else "all ok"

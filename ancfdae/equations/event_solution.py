@@ -8,11 +8,11 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.equations.solution import Solution
-from ancfdae.equations.solution_parts import Sensitivities
+from ancfdae.equations.solution_parts import Sensitivities, pandas
 from ancfdae.errors.checks import require_array
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.outcomes import RunOutcome
-from ancfdae.errors.text import columns
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.numerics.arrays import Array, Numbers
 
 
@@ -46,8 +46,8 @@ class EventRecord:
 
 
 @final
-@dataclass(frozen=True)
-class EventSolution:
+@dataclass(frozen=True, repr=False)
+class EventSolution(PrintedTable):
     """Trajectory of a run with events.
 
     Attributes
@@ -109,12 +109,17 @@ class EventSolution:
         parts = [self.phases[k].at(asked[which == k]) for k in np.unique(which).tolist()]
         return np.concatenate([x.q for x in parts]), np.concatenate([x.v for x in parts])
 
-    def __repr__(self) -> str:
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas with a row for each event: its name, time and impulse."""
+        rows = [(each.name, each.time, each.impulse) for each in self.events]
+        return pandas().DataFrame(rows, columns=["event", "time", "impulse"])
+
+    def _printed(self) -> TableText:
         rows = [("event", "time", "impulse")]
         for each in self.events:
             impulse = "" if each.impulse is None else f"{each.impulse:.6g}"
             rows.append((each.name, f"{each.time:.9g}", impulse))
-        return f"EventSolution: {len(self.phases)} phases\n{columns(rows)}\n{self.outcome}"
+        return f"EventSolution: {len(self.phases)} phases", rows, str(self.outcome)
 
 
 def at_held_times(run: Solution, times: Array, states: Sensitivities, t_b: Array) -> Solution:

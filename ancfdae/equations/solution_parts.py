@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.errors.checks import require_array, require_kind, require_package
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.text import columns, listed, page
+from ancfdae.errors.text import PrintedTable, TableText, listed
 from ancfdae.numerics.arrays import Array
 
 
@@ -126,8 +126,8 @@ class ErrorEstimates:
 
 
 @final
-@dataclass(frozen=True)
-class Sensitivities:
+@dataclass(frozen=True, repr=False)
+class Sensitivities(PrintedTable):
     """Total derivatives of a trajectory with respect to design variables of given values.
 
     q_b, v_b, a_b have the shape (n_t, n_q, n_b), lam_b (n_t, n_lam, n_b).
@@ -147,16 +147,8 @@ class Sensitivities:
         """
         return sensitivity_table(self.q_b, self.names)
 
-    def __repr__(self) -> str:
-        return f"{self._head}\n{columns(self._rows())}"
-
-    def _repr_html_(self) -> str:
-        """Return the same as notebooks show it."""
-        return page(self._head, self._rows())
-
-    @property
-    def _head(self) -> str:
-        return f"Sensitivities at {len(self.q_b)} instants"
+    def _printed(self) -> TableText:
+        return f"Sensitivities at {len(self.q_b)} instants", self._rows(), ""
 
     def _rows(self) -> list[tuple[str, str, str]]:
         largest = np.max(np.abs(self.q_b), axis=(0, 1), initial=0.0)

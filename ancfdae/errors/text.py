@@ -1,10 +1,38 @@
 """Plain text for readers: shortened lists, aligned columns."""
 
+import abc
 import html
 from collections.abc import Iterable, Sequence
+from typing import TypeAlias, final
 
 # Most entries of a list that a message shows.
 _SHOWN = 12
+
+#: Text before a table, its rows with the titles first, and text after it.
+TableText: TypeAlias = tuple[str, Sequence[Sequence[str]], str]
+
+
+class PrintedTable(abc.ABC):
+    """A result that prints as a table between two texts, and shows as one in a notebook."""
+
+    @abc.abstractmethod
+    def _printed(self) -> TableText:
+        """Return the text before the table, its rows with the titles first, and the text after."""
+
+    @final
+    def __repr__(self) -> str:
+        """Return the table as plain text."""
+        return plain(*self._printed())
+
+    @final
+    def _repr_html_(self) -> str:
+        """Return the same as notebooks show it."""
+        return page(*self._printed())
+
+
+def plain(head: str, rows: Sequence[Sequence[str]], tail: str = "") -> str:
+    """Return a table as lines of text between two texts; see `columns`."""
+    return "\n".join(text for text in (head, columns(rows), tail) if text)
 
 
 def listed(words: Iterable[object]) -> str:
@@ -17,9 +45,10 @@ def listed(words: Iterable[object]) -> str:
 def columns(rows: Sequence[Sequence[str]], shorten: bool = True) -> str:
     """Return rows of cells, all of one length, as lines, cells of a column below each other.
 
-    Shortened, the first twelve are shown, with the number of those left out.
+    Shortened, the titles and the first twelve rows are shown, with the number of those left out,
+    which is never one.
     """
-    shown = rows[:_SHOWN] if shorten else rows
+    shown = rows[: _SHOWN + 1] if shorten and len(rows) > _SHOWN + 2 else rows
     widths = [max(len(cell) for cell in column) for column in zip(*shown, strict=True)]
     lines = [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
@@ -33,13 +62,13 @@ def columns(rows: Sequence[Sequence[str]], shorten: bool = True) -> str:
 def page(head: str, rows: Sequence[Sequence[str]], tail: str = "") -> str:
     """Return a table in HTML, as notebooks show it, between two texts.
 
-    The first row has the titles; of the others the first twelve are shown.
+    The first row has the titles; of the others those are shown that `columns` shows.
     """
-    left = len(rows) - _SHOWN - 1
+    shown = rows[: _SHOWN + 1] if len(rows) > _SHOWN + 2 else rows
     cells = "".join(
         f"<tr>{''.join(f'<{kind}>{html.escape(cell)}</{kind}>' for cell in row)}</tr>"
-        for kind, row in zip(["th"] + ["td"] * _SHOWN, rows, strict=False)
+        for kind, row in zip(["th"] + ["td"] * len(shown), shown, strict=False)
     )
-    more = f"and {left} more" if left > 0 else ""
+    more = f"and {len(rows) - len(shown)} more" if len(shown) < len(rows) else ""
     before, after = (f"<p>{html.escape(text)}</p>" if text else "" for text in (head, tail))
     return f"{before}<table>{cells}</table>{more}{after}"

@@ -40,7 +40,7 @@ from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import States
 from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference, Perturbation
 
 # Name of the mode in which every run begins.
@@ -163,16 +163,16 @@ class EventRun:
         method.check(Run(self.system, self.t_end, self.integrator))
         base = self._values(objectives, states_of(run))
         slopes, b = np.zeros((len(objectives), self.system.n_b)), self.system.b
-        for i, x in enumerate(b.tolist()):
+        for i, size in enumerate(method.sizes_of(self.system).tolist()):
             unit = np.eye(len(b))[i]
             moved = []
-            for change in method.changes(x):
+            for change in method.changes(size):
                 if isinstance(method, ComplexStep):
                     phases = at_complex(run, b + change * unit)
                 else:
                     phases = states_of(self.at(b + np.real(change) * unit).phased())
                 moved.append(self._values(objectives, phases))
-            slopes[:, i] = method.quotient(x, base, moved)
+            slopes[:, i] = method.quotient(size, base, moved)
         return [(float(value.real), slope) for value, slope in zip(base, slopes, strict=True)]
 
     def _values(self, objectives: Sequence[Objective], phases: Sequence[PhaseStates]) -> Array:

@@ -3,7 +3,7 @@
 Real and complex numbers go through the same formulas, each of which stands once, in C++: those of
 elements in `elements.h`, their sums over a scene in `blocks.h`. `_kernels.pyi` says what each
 function computes, of what fits together; all else is a ValueError or a TypeError. Why this is
-compiled, and by what: docs/measurements.md, section 11.
+compiled, and by what: docs/measurements.md, "What is compiled".
 """
 
 from __future__ import annotations

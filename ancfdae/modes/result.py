@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_index
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.text import columns, listed
+from ancfdae.errors.text import PrintedTable, TableText, listed
 from ancfdae.modes.configuration import LinearisationPoint
 from ancfdae.numerics.arrays import Array
 
@@ -48,8 +49,8 @@ class ModeDerivatives:
 
 
 @final
-@dataclass(frozen=True)
-class Modes:
+@dataclass(frozen=True, repr=False)
+class Modes(PrintedTable):
     """Small motions x e^{st} about a configuration at rest; made by `modes`.
 
     Attributes
@@ -175,7 +176,24 @@ class Modes:
             )
         return self.derivatives
 
-    def __repr__(self) -> str:
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas with a row for each mode.
+
+        Columns are ``natural frequency`` (rad/s), ``damping ratio`` and ``kind``; with design
+        variables also the derivatives of the frequency, ``d/d rod.height``.
+        """
+        table: dict[str, object] = {
+            "natural frequency": self.natural_frequencies,
+            "damping ratio": self.damping_ratios,
+            "kind": [kind.value for kind in self.kinds],
+        }
+        if self.derivatives is not None:
+            slopes = zip(self.derivatives.names, self.natural_frequencies_b.T, strict=True)
+            table |= {f"d/d {name}": slope for name, slope in slopes}
+        index = pandas().RangeIndex(len(self.kinds), name="mode")
+        return pandas().DataFrame(table, index=index)
+
+    def _printed(self) -> TableText:
         rows = [["mode", "rad/s", "damping ratio", ""]]
         ratios = self.damping_ratios
         for j, kind in enumerate(self.kinds):
@@ -189,15 +207,14 @@ class Modes:
                 f"{self.unbalanced:.2g} of all forces; pass at=equilibrium(...) for vibrations "
                 "under load)"
             )
-        lines = [f"Modes about {where}", columns(rows)]
-        lines += [f"free to move: {self.free}"] if self.free else []
+        lines = [f"free to move: {self.free}"] if self.free else []
         if self.cut:
             first, last = self.cut[0], self.cut[-1]
             which = (
                 f"mode {first} coincides" if first == last else f"modes {first} to {last} coincide"
             )
             lines += [f"{which} to round-off with others, which were not asked for"]
-        return "\n".join(lines)
+        return f"Modes about {where}", rows, "\n".join(lines)
 
 
 # Relative unbalanced force up to which a configuration is called an equilibrium in messages.

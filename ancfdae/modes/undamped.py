@@ -17,7 +17,7 @@ from ancfdae.modes.sharpening import each_sharpened, sharpened
 from ancfdae.numerics.arrays import Array
 
 # Up to this many independent motions dense matrices are faster; damped ones have twice as many
-# exponents, all of which dense methods find (docs/measurements.md, section 12).
+# exponents, all of which dense methods find (docs/measurements.md, "Modes").
 _DENSE, _DENSE_DAMPED = 300, 120
 # ARPACK needs room for its basis.
 _ROOM = 40

@@ -79,7 +79,7 @@ def _with_multipliers(order: Array, constraint_pattern: SparsityPattern) -> Arra
     return np.argsort(place, kind="stable")
 
 
-# Half-width at which a band takes as long as SuperLU (docs/measurements.md, section 9).
+# Half-width at which a band takes as long as SuperLU (docs/measurements.md, "Linear algebra").
 _BAND_HALF_WIDTH = 64
 # Rows are exchanged where a pivot is below a tenth of its column's largest: in the order as given,
 # or in that of SuperLU, where it chooses columns.

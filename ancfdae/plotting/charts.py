@@ -1,4 +1,4 @@
-"""Line plots for reports.
+"""Line plots for reports: how labels look, and how panels are drawn and saved.
 
 A plot is declared as data (`Series` in `Panel`), drawn by `draw` and written by `save`. Neither
 uses pyplot, so no figure stays open and no backend is chosen for the rest of the process.
@@ -14,12 +14,12 @@ are set as mathematics.
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, final
 
 import matplotlib.style
 import numpy as np
@@ -33,7 +33,111 @@ from matplotlib.ticker import LogLocator
 from ancfdae.equations.files import replacing, saving
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.plotting.looks import Look, looks, set_as_mathematics
+
+# Okabe and Ito (2008), without the yellow: it is too faint for a line on white.
+COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#E69F00", "#56B4E9")
+_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h")
+_DASHES: Final = (None, (5.0, 2.0), (1.2, 1.0), (5.0, 2.5, 1.2, 2.5))
+
+
+@final
+@dataclass(frozen=True)
+class Look:
+    """Colour, marker, dashes (None for a solid line), and whether the marker is filled."""
+
+    colour: str
+    marker: str
+    dashes: tuple[float, ...] | None
+    filled: bool = False
+
+
+def _look(place: int, dashes: int = 0) -> Look:
+    marker = _MARKERS[place % len(_MARKERS)]
+    return Look(COLOURS[place % len(COLOURS)], marker, _DASHES[dashes % len(_DASHES)])
+
+
+# By how a label begins, the longest that fits.
+_METHODS: Final[dict[str, Look]] = {
+    "HHT": _look(0),
+    "HHT controlled": _look(6),
+    "HHT, controlled": _look(6),
+    "HHT both controlled": _look(2),
+    "IDA": _look(1),
+    "IDAS": _look(4),
+    "DOP853": _look(3),
+    "Radau": _look(5),
+    "direct differentiation": _look(0),
+    "forward difference": _look(1, 1),
+    "central difference": _look(5, 2),
+    "discrete adjoint": _look(3),
+    "continuous adjoint": _look(2),
+}
+# Of these: filled and dashed, with a marker of their own, since small ones look filled anyway.
+_PARTNERS: Final = dict(zip(_MARKERS[:7], (">", "p", "h", "*", "d", "8", "<"), strict=True))
+# How labels end that stand beside another one of the same method.
+_SECOND: Final = ("alpha = -0.05", "index 1", ", 3 levels", ", adjoint")
+
+
+def looks(labels: Iterable[str]) -> dict[str, Look]:
+    """Return the look of each label of a figure: that of its method, or the first one free."""
+    given: dict[str, Look] = {}
+    for label in dict.fromkeys(labels):
+        known = max((name for name in _METHODS if label.startswith(name)), key=len, default="")
+        look = _METHODS[known] if known else _free(given)
+        if known and label.endswith(_SECOND):
+            look = replace(look, dashes=_DASHES[1], filled=True, marker=_PARTNERS[look.marker])
+        if look in given.values():
+            look = _free(given)
+        given[label] = look
+    return given
+
+
+def _free(given: dict[str, Look]) -> Look:
+    """Return a look of a colour that is free, or of the next in their round."""
+    taken = {look.colour for look in given.values()}
+    places = (k for k, colour in enumerate(COLOURS) if colour not in taken)
+    place = next(places, len(given))
+    return _look(place, place)
+
+
+_SYMBOL: Final = (
+    "hht_alpha|alpha|beta|gamma|delta|eps|epsilon|zeta|eta|theta|kappa|lambda|mu|nu|xi|rho|sigma|"
+    "tau|phi|psi|omega|Phi|Psi|Omega"
+)
+# Symbols that matplotlib has under another name.
+_OTHERS: Final = {"eps": "varepsilon", "hht_alpha": "alpha"}
+# 1e-7; 2^-7; a symbol, Greek or one letter with an index, maybe after the d of a derivative.
+_MATHEMATICS: Final = re.compile(
+    r"(?<![\w.$\\])(?:"
+    r"(?P<digits>\d+(?:\.\d+)?)e(?P<exponent>[+-]?\d+)"
+    r"|(?P<base>\d+)\^(?P<power>-?\d+)"
+    rf"|(?P<d>d?)(?P<symbol>{_SYMBOL})(?:_(?P<index>\w+))?"
+    r"|(?P<d_letter>d?)(?P<letter>[A-Za-z])_(?P<letter_index>\d+|[a-z])"
+    r")(?![A-Za-z0-9_])"
+)
+
+
+def set_as_mathematics(text: str) -> str:
+    """Return a label with its symbols, powers and exponents in matplotlib's mathematics.
+
+    A text that holds a dollar sign is left as it is.
+    """
+    return text if "$" in text else _MATHEMATICS.sub(_one, text)
+
+
+def _one(match: re.Match[str]) -> str:
+    parts = match.groupdict()
+    if parts["digits"]:
+        times = "" if parts["digits"] == "1" else rf"{parts['digits']}\times "
+        return rf"${times}10^{{{int(parts['exponent'])}}}$"
+    if parts["base"]:
+        return rf"${parts['base']}^{{{parts['power']}}}$"
+    if parts["letter"]:
+        return rf"${parts['d_letter']}{parts['letter']}_{{{parts['letter_index']}}}$"
+    index = f"_{{{parts['index']}}}" if parts["index"] else ""
+    symbol = _OTHERS.get(parts["symbol"], parts["symbol"])
+    return rf"${parts['d']}\{symbol}{index}$"
+
 
 __all__ = ["Figure", "Panel", "Scale", "Series", "draw", "save"]
 
@@ -47,7 +151,8 @@ _LEGEND_CHARACTER: Final = 0.085  # inches, above the mean at the legend's font 
 _LEGEND_HANDLE: Final = 0.75  # inches: line sample and gaps beside each label
 _LEGEND_ROW: Final = 0.25  # inches
 _MARKERS_ON_LINE: Final = 15
-_UNIT: Final = re.compile(r"\S.*\[[^\[\]]+\]$")
+# A text without brackets, or one before a unit in brackets.
+_LABEL: Final = re.compile(r"[^\[\]]*[^\[\]\s][^\[\]]*(\[[^\[\]]+\])?")
 _SETTINGS: Final[dict[str, object]] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -61,6 +166,11 @@ _SETTINGS: Final[dict[str, object]] = {
 }
 
 
+# Metadata of files by suffix: nothing that changes from run to run.
+_METADATA: Final[dict[str, dict[str, str | None]]] = {
+    ".svg": {"Date": None, "Creator": "ancfdae"},
+    ".png": {"Software": "ancfdae"},
+}
 _SIZES: Final = {"font.size": 11.0, "axes.titlesize": 12.0, "legend.fontsize": 10.0}
 
 
@@ -123,7 +233,8 @@ class Panel:
     ----------
     title : str
     x_label, y_label : str
-        Quantity and unit, for example ``"t [s]"``; ``[-]`` for a number without unit.
+        Quantity and unit, for example ``"t [s]"``; a number without unit has its name alone,
+        ``"relative error"``.
     series : sequence of Series
         At least one, each label once.
     x_scale, y_scale : {"linear", "log"}
@@ -144,7 +255,7 @@ class Panel:
             )
         where = f"Panel {self.title!r}"
         for label in (self.x_label, self.y_label):
-            require_unit(where, label)
+            require_label(where, label)
         for scale in (self.x_scale, self.y_scale):
             if scale not in ("linear", "log"):
                 raise InvalidInputError(where, "a scale must be 'linear' or 'log'", repr(scale))
@@ -208,46 +319,50 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
     return figure
 
 
-def save(figure: Figure, path_without_suffix: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """Write a figure as SVG and PNG and return the two paths in that order.
+def save(figure: Figure, path: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """Write a figure to ``motion.png`` or ``motion.svg``, or to both if the name has no suffix.
 
-    The same figure gives the same bytes: the SVG carries no date and no random identifiers. Missing
-    folders are created; a path that ends with .svg or .png is refused. SaveError is raised as on a
-    full disk, and files that were there before are kept.
+    The same figure gives the same bytes: an SVG carries no date and no random identifiers. Missing
+    folders are created. SaveError is raised as on a full disk, and files that were there before are
+    kept.
+
+    Returns
+    -------
+    tuple of Path
+        The files that were written, of two the SVG first.
     """
-    require_kind("save, path", path_without_suffix, (str, os.PathLike), "Give the name of a file.")
-    path = Path(path_without_suffix)
-    if not path.name or path.suffix in (".svg", ".png"):
+    require_kind("save, path", path, (str, os.PathLike), "Give the name of a file.")
+    path = Path(path)
+    if not path.name:
         raise InvalidInputError(
-            "save",
-            "the path must be a name without suffix, as both .svg and .png are written",
-            repr(str(path)),
-            "For example 'figures/motion'.",
+            "save, path", "must name a file", repr(str(path)), "For example 'figures/motion.png'."
         )
     with saving("folder", path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-    svg, png = path.with_name(path.name + ".svg"), path.with_name(path.name + ".png")
+    if path.suffix in _METADATA:
+        files: tuple[Path, ...] = (path,)
+    else:
+        files = tuple(path.with_name(path.name + suffix) for suffix in _METADATA)
     layout = figure.get_layout_engine()
     with settings():
         # Laid out once for both: it takes as long as drawing.
         figure.draw_without_rendering()
         figure.set_layout_engine(None)
-        with replacing("figure", svg) as written:
-            figure.savefig(written, format="svg", metadata={"Date": None, "Creator": "ancfdae"})
-        with replacing("figure", png) as written:
-            figure.savefig(written, format="png", metadata={"Software": "ancfdae"})
+        for file in files:
+            with replacing("figure", file) as written:
+                figure.savefig(written, format=file.suffix[1:], metadata=_METADATA[file.suffix])
     figure.set_layout_engine(layout)
-    return svg, png
+    return files
 
 
-def require_unit(where: str, label: object) -> None:
-    """Refuse a label of an axis without a unit."""
-    if not isinstance(label, str) or not _UNIT.match(label):
+def require_label(where: str, label: object) -> None:
+    """Raise InvalidInputError unless a label of an axis names a quantity, and then its unit."""
+    if not isinstance(label, str) or not _LABEL.fullmatch(label):
         raise InvalidInputError(
             where,
-            "an axis label must end with its unit in brackets",
+            "an axis label must name a quantity and end with its unit in brackets if it has one",
             repr(label),
-            "Write 't [s]', or 'n [-]' for a number without unit.",
+            "Write 't [s]', or 'relative error' for a number without unit.",
         )
 
 

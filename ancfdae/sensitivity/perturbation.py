@@ -5,20 +5,21 @@ discrete solution to round-off.
 """
 
 import abc
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.derived import design_sizes
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities
-from ancfdae.errors.checks import require_flag, require_positive
-from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.checks import require_flag, require_kind, require_positive
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.threads import in_one_thread
-from ancfdae.sensitivity.along_runs import require_differentiable
-from ancfdae.sensitivity.method import Gradient, Method, Run
+from ancfdae.sensitivity.method import Gradient, Method, Run, require_differentiable
 from ancfdae.sensitivity.objectives import Objective
 
 _STATES = ("q", "v", "a", "lam")
@@ -32,11 +33,15 @@ class Perturbation(Method):
         """Refuse, before the first run, what the method does not fit."""
 
     @abc.abstractmethod
-    def changes(self, b: float) -> Sequence[complex]:
-        """Return the changes of a design variable of value b, one per run."""
+    def sizes_of(self, system: MechanicalSystem) -> Array:
+        """Return sizes that changes of the design variables are relative to, shape (n_b,)."""
 
     @abc.abstractmethod
-    def quotient(self, b: float, base: Array, moved: Sequence[Array]) -> Array:
+    def changes(self, size: float) -> Sequence[complex]:
+        """Return the changes of a design variable of this size, one per run."""
+
+    @abc.abstractmethod
+    def quotient(self, size: float, base: Array, moved: Sequence[Array]) -> Array:
         """Return the derivative from the values of the first run and of the changed ones."""
 
     def differentiate(self, run: Run) -> Solution:
@@ -46,14 +51,15 @@ class Perturbation(Method):
         """
         self.check(run)
         solution = run.solution()
-        changed = [(b, [x.solution() for x in runs]) for b, runs in self._changed(run, solution)]
+        changed = [(x, [y.solution() for y in runs]) for x, runs in self._changed(run, solution)]
         every = [solution, *(x for _, moved in changed for x in moved)]
         rows = min(len(x.t) for x in every)
         cut = {name: getattr(solution, name)[:rows] for name in ("t", *_STATES)}
         parts = [np.zeros((*cut[name].shape, len(changed))) for name in _STATES]
         for part, name in zip(parts, _STATES, strict=True):
-            for i, (b, moved) in enumerate(changed):
-                part[..., i] = self.quotient(b, cut[name], [getattr(x, name)[:rows] for x in moved])
+            for i, (size, moved) in enumerate(changed):
+                states = [getattr(x, name)[:rows] for x in moved]
+                part[..., i] = self.quotient(size, cut[name], states)
         return replace(
             solution,
             **cut,
@@ -67,20 +73,20 @@ class Perturbation(Method):
         self.check(run)
         solution, base = run.values(objectives)
         slopes = np.zeros((len(objectives), run.system.n_b))
-        for i, (b, runs) in enumerate(self._changed(run, solution)):
-            slopes[:, i] = self.quotient(b, base, [each.values(objectives)[1] for each in runs])
+        for i, (size, runs) in enumerate(self._changed(run, solution)):
+            slopes[:, i] = self.quotient(size, base, [each.values(objectives)[1] for each in runs])
         return [
             Gradient(float(value), slope, run.system.design_names, self, solution)
             for value, slope in zip(base, slopes, strict=True)
         ]
 
     def _changed(self, run: Run, solution: Solution) -> list[tuple[float, list[Run]]]:
-        """Values of the design variables, with the runs at their changes."""
+        """Sizes of the design variables, with the runs at their changes."""
         again, b = run.repeating(solution), run.system.b.real
-        along = np.eye(len(b))
+        sizes, along = self.sizes_of(run.system).tolist(), np.eye(len(b))
         return [
-            (float(x), [again.at(b + change * e) for change in self.changes(float(x))])
-            for x, e in zip(b, along, strict=True)
+            (size, [again.at(b + change * e) for change in self.changes(size)])
+            for size, e in zip(sizes, along, strict=True)
         ]
 
 
@@ -96,10 +102,15 @@ class FiniteDifference(Perturbation):
         uses 0.01.
     central : bool
         Whether two runs per variable, at plus and minus, replace one.
+    sizes : mapping of str to float, optional
+        What the perturbation of a design variable is relative to, by its name, in place of its
+        value; unit of the variable. A variable that is 0 needs one:
+        ``FiniteDifference(sizes={"load.force_x": 10.0})``.
     """
 
     relative_step: float = 0.01
     central: bool = False
+    sizes: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_positive("FiniteDifference.relative_step", self.relative_step)
@@ -109,26 +120,39 @@ class FiniteDifference(Perturbation):
             raise InvalidInputError(
                 "FiniteDifference.relative_step", rule, self.relative_step, repair
             )
+        where, repair = "FiniteDifference.sizes", "For example {'load.force_x': 10.0}."
+        require_kind(where, self.sizes, (Mapping,), repair)
+        for name, size in self.sizes.items():
+            require_positive(f"{where}[{name!r}]", size)
 
     def check(self, run: Run) -> None:
-        """Refuse a design variable of zero, which a relative perturbation does not change."""
-        for name, value in zip(run.system.design_names, run.system.b, strict=True):
-            if value == 0:
+        """Refuse a design variable of zero without a size, which nothing would change."""
+        for name in self.sizes:
+            if name not in run.system.design_names:
+                raise UnknownNameError("design variable", name, run.system.design_names)
+        for name, size in zip(run.system.design_names, self.sizes_of(run.system), strict=True):
+            if size == 0:
                 raise InvalidInputError(
                     f"design variable {name!r}",
-                    "must not be zero for a relative perturbation",
-                    value,
-                    "Use direct differentiation or the complex step.",
+                    "must not be zero, as its perturbation is relative to it",
+                    size,
+                    f"Say what a change of it is relative to: FiniteDifference(sizes={{{name!r}: "
+                    "...}); or use DirectDifferentiation or ComplexStep.",
                 )
 
-    def changes(self, b: float) -> Sequence[complex]:
+    def sizes_of(self, system: MechanicalSystem) -> Array:
+        """Return the sizes that were given, or the values of the variables, shape (n_b,)."""
+        values = zip(system.design_names, system.b.real.tolist(), strict=True)
+        return np.array([self.sizes.get(name, value) for name, value in values])
+
+    def changes(self, size: float) -> Sequence[complex]:
         """Ahead, and behind for central differences."""
-        step = b * self.relative_step
+        step = size * self.relative_step
         return (step, -step) if self.central else (step,)
 
-    def quotient(self, b: float, base: Array, moved: Sequence[Array]) -> Array:
+    def quotient(self, size: float, base: Array, moved: Sequence[Array]) -> Array:
         """Return the derivative: difference of values over the perturbation."""
-        step = b * self.relative_step
+        step = size * self.relative_step
         difference = (moved[0] - moved[1]) / 2 if self.central else moved[0] - base
         return np.asarray(difference / step)
 
@@ -158,10 +182,14 @@ class ComplexStep(Perturbation):
         require_differentiable(run.system, *states, errors)
         return super()._changed(run, solution)
 
-    def changes(self, b: float) -> Sequence[complex]:
-        """One imaginary change, relative unless the value is zero."""
-        return (1j * STEP * (abs(b) or 1.0),)
+    def sizes_of(self, system: MechanicalSystem) -> Array:
+        """Return the absolute values of the design variables, one for zero, shape (n_b,)."""
+        return design_sizes(system)
 
-    def quotient(self, b: float, base: Array, moved: Sequence[Array]) -> Array:
+    def changes(self, size: float) -> Sequence[complex]:
+        """One imaginary change, far below round-off."""
+        return (1j * STEP * size,)
+
+    def quotient(self, size: float, base: Array, moved: Sequence[Array]) -> Array:
         """Return the derivative: imaginary part of the value over the step."""
-        return np.asarray(moved[0].imag / (STEP * (abs(b) or 1.0)))
+        return np.asarray(moved[0].imag / (STEP * size))

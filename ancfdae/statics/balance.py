@@ -307,7 +307,7 @@ class Balance:
         """Whether forces left are the round-off of this scene; dq is the correction for them.
 
         Coordinates carry eps |q|, which forces multiply by K, and their sums round; all terms by
-        their magnitude. What stays of R is a tenth of this (docs/measurements.md, section 12).
+        their magnitude. What stays of R is a tenth of this (docs/measurements.md, "Modes").
         Where that does not explain it, as of a mass near the origin on a spring from afar, the
         round-off is measured along parts of dq, if that is given.
         """

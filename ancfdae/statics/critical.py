@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, final
+from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
 from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.derivatives import Tangent
@@ -149,7 +150,9 @@ class CriticalLoad:
 
 
 @in_one_thread
-def find_critical(system: MechanicalSystem, k: int, to: float) -> CriticalLoad:
+def find_critical(
+    system: MechanicalSystem, k: int, to: float, progress: bool = False
+) -> CriticalLoad:
     """Search from the value of design variable k to another for the first critical point.
 
     NoCriticalPointError if there is none. InvalidInputError if there is no stable equilibrium at
@@ -164,7 +167,8 @@ def find_critical(system: MechanicalSystem, k: int, to: float) -> CriticalLoad:
         rule, repair = "needs a stable equilibrium to start from", "Start at another value."
         raise InvalidInputError("critical_load", rule, str(start.outcome), repair)
     begin = float(system.b[k])
-    point, kind = _first_critical(system, k, to, start)
+    with progress_bar(progress, total=abs(to - begin), desc=system.design_names[k]) as bar:
+        point, kind = _first_critical(system, k, to, start, bar)
     # As large as the system, wherever it stands.
     extent = Balance(system, 0.0, system.start()[0], start.lam).extent
     motion = point.motion[0] * extent / norm(point.motion[0], system.weights)
@@ -189,9 +193,12 @@ def _moved(system: MechanicalSystem, k: int, p: float) -> MechanicalSystem:
 
 
 def _first_critical(
-    system: MechanicalSystem, k: int, to: float, start: Equilibrium
+    system: MechanicalSystem, k: int, to: float, start: Equilibrium, bar: Any
 ) -> tuple[HeldPoint, Kind]:
-    """Follow stable equilibria, and start Newton's method nearer and nearer to the first loss."""
+    """Follow stable equilibria, and start Newton's method nearer and nearer to the first loss.
+
+    The progress bar counts the parameter of the places reached.
+    """
     name, begin = system.design_names[k], float(system.b[k])
     place = _Place.of(system, k, np.sign(to - begin), start)
     path = _Path(begin, to)
@@ -216,7 +223,8 @@ def _first_critical(
         if place.p == to:
             end = f"keeps its stiffness. {_FLUTTER}" if place.follows else "is stable"
             raise NoCriticalPointError(f"{name!r}: every equilibrium up to {to:g} {end}.")
-        place = path.step(system, place)
+        last, place = place.p, path.step(system, place)
+        bar.update(abs(place.p - last))
     rule = f"{name!r}: beyond {place.p:g} equilibria move too fast to follow."
     raise NoCriticalPointError(rule)
 

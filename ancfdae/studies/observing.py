@@ -3,28 +3,28 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.files import replacing
 from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_each, require_kind, require_path
 from ancfdae.errors.outcomes import RunOutcome, Verdict, uninterrupted
-from ancfdae.errors.text import columns
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.observables.observable import Observable, remembered
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import Observable, remembered, states_of
 from ancfdae.studies.calls import as_system
 from ancfdae.studies.parts import Keep, RunOfParts
 
 
 @final
-@dataclass(frozen=True)
-class ObservableRecord:
+@dataclass(frozen=True, repr=False)
+class ObservableRecord(PrintedTable):
     """Values observed during a run.
 
     Attributes
@@ -42,11 +42,17 @@ class ObservableRecord:
     steps: int
     outcome: RunOutcome
 
-    def __repr__(self) -> str:
+    def to_dataframe(self) -> Any:
+        """Return the values as a table of pandas, with t as its index and observables by number."""
+        names = [str(k) for k in range(self.values.shape[1])]
+        index = pandas().Index(self.t, name="t")
+        return pandas().DataFrame(np.asarray(self.values), index=index, columns=names)
+
+    def _printed(self) -> TableText:
         head = f"ObservableRecord: {len(self.t)} instants of {self.steps} steps"
         rows = [["observable", "last value"]]
         rows += [[str(k), f"{x:.6g}"] for k, x in enumerate(self.values[-1] if len(self.t) else ())]
-        return f"{head}\n{columns(rows)}\n{self.outcome}"
+        return head, rows, str(self.outcome)
 
 
 def record_observables(

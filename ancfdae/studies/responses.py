@@ -42,6 +42,7 @@ from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.sensitivity.adjoint import DirectDifferentiation
 from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective
@@ -87,9 +88,11 @@ class Evaluations(Generic[R]):
         scale: Array | float = 1.0,
         kept: int = 1,
         strict: bool = False,
+        progress: bool = False,
     ) -> None:
         self._names, self._count, self._compute = tuple(names), count, compute
         self._scale, self._most, self._strict = scale, kept, strict
+        self._bar = progress_bar(progress, unit="design", mininterval=0)
         self._known: dict[bytes, Evaluation] = {}
         self._results: dict[bytes, R] = {}
         self._good: list[Array] = []
@@ -130,6 +133,7 @@ class Evaluations(Generic[R]):
         else:
             if key not in self._known:
                 self.rows.append(SweepRow(at, values))
+                self._bar.update()
             self._good = [*others, x][-2:]
             if len(self._results) == self._most:
                 del self._results[next(iter(self._results))]
@@ -177,6 +181,8 @@ class Responses:
         (`FailedDesignWarning`) and made unattractive, so that the optimiser steps back: functions
         rise towards it, constraints turn to what they forbid, `values` are infinite. Ask for
         `solution` at the optimum, which raises the error if there is none.
+    progress : bool
+        Whether to show a progress bar, which counts the designs that were run.
 
     Attributes
     ----------
@@ -196,6 +202,7 @@ class Responses:
         method: GradientMethod | None = None,
         scale: float | Sequence[float] | Array = 1.0,
         strict: bool = False,
+        progress: bool = False,
     ) -> None:
         repair = 'For example {"mass": Terminal(mass("rod"))}.'
         require_kind("functions", functions, (Mapping,), repair)
@@ -205,6 +212,7 @@ class Responses:
             require_text("functions", name)
         require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
         require_flag("strict", strict)
+        require_flag("progress", progress)
         system = differentiable(model, design)
         require_objectives(system, list(functions.values()), t_end)
         if method is None:
@@ -227,6 +235,7 @@ class Responses:
             scale=self._scale,
             kept=_KEPT,
             strict=strict,
+            progress=progress,
         )
 
     @property

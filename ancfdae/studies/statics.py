@@ -8,7 +8,13 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors.checks import require_count, require_finite, require_kind, require_sequence
+from ancfdae.errors.checks import (
+    require_count,
+    require_finite,
+    require_flag,
+    require_kind,
+    require_sequence,
+)
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.integrators.static import Static
@@ -19,8 +25,7 @@ from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective, ObjectivePartials, Terminal
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import Observable, States
 from ancfdae.statics.critical import CriticalLoad, find_critical
 from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, find_equilibrium
 from ancfdae.studies.calls import as_system, cheapest, differentiable, warn_of_strains
@@ -86,6 +91,7 @@ def critical_load(
     to: float,
     *,
     design: Sequence[str | DesignVariable] | None = None,
+    progress: bool = False,
 ) -> CriticalLoad:
     """Find the value of a load, or of another parameter, at which stability is lost.
 
@@ -107,6 +113,8 @@ def critical_load(
     design : sequence of str or DesignVariable, optional
         As in `equilibrium`: what to differentiate the critical value in. A mechanical system is
         differentiated in its other design variables.
+    progress : bool
+        Whether to show a progress bar: the part of the way to `to` that is followed.
 
     Returns
     -------
@@ -123,8 +131,9 @@ def critical_load(
     Interrupted
         At Ctrl-C; its `result` is the last equilibrium.
     """
+    require_flag("progress", progress)
     search = CriticalValue(model, parameter, to, design)
-    return find_critical(search.system, search.index, float(to))
+    return find_critical(search.system, search.index, float(to), progress)
 
 
 @final

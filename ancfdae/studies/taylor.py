@@ -2,29 +2,32 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.derived import design_sizes
-from ancfdae.errors.checks import require_array
+from ancfdae.equations.solution_parts import pandas
+from ancfdae.errors.checks import require_array, require_flag
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.text import columns
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.modes.periods import advised
 from ancfdae.numerics.arrays import Array, Numbers
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.sensitivity.method import Gradient, GradientMethod, finished
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
+from ancfdae.studies.accuracy.bars import observed_order
 from ancfdae.studies.calls import differentiable, gradient
 
 
 @final
-@dataclass(frozen=True)
-class TaylorTest:
+@dataclass(frozen=True, repr=False)
+class TaylorTest(PrintedTable):
     """Remainders of zeroth and first order along one direction db of the design space.
 
     Attributes
@@ -50,18 +53,23 @@ class TaylorTest:
 
         Infinite where a remainder vanishes, as that of a linear objective does to round-off.
         """
-        with np.errstate(divide="ignore", invalid="ignore"):
-            orders = np.diff(np.log(self.first)) / np.diff(np.log(self.sizes))
+        orders = observed_order(self.first[:-1], self.first[1:], self.sizes[:-1] / self.sizes[1:])
         return float(np.min(np.where(np.isnan(orders), np.inf, orders)))
 
-    def __repr__(self) -> str:
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas with a row for each size: ``change`` and ``remainder``."""
+        table = {"size": self.sizes, "change": self.zeroth, "remainder": self.first}
+        return pandas().DataFrame(table)
+
+    def _printed(self) -> TableText:
         numbers = zip(self.sizes, self.zeroth, self.first, strict=True)
         rows = [("size", "change", "remainder")]
         rows += [(f"{s:.3g}", f"{change:.3g}", f"{rest:.3g}") for s, change, rest in numbers]
-        return (
+        head = (
             f"Taylor test of {self.gradient.value:.9g} by {self.gradient.method}: order "
-            f"{self.order:.3g}, a right gradient has 2\n{columns(rows)}"
+            f"{self.order:.3g}, a right gradient has 2"
         )
+        return head, rows, ""
 
 
 def taylor_test(
@@ -74,6 +82,7 @@ def taylor_test(
     method: GradientMethod | None = None,
     direction: Numbers | None = None,
     sizes: Numbers = (1e-3, 5e-4, 2.5e-4),
+    progress: bool = False,
 ) -> TaylorTest:
     """Check the gradient of an objective by runs at perturbed designs.
 
@@ -88,7 +97,10 @@ def taylor_test(
     sizes : sequence of float
         Perturbation sizes, falling. Too large ones meet terms of third order, too small ones
         round-off; both change the observed order.
+    progress : bool
+        Whether to show a progress bar, which counts the perturbed runs.
     """
+    require_flag("progress", progress)
     system, s = differentiable(model, design), require_array("sizes", sizes)
     if s.ndim != 1 or len(s) < 2 or np.any(np.diff(s) >= 0) or s[-1] <= 0:
         raise InvalidInputError(
@@ -103,7 +115,7 @@ def taylor_test(
     base = gradient(system, objective, t_end, integrator, method=method)
     frozen = integrator.frozen(base.solution)
     changes = []
-    for size in s:
+    for size in progress_bar(progress, s.tolist(), desc="taylor_test", unit="run"):
         moved = system.with_values(system.b + size * db)
         run = finished(advised(moved, frozen.integrate(moved, t_end)))
         changes.append(objective.value(moved, states_of(run)) - base.value)

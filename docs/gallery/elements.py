@@ -83,8 +83,8 @@ for what, column in (("deflection", 0), ("first frequency", 1)):
 panels = [
     Panel(
         f"Error of the {what}",
-        "number of elements [-]",
-        "relative error [-]",
+        "number of elements",
+        "relative error",
         [Series(name, counts, np.maximum(abs(table[name, 2][:, column]), 1e-12)) for name in cases],
         x_scale="log",
         y_scale="log",

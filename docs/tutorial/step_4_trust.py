@@ -59,7 +59,7 @@ lines = [
     for name, x in (("value", values), ("gradient", slopes))
 ]
 panel = Panel(
-    "Difference from 8 elements", "elements [-]", "relative difference [-]", lines, y_scale="log"
+    "Difference from 8 elements", "elements", "relative difference", lines, y_scale="log"
 )
 save(draw([panel]), "step_4")
 

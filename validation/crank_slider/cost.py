@@ -9,6 +9,7 @@ import numpy.typing as npt
 from ancfdae import (
     HHT,
     Adjoint,
+    ComplexStep,
     ContinuousAdjoint,
     DirectDifferentiation,
     FiniteDifference,
@@ -46,6 +47,7 @@ def cost(report: Report, extent: Extent) -> None:
         "direct": by(DirectDifferentiation()),
         "adjoint": by(Adjoint()),
         "continuous adjoint": by(ContinuousAdjoint()),
+        "complex step": by(ComplexStep()),
         "finite difference": by(FiniteDifference(0.01)),
     }
     seconds: dict[str, list[float]] = {name: [] for name in tasks}

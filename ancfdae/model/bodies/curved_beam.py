@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
 from ancfdae.errors.checks import require_array, require_positive
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies.body import BeamBody, ReferenceShape
+from ancfdae.model.bodies.curves import arc, through
 from ancfdae.model.elements import BeamElement, StrainEnergyFunction
 from ancfdae.model.elements.hermite import end_weight_xi, slope_weights_xi
 from ancfdae.model.material import Material
@@ -23,7 +24,10 @@ from ancfdae.numerics.quadrature import box_rule
 @final
 @dataclass(frozen=True, eq=False)
 class CurvedBeam(BeamBody):
-    """A beam through given node frames (curved reference shape, eq. 16).
+    """A beam that is curved in its reference configuration, through given node frames (eq. 16).
+
+    ``CurvedBeam.arc(...)`` and ``CurvedBeam.through(...)`` make the frames of a circular arc and of
+    a smooth curve through points.
 
     The length of an element is the arc length of the cubic through its nodes, so that unit tangents
     stay unit tangents.
@@ -58,6 +62,82 @@ class CurvedBeam(BeamBody):
     rigid: bool = False
     kinks: Sequence[float] = ()
     initial_strain: float = 0.0
+
+    @classmethod
+    def arc(
+        cls,
+        name: str,
+        start: Sequence[float],
+        middle: Sequence[float],
+        end: Sequence[float],
+        elements: int,
+        section: Section | Sequence[Section],
+        material: Material | Sequence[Material],
+        *,
+        height_axis: Sequence[float] | None = None,
+        **others: Any,
+    ) -> CurvedBeam:
+        """Return a beam along the circular arc from start to end through a third point.
+
+        Parameters
+        ----------
+        name, section, material
+            As in `CurvedBeam`.
+        start, middle, end : sequence of float
+            Points of the arc, two or three components; m.
+        elements : int
+            Number of equal elements. One that turns by 0.4 rad is 1 % too light.
+        height_axis : sequence of float, optional
+            Spatial beams: direction of the section's height at the start; its part along the beam
+            is removed. It keeps its angle to the plane of the arc. By default towards the centre.
+        others
+            element, energy, turn, rigid, kinks and initial_strain, as in `Beam`.
+
+        Raises
+        ------
+        InvalidInputError
+            If the points lie in one line, or the height axis along the beam.
+        """
+        points = start, middle, end
+        positions, frames = arc(f"beam {name!r}", points, elements, height_axis)
+        return cls(name, positions, frames, section, material, **others)
+
+    @classmethod
+    def through(
+        cls,
+        name: str,
+        points: Array | Sequence[Sequence[float]],
+        section: Section | Sequence[Section],
+        material: Material | Sequence[Material],
+        *,
+        elements: int | None = None,
+        height_axis: Sequence[float] | None = None,
+        **others: Any,
+    ) -> CurvedBeam:
+        """Return a beam along a smooth curve through points: a cubic spline over their chords.
+
+        Parameters
+        ----------
+        name, section, material
+            As in `CurvedBeam`.
+        points : array, shape (k, 2) or (k, 3)
+            Points of the centre line in their order, two or more; m.
+        elements : int, optional
+            Number of elements, of equal length; by default one between neighbouring points.
+        height_axis : sequence of float, optional
+            Spatial beams: direction of the section's height at the start, as in `Beam`. The section
+            does not turn about the tangent along the beam.
+        others
+            element, energy, turn, rigid, kinks and initial_strain, as in `Beam`.
+
+        Raises
+        ------
+        InvalidInputError
+            If there are fewer than two points, two neighbours are one, or the height axis lies
+            along the beam.
+        """
+        positions, frames = through(f"beam {name!r}", points, elements, height_axis)
+        return cls(name, positions, frames, section, material, **others)
 
     def __post_init__(self) -> None:
         where = f"beam {self.name!r}"
