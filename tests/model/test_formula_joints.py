@@ -595,3 +595,19 @@ def test_indices_of_a_formula_that_do_not_fit_are_no_plan(change):
     for some in ((), lists[:-1], lists[::-1]):
         with pytest.raises(ValueError, match=r"list|indices"):
             kind(indices, *others, some)
+
+
+def test_a_formula_is_met_anew_where_no_other_equation_has_products():
+    rod = Beam("rod", (0.5, 0), (1.4, 0.2), 3, Rectangle(0.04, 0.03), Material(2000, 1e6, 0.3))
+    radius = float(np.hypot(1.4, 0.2))
+    ends = [
+        simulate(Scene([rod], [Pin(rod.at_start), tie], (0, -G)), 0.4, HHT(2.0**-8)).position(
+            rod.at_end
+        )[-1]
+        for tie in (
+            Distance(rod.at_end, radius, ground=(0.0, 0.0)),
+            Careless(rod.at_end, radius, name="tie"),
+        )
+    ]
+    assert abs(ends[0] - (1.4, 0.2)).max() > 1e-2
+    assert ends[1] == pytest.approx(ends[0], abs=1e-9)
