@@ -48,6 +48,8 @@ _ROUND_OFF, _ACCEPTED = 4e-16, 1e-6
 # Round-off of a function against the size of what it is made of; a gap that is negative by this
 # part of it where a mode begins is refused.
 _NOISE, _NEGATIVE = 1e-14, 1e-9
+# A gap that opens by this part of its coordinates between two impacts is at rest.
+_RESTING = 1e-13
 # A zero is double if a correction, or this part of D, changes the rate by a tenth of it.
 _DOUBLE = 1e-9
 # Part of the run before its end in which an event counts as one after the end.
@@ -195,7 +197,8 @@ class PhaseMarch:
                 return self._ended(before, [*phases, phase], None)
             short = short + 1 if _short(phase, self._t_end) else 0
             at_once = phase.duration <= _ROUND_OFF * self._t_end
-            rests = short > 0 and isinstance(event, Impact) and event in happened
+            rests = isinstance(event, Impact) and event in happened
+            rests = rests and (short > 0 or _stays_closed(phase, event))
             if at_once:
                 if not (rests and phases):
                     return self._accumulated(before, phases, phase, event)
@@ -469,6 +472,12 @@ def _impacts(jump: Jump | None) -> tuple[Event, ...]:
 def _short(phase: Phase, t_end: float) -> bool:
     """Whether a phase is so short that events have no time between them."""
     return phase.duration <= REST * t_end
+
+
+def _stays_closed(phase: Phase, impact: Event) -> bool:
+    """Whether a gap opens by round-off of its coordinates only, between two of its impacts."""
+    g, _, size = _function(phase, impact)
+    return bool(np.max(np.abs(g)) <= _RESTING * np.max(size))
 
 
 def _integrated(phase: Phase) -> Phase:
