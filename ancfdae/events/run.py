@@ -49,7 +49,7 @@ _ROUND_OFF, _ACCEPTED = 4e-16, 1e-6
 # part of it where a mode begins is refused.
 _NOISE, _NEGATIVE = 1e-14, 1e-9
 # A gap that opens by this part of its coordinates between two impacts is at rest.
-_RESTING = 1e-13
+_RESTING = 1e-15
 # A zero is double if a correction, or this part of D, changes the rate by a tenth of it.
 _DOUBLE = 1e-9
 # Part of the run before its end in which an event counts as one after the end.
@@ -476,8 +476,10 @@ def _short(phase: Phase, t_end: float) -> bool:
 
 def _stays_closed(phase: Phase, impact: Event) -> bool:
     """Whether a gap opens by round-off of its coordinates only, between two of its impacts."""
-    g, _, size = _function(phase, impact)
-    return bool(np.max(np.abs(g)) <= _RESTING * np.max(size))
+    g, rate, size = _function(phase, impact)
+    # The height of a parabola with these rates at its ends, since steps may not show it.
+    height = np.max(np.abs(rate)) * phase.duration / 4
+    return bool(max(np.max(np.abs(g)), height) <= _RESTING * np.max(size))
 
 
 def _integrated(phase: Phase) -> Phase:
