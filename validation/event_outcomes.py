@@ -66,6 +66,8 @@ from validation.events.minimal import Array
 _PATIENCE = 60
 # Negative gaps and gained energy up to this part of their sizes are errors of the steps.
 _ROUND_OFF, _GAINED, _APART, _LOST = 1e-8, 1e-2, 1e-7, 1e-15
+# Derivatives of a height in m below this are compared with this.
+_NOTHING = 1e-6
 
 
 class _TooLong(Exception):
@@ -199,7 +201,7 @@ def outcome(seed: int) -> tuple[str, str]:
         other = scene.gradient(Adjoint())
     except AncfdaeError as error:
         return f"finished, gradient refused: {type(error).__name__}", ""
-    apart = np.max(np.abs(direct - other)) / (np.max(np.abs(direct)) or 1.0)
+    apart = np.max(np.abs(direct - other)) / max(np.max(np.abs(direct)), _NOTHING)
     # Derivatives after a phase have the round-off of coordinates over the distance moved in it.
     moved = min(float(np.max(np.abs(phase.q[-1] - phase.q[0]))) for phase in run.phases)
     limit = max(_APART, _LOST * float(np.max(np.abs(run.q))) / (moved or np.inf))
@@ -239,7 +241,10 @@ def _give_up(signum: int, frame: FrameType | None) -> None:
 
 
 def main(count: int, first: int = 0) -> int:
-    """Run scenes, print what is wrong and how many ended how; return the number of wrong ones."""
+    """Run scenes, print what is wrong and how many ended how; return the number of wrong ones.
+
+    Ctrl-C ends early, with the numbers up to there.
+    """
     signal.signal(signal.SIGPROF, _give_up)
     ends, wrong = Counter[str](), 0
     for seed in range(first, first + count):
@@ -248,6 +253,8 @@ def main(count: int, first: int = 0) -> int:
             with warnings.catch_warnings(), np.errstate(all="ignore"):
                 warnings.simplefilter("ignore")
                 end, bad = outcome(seed)
+        except KeyboardInterrupt:
+            break
         except _TooLong:
             end, bad = "too long", f"no end after {_PATIENCE} s"
         except Exception as error:  # noqa: BLE001  # whatever is no error of the package is wrong
@@ -261,7 +268,7 @@ def main(count: int, first: int = 0) -> int:
             sys.stdout.flush()
     for end, number in ends.most_common():
         sys.stdout.write(f"{number:6d} {end}\n")
-    sys.stdout.write(f"{count} scenes, {wrong} wrong\n")
+    sys.stdout.write(f"{ends.total()} scenes, {wrong} wrong\n")
     return wrong
 
 

@@ -48,6 +48,9 @@ _ROUND_OFF, _ACCEPTED = 4e-16, 1e-6
 # Round-off of a function against the size of what it is made of; a gap that is negative by this
 # part of it where a mode begins is refused.
 _NOISE, _NEGATIVE = 1e-14, 1e-9
+# A gap that opens by this part of its coordinates only, in more phases in a row than these, is at
+# rest. Bodies that move together have single impacts of round-off size.
+_RESTING, _CLOSED_PHASES = 1e-15, 20
 # A zero is double if a correction, or this part of D, changes the rate by a tenth of it.
 _DOUBLE = 1e-9
 # Part of the run before its end in which an event counts as one after the end.
@@ -183,7 +186,7 @@ class PhaseMarch:
         if before is not None:
             state = 0.0, q, before.velocities(v)
         phases: list[Phase] = []
-        short = 0
+        short = closed = 0
         while len(phases) < _MOST:
             phase = self._phase(mode, state, first, happened)
             if not phase.run.outcome.success:
@@ -195,7 +198,9 @@ class PhaseMarch:
                 return self._ended(before, [*phases, phase], None)
             short = short + 1 if _short(phase, self._t_end) else 0
             at_once = phase.duration <= _ROUND_OFF * self._t_end
-            rests = short > 0 and isinstance(event, Impact) and event in happened
+            again = isinstance(event, Impact) and event in happened
+            closed = closed + 1 if again and _stays_closed(phase, event) else 0
+            rests = again and (short > 0 or closed > _CLOSED_PHASES)
             if at_once:
                 if not (rests and phases):
                     return self._accumulated(before, phases, phase, event)
@@ -469,6 +474,14 @@ def _impacts(jump: Jump | None) -> tuple[Event, ...]:
 def _short(phase: Phase, t_end: float) -> bool:
     """Whether a phase is so short that events have no time between them."""
     return phase.duration <= REST * t_end
+
+
+def _stays_closed(phase: Phase, impact: Event) -> bool:
+    """Whether a gap opens by round-off of its coordinates only, between two of its impacts."""
+    g, rate, size = _function(phase, impact)
+    # The height of a parabola with these rates at its ends, since steps may not show it.
+    height = np.max(np.abs(rate)) * phase.duration / 4
+    return bool(max(np.max(np.abs(g)), height) <= _RESTING * np.max(size))
 
 
 def _integrated(phase: Phase) -> Phase:

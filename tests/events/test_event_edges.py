@@ -104,6 +104,14 @@ def test_more_events_than_the_limit_are_foreseen():
     assert len(solution.events) < 1000
 
 
+def test_bounces_below_the_round_off_of_coordinates_are_rest():
+    # Gravity of 1e-6 m/s^2 at 1 m: bounces get lower than 1e-15 m while they still take 1e-4 s.
+    ball = Ball((1.0 + 1e-11, 0.0, 1e-6, 0.9))
+    solution = simulate(ball, 10.0, HHT(1.0), events=[Impact(HEIGHT - 1.0, 0.9, "floor")])
+    assert "follow each other" in str(solution.outcome)
+    assert len(solution.events) < 80
+
+
 def two_balls(damping=0.0):
     bodies = [RigidBody(f"ball{n}", (3 * n, 1.0), mass=1.0 + n, inertia=0.3) for n in (0, 1)]
     gaps = [position(body.at(0, 0), 1) for body in bodies]

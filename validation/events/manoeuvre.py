@@ -205,7 +205,8 @@ def _plot(report: Report, torques: Array, T: float) -> None:
     report.plot(
         "arm",
         [Panel("Torques over their limits", "t [s]", "torque [-]", series)],
-        caption="The motors work at their limits except where the smooth curve changes sign.",
+        caption="The elbow starts, turns back and ends at its limit; the shoulder brakes at its "
+        "limit.",
     )
 
 
