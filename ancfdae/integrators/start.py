@@ -36,8 +36,6 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 # above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.
 _CONSISTENT = 1e-8
 _REPAIR = "Let `start` follow self.b, or set project_start=True to move it onto the constraints."
-# Constraints that are violated by as many units of round-off need no projection.
-_ROUNDED = 4
 # Relative violation that the derivatives of a declared start may have: complex steps are exact.
 _SAME_RATE = 1e-6
 _PROJECTION_ITERATIONS = 50
@@ -82,12 +80,11 @@ def consistent_start(
     if not (finite(q) and finite(v)):
         repair = "Check the values that `start` returns."
         raise InvalidInputError("start", "q and v must be finite", "NaN or infinity", repair)
-    rounded = not system.traits.project_start and _refuse_inconsistent(system, q, v, t)
+    if not system.traits.project_start:
+        _refuse_inconsistent(system, q, v, t)
     # Forces that are not finite at the start are refused here, not warned about.
     with np.errstate(all="ignore"):
-        declared, factors = q, None
-        if not rounded:
-            q, _, factors = _project_position(system, matrices, q, t)
+        declared, (q, _, factors) = q, _project_position(system, matrices, q, t)
         # Constraints were checked at the declared start, which may be where they stand already.
         moved = norm(q - declared, system.weights) > _CLOSED * norm(declared, system.weights)
         if moved and not system.traits.linear_constraints:
@@ -363,10 +360,8 @@ def _close_gap(
     return None
 
 
-def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float) -> bool:
+def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float) -> None:
     """Compare every constraint with the motion, both in the norm of the weights.
-
-    Returns whether real positions satisfy their constraints to the last digits.
 
     |Phi_k| / |Phi_qk| is the distance to the constraint; it is measured against |q|, and
     likewise |Phi_q v - nu| / |Phi_qk| against |v|. Both ratios are free of units. A drive that
@@ -381,9 +376,8 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
     speed = max(norm(v, system.weights), float(np.sqrt(place * asked)))
     # The size of a body is as good a measure of its coordinates as their distance from the
     # origin; |q| in the norm of M contains both.
-    gap = system.constraint(t, q)
     for what, phi, size in (
-        ("positions", gap, place),
+        ("positions", system.constraint(t, q), place),
         ("velocities", system.constraint(t, q, v), speed),
     ):
         ratio = np.abs(phi.real) / rows
@@ -410,5 +404,3 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
                 "a complex step that violates them",
                 _REPAIR,
             )
-    closed = np.all(np.abs(gap) <= _ROUNDED * np.finfo(float).eps * place * rows)
-    return bool(closed) and not np.iscomplexobj(gap)

@@ -110,16 +110,13 @@ class Lanczos:
 def lowest(small: Linearised, count: int, asked: int) -> tuple[Array, Array, Array] | None:
     """Return the lowest z = -s^2 of a symmetric pencil, increasing, shapes, and errors left in z.
 
-    None unless they have converged, the first that are `asked` for and those that coincide with
-    them to all digits, and a count of negative eigenvalues shows that none of these lacks.
+    None unless all motions meet a stiffness, the modes have converged, the first that are `asked`
+    for and any that coincide with them to all digits, and a count of negative eigenvalues shows
+    that none of these lacks.
     """
     space = Lanczos(small, -_NEAR_ZERO * small.size, count)
-    if not space.converge(0):
-        return None
-    if np.min(space.z) <= -space.shift:
-        # Beside motions without stiffness the others would have no digits.
-        space = Lanczos(small, -1.5 * float(np.max(np.abs(space.z[:-1]))), count)
-    if not space.converge(asked) or np.min(space.z) <= space.shift:
+    # Beside motions without stiffness the others would have no digits.
+    if not space.converge(0) or np.min(space.z) <= -space.shift or not space.converge(asked):
         return None
     z, X = space.z, space.X
     # The widest gap behind those asked for: a group of modes that coincide is not cut.
