@@ -76,7 +76,7 @@ AT_MOST: dict[str, int] = {
     "opens with what": 52,
     "as far as": 5,
     "is none": 71,
-    "that of, those of": 526,
+    "that of, those of": 525,
     "inversion": 1,
     "tells": 79,
     "all of them": 50,

@@ -1,7 +1,7 @@
 """Scenes of cosseratbench's scenarios, and their motion as its trajectories.
 
 Rods that are clamped are spatial beams, others cables. Beams have a Poisson ratio of 0.3: the shear
-modulus of the scenarios, a third of Young's modulus, is that of an incompressible material. Results
+modulus of the scenarios, a third of Young's modulus, belongs to an incompressible material. Results
 of scenarios that ask for an equilibrium are equilibria. Where rods touch something they are motions
 that come to rest, with material damping and numerical damping.
 """
@@ -42,7 +42,7 @@ _STEPS, _REST_STEPS, _DAMPED = 4, {"cylinder": 20, "rods": 8}, 0.02
 
 
 class AncfSolver:
-    """The package as a solver of cosseratbench; what it does not model is not implemented."""
+    """The package as a solver of cosseratbench; other scenarios raise NotImplementedError."""
 
     name = "ancfdae"
 

@@ -62,7 +62,7 @@ def _peer() -> Any:
 
 
 def _scored(experiment: Any, solver: Any) -> tuple[dict[str, float] | str, float]:
-    """Return the metrics of a run, or why there are none, and its time in s."""
+    """Return the metrics of a run, or the reason why it has no result, and its time in s."""
     lacks = experiment.requires - solver.capabilities
     if lacks:
         return f"unsupported: {', '.join(x.value for x in lacks)}", 0.0

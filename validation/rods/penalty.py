@@ -20,7 +20,7 @@ from ancfdae.extend import MaterialPoint
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.observables import position
 from ancfdae.plotting import Panel, Series
-from validation.report import Report
+from validation.report import Agreement, Report
 
 __all__ = ["penalty"]
 
@@ -81,6 +81,12 @@ def penalty(report: Report, quick: bool) -> None:
         found.append((seconds, error, wrong))
     report.table(
         ["k, N/m^1.5", "error of the height / 5 m", "largest error of a derivative", "s"], rows
+    )
+    report.claim(
+        "A contact becomes an event as its stiffness grows",
+        "errors fall with k^(-2/5)",
+        f"motion {rows[1][1]} to {rows[-1][1]}, gradient {rows[1][2]} to {rows[-1][2]}",
+        Agreement.AGREES if found[-1][2] < found[1][2] else Agreement.DISAGREES,
     )
     time, motion, slope = np.array(found).T
     curves = [

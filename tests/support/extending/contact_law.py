@@ -1,4 +1,4 @@
-"""A contact law: a bumper whose force grows with the depth like that of a progressive spring."""
+"""A contact law: a bumper whose force grows with the depth and its square."""
 
 from dataclasses import dataclass
 from typing import Any
