@@ -23,6 +23,7 @@ from validation.peers import report as peers
 from validation.pendulum import report as pendulum
 from validation.performance import report as performance
 from validation.report import Report
+from validation.rods import report as rods
 from validation.rotation import report as rotation
 from validation.test_set import report as test_set
 from validation.tolerance import report as tolerance
@@ -193,5 +194,13 @@ CATALOGUE: tuple[Definition, ...] = (
         "are rigid bodies enough for the value and wrong for the gradient?",
         run=models.run,
         source="ask",
+    ),
+    Definition(
+        name="rods",
+        title="Slender rods in contact",
+        question="What do a stiff contact and an event cost for the same error of a motion and its "
+        "gradient, and how do the experiments of cosseratbench come out beside PyElastica?",
+        run=rods.run,
+        source="peer",
     ),
 )

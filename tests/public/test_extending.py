@@ -31,9 +31,18 @@ from ancfdae import (
 from ancfdae.plotting import snapshots
 from ancfdae.plotting.symbols import Symbols
 from ancfdae.sensitivity.observables.observable import observe
-from tests.support.extending import controller, element, integrator, joint, law, load, section
+from tests.support.extending import (
+    contact_law,
+    controller,
+    element,
+    integrator,
+    joint,
+    law,
+    load,
+    section,
+)
 
-MODULES = (joint, load, controller, law, section, element, integrator)
+MODULES = (joint, load, contact_law, controller, law, section, element, integrator)
 
 
 #: The magnets on two bodies that nothing else pulls, one of them heavy.

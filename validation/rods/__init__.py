@@ -1,0 +1,1 @@
+"""Report on slender rods: experiments of cosseratbench, and penalty against event."""

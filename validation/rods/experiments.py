@@ -1,0 +1,79 @@
+"""The experiments of cosseratbench, scored by its metrics, beside PyElastica in the same run."""
+
+import importlib
+import importlib.util
+import time
+from typing import Any
+
+from validation.report import Report
+from validation.rods.adapter import AncfSolver
+
+__all__ = ["experiments"]
+
+_NAMES = ("catenary", "cantilever", "pendulum", "twist", "crossing", "capstan", "pile")
+_QUICK = ("cantilever",)
+_PACKAGES = ("cosseratbench", "elastica")
+_TEXT = """
+[cosseratbench](https://pypi.org/project/cosseratbench) describes rods by their physics alone. Each
+solver chooses steps by its adapter, and the same functions score the trajectories. Both solvers
+have the number of elements that is the default of the experiment. Errors of shapes are in lengths
+of the rod; of sag, deflection, lift and period they are relative. `slide` of the capstan is how far
+a rope moves, in m, that friction should hold. Times are wall times of one thread. A scenario that
+the adapter does not model is not run by PyElastica either.
+"""
+
+
+def experiments(report: Report, quick: bool) -> None:
+    """Fill the section; without the packages it says so."""
+    report.heading("Experiments of cosseratbench")
+    report.text(_TEXT)
+    missing = [name for name in _PACKAGES if importlib.util.find_spec(name) is None]
+    if missing:
+        report.text(f"Not run: {' and '.join(missing)} not installed.")
+        return
+    rows = []
+    for name in _QUICK if quick else _NAMES:
+        module = importlib.import_module(f"cosseratbench.experiments.{name}")
+        experiment = getattr(module, name)
+        for solver in (_own(), _peer()):
+            found, seconds = _scored(experiment, solver)
+            if isinstance(found, str):
+                rows.append([name, solver.name, found, "-"])
+                break
+            text = ", ".join(f"{key} {value:.1e}" for key, value in found.items())
+            rows.append([name, solver.name, text, f"{seconds:.2g}"])
+            report.figure(f"{name}.{solver.name}.seconds", seconds)
+            for key, value in found.items():
+                report.figure(f"{name}.{solver.name}.{key}", value)
+    report.table(["experiment", "solver", "metrics", "s"], rows)
+
+
+def _own() -> AncfSolver:
+    capability = importlib.import_module("cosseratbench.solver").Capability
+    trajectory = importlib.import_module("cosseratbench.trajectory").Trajectory
+    transport = importlib.import_module("cosseratbench.scenario").parallel_transport
+    return AncfSolver(frozenset(capability), trajectory, transport)
+
+
+def _peer() -> Any:
+    module = importlib.import_module("cosseratbench.solvers.pyelastica")
+    classes = (x for x in vars(module).values() if isinstance(x, type))
+    return next(x for x in classes if getattr(x, "name", "") == "pyelastica")()
+
+
+def _scored(experiment: Any, solver: Any) -> tuple[dict[str, float] | str, float]:
+    """Return the metrics of a run, or the reason why it has no result, and its time in s."""
+    lacks = experiment.requires - solver.capabilities
+    if lacks:
+        return f"unsupported: {', '.join(x.value for x in lacks)}", 0.0
+    settings = {"n_elements": experiment.n_elements, "n_frames": experiment.n_frames}
+    begin = time.perf_counter()
+    try:
+        trajectory = solver.run(experiment.scenario, **settings)
+    except NotImplementedError as error:
+        return f"unsupported: {error}", 0.0
+    except ArithmeticError as error:
+        return f"ended early: {error}"[:160], 0.0
+    seconds = time.perf_counter() - begin
+    scores = {key: f(experiment.scenario, trajectory) for key, f in experiment.metrics.items()}
+    return scores, seconds
