@@ -118,7 +118,7 @@ def power(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
 
 
 def stored(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
-    """Return the elastic energy of a load over the leading axes; J."""
+    """Return the elastic energy of a load over the leading axes of U, shape (...); J."""
     energy = item.load.energy(U, item.p, item.reference)
     return np.asarray(np.broadcast_to(factors[:, 0], U.shape[:-2]) * energy)
 

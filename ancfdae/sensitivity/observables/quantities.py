@@ -104,7 +104,7 @@ class SpringEnergy(Leaf):
         known_scene(system).works.of_springs(self.load)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the energy at every instant, shape (k,)."""
+        """Return the energy of the states, shape (k,)."""
         springs = known_scene(system).works.of_springs(self.load)
         none = np.zeros(len(states.t))
         return sum((x.value(states.t, states.q, states.v) for x in springs), start=none)
