@@ -1,9 +1,8 @@
 """Base classes for joints, loads, laws, sections, systems and integrators of one's own."""
 
 from ancfdae.equations import FormulaSystem, MechanicalSystem, StateDirection, SystemProperties
-from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator
-from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.integrators.problem import InitialValueProblem, stacked
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.model.bodies import BodyShape, MaterialPoint
 from ancfdae.model.design import design_numbers
@@ -24,7 +23,7 @@ from ancfdae.model.sections.section import Section
 from ancfdae.numerics.external import ExternalFunction
 from ancfdae.numerics.jets import concatenate, cross, dot, positive
 from ancfdae.numerics.patterns import SparsityPattern
-from ancfdae.numerics.quadrature import box_rule
+from ancfdae.numerics.time_grid import box_rule
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import Observable
 

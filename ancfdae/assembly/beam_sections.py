@@ -1,21 +1,233 @@
-"""Forces and stresses in the sections of beams, prepared when they are first asked for."""
+"""Forces and stresses in the sections of beams, prepared when they are first asked for.
 
-from functools import partial
-from typing import final
+Elements of one beam come first, then forces in its sections.
+
+Forces in sections of beams, and von Mises stresses at many points, with their partials.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import TypeVar, final
 
 import numpy as np
 
-from ancfdae.assembly.beam_elements import BeamElements
-from ancfdae.assembly.layout import Layout
+from ancfdae.assembly.block import unit_vectors
+from ancfdae.assembly.layout import BeamLayout, Layout
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
-from ancfdae.assembly.section_results import SectionForces, StressPoints
+from ancfdae.errors.checks import named
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.model.bodies import MaterialPoint, require_in_section
-from ancfdae.model.elements import Batch
-from ancfdae.model.elements.element import SectionPlace
+from ancfdae.model.bodies import BeamBody, MaterialPoint, require_in_section
+from ancfdae.model.elements import Batch, ElementParameter
+from ancfdae.model.elements.element import SectionLaw, SectionPlace, StressLaw
+from ancfdae.model.elements.strains import change
 from ancfdae.model.scene import Scene
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
+
+_Law = TypeVar("_Law")
+
+
+@final
+@dataclass(frozen=True)
+class StatePartials:
+    """Partials of one number per instant in the coordinates and velocities of m columns.
+
+    q and v have the shape (k, m), b has (k, n_b).
+    """
+
+    columns: Array
+    q: Array
+    v: Array
+    b: Array
+
+
+@final
+class BeamElements:
+    """Some elements of one beam, counted from its start: their numbers, parameters, coordinates.
+
+    The parameters given, (n_all, 10), are those of all elements of the scene, real or complex.
+    """
+
+    def __init__(
+        self,
+        body: BeamBody,
+        place: BeamLayout,
+        numbering: Numbering,
+        mapping: ParameterMap,
+        parameters: Array,
+        elements: slice,
+    ) -> None:
+        self.element = body.element
+        self.numbers = place.first_element + np.arange(place.element_count)[elements]
+        Y_unit = unit_vectors(body)[elements]
+        self.batch = Batch(body.element_type(), parameters[self.numbers], Y_unit)
+        vectors = named("beam", place.name, numbering.bodies).ends[elements]
+        self.coordinates = numbering.coordinates(vectors)
+        self._mapping = mapping
+
+    def outline(self, batch: Batch) -> tuple[Array, Array]:
+        """Return y and z of outer points of sections, shape (n, n_f) each.
+
+        In the plane the lowest, the highest and the middle, where bending and shear are largest.
+        """
+        y, z = batch.kind.section.outline(batch.sizes)
+        if self.element.d == 2:
+            low, high = (y[:, pick(y[0].real)] for pick in (np.argmin, np.argmax))
+            y = np.stack([low, (low + high) / 2, high], axis=1)
+            z = 0 * y
+        return y, z
+
+    def relative(self, X: Array) -> Array:
+        """Relative node vectors of node vectors, shape (..., n, n_a, d) to (..., n, n_y, d)."""
+        n_s = self.element.n_s
+        chord = X[..., n_s : n_s + 1, :] - X[..., :1, :]
+        return np.concatenate([chord, X[..., 1:n_s, :], X[..., n_s + 1 :, :]], axis=-2)
+
+    def spread(self, on_Y: Array) -> Array:
+        """Return gradients in node vectors from those in relative ones: `relative` transposed."""
+        n_s, chord = self.element.n_s, on_Y[..., :1, :]
+        return np.concatenate([-chord, on_Y[..., 1:n_s, :], chord, on_Y[..., n_s:, :]], axis=-2)
+
+    def moved(self, law_at: Callable[[Batch], _Law]) -> list[tuple[_Law, Array, Array, Array]]:
+        """Return laws at moved parameters, one tuple for each parameter that a variable drives.
+
+        A tuple holds the law, the imaginary step, the pairs of element and design variable that
+        drive the parameter, shape (2, n_pairs), and the weight of each pair, shape (n_pairs,).
+        """
+        mapping, laws = self._mapping, []
+        for which in mapping.driven():
+            pairs = mapping.pairs(which)
+            pairs = pairs[np.isin(mapping.elements[pairs], self.numbers)]
+            if len(pairs):
+                elements = mapping.elements[pairs] - self.numbers[0]
+                targets = np.stack([elements, mapping.variables[pairs]])
+                law, step = law_at(self.batch.moved(which)), self.batch.step(which)
+                laws.append((law, step, targets, mapping.weights[pairs]))
+        return laws
+
+
+@final
+class SectionForces:
+    """N, V_y, V_z, T, M_y and M_z, counted from 0, at a place in a run of elements of one beam."""
+
+    def __init__(self, elements: BeamElements, place: SectionPlace) -> None:
+        self._elements, self._place = elements, place
+        self._law = self._law_at(elements.batch)
+
+    def value(self, component: int, q: Array, v: Array) -> Array:
+        """Return a force or moment, shape (k,)."""
+        return self.values(q, v)[..., component]
+
+    def values(self, q: Array, v: Array) -> Array:
+        """Return all of them, shape (k, 6)."""
+        at = self._elements.coordinates
+        return self._of(self._law, q[:, at], v[:, at])
+
+    def partials(self, component: int, q: Array, v: Array, n_b: int) -> StatePartials:
+        """Return the partials of a component, by complex steps of the elements' coordinates."""
+        elements, at = self._elements, self._elements.coordinates
+        X, U, b = q[:, at], v[:, at], np.zeros((len(q), n_b))
+        columns = np.unique(at)
+        # All directions at once, in a leading axis.
+        step = 1j * STEP * (columns[:, None, None, None] == at)[:, None]
+        on_q = self._of(self._law, X + step, U)[..., component].imag.T / STEP
+        on_v = np.zeros_like(on_q)
+        if np.any(elements.batch.of(ElementParameter.DAMPING_TIME)):
+            on_v = self._of(self._law, X, U + step)[..., component].imag.T / STEP
+        still = self._of(self._law, X, U)[..., component]
+        for law, size, variables, weights in self._moved:
+            slope = change(self._of(law, X, U)[None, ..., component], still[None], size)[0]
+            np.add.at(b.T, variables, weights[:, None] * slope)
+        return StatePartials(columns, on_q, on_v, b)
+
+    @cached_property
+    def _moved(self) -> list[tuple[SectionLaw, Array, Array, Array]]:
+        """Laws with a parameter of one element moved, the imaginary step, and who drives it."""
+        batch, laws = self._elements.batch, []
+        for moved, size, (elements, variables), weights in self._elements.moved(
+            lambda batch: batch
+        ):
+            for k in np.unique(elements):
+                parameters = batch.parameters.astype(complex)
+                parameters[k] = moved.parameters[k]
+                law, its = self._law_at(replace(batch, parameters=parameters)), elements == k
+                laws.append((law, size[k : k + 1], variables[its], weights[its]))
+        return laws
+
+    def _law_at(self, batch: Batch) -> SectionLaw:
+        return self._elements.element.section_law(batch, self._place)
+
+    def _of(self, law: SectionLaw, X: Array, U: Array) -> Array:
+        """Return the six components of forces and moments in sections, shape (..., 6)."""
+        elements = self._elements
+        return law.forces(elements.relative(X), elements.relative(U))
+
+
+# Numbers in the arrays of stresses that are held at once.
+_TOGETHER = 2_000_000
+
+
+@final
+class StressPoints:
+    """Von Mises stresses at fibres and places xi of some elements.
+
+    `places` gives y and z of the fibres, (n, n_f) each, out of the elements, moved or not.
+    """
+
+    def __init__(
+        self, elements: BeamElements, xi: Array, places: Callable[[Batch], tuple[Array, Array]]
+    ) -> None:
+        self._elements, self._xi, self._places = elements, xi, places
+        self._law = self._law_at(elements.batch)
+
+    def value(self, q: Array, v: Array) -> Array:
+        """Return the stresses, shape (k, n, n_p)."""
+        return np.concatenate(
+            [self._law.von_mises(*self._relative(q[k], v[k])) for k in self._parts(len(q))]
+        )
+
+    def partials(self, q: Array, v: Array, weights: Array, n_b: int) -> StatePartials:
+        """Return the partials of the stresses, times weights (k, n, n_p) and added up."""
+        parts = [self._partials(q[k], v[k], weights[k], n_b) for k in self._parts(len(q))]
+        rows = (np.concatenate(part) for part in zip(*parts, strict=True))
+        # Columns of other parts may lie between, where these have zeros.
+        at = self._elements.coordinates
+        return StatePartials(np.arange(np.min(at), np.max(at) + 1), *rows)
+
+    def _partials(self, q: Array, v: Array, weights: Array, n_b: int) -> tuple[Array, Array, Array]:
+        beam, b = self._elements, np.zeros((len(q), n_b))
+        Y, V = self._relative(q, v)
+        still = self._law.von_mises(Y, V)
+        for law, size, (elements, variables), factors in self._moved:
+            stresses = law.von_mises(Y, V)
+            slope = change(stresses.swapaxes(0, 1), still.swapaxes(0, 1), size)
+            per_element = np.einsum("knp,nkp->nk", weights, slope)
+            np.add.at(b.T, variables, factors[:, None] * per_element[elements])
+        # The elements of a beam share the columns between their first and last one.
+        at, rows = beam.coordinates - np.min(beam.coordinates), []
+        for on_Y in self._law.pulled_back(Y, V, weights / still):
+            total = np.zeros((len(q), int(np.max(at)) + 1))
+            np.add.at(total.T, at.ravel(), beam.spread(on_Y).reshape(len(q), -1).T)
+            rows.append(total)
+        return rows[0], rows[1], b
+
+    @cached_property
+    def _moved(self) -> list[tuple[StressLaw, Array, Array, Array]]:
+        return self._elements.moved(self._law_at)
+
+    def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:
+        at = self._elements.coordinates
+        return self._elements.relative(q[:, at]), self._elements.relative(v[:, at])
+
+    def _parts(self, count: int) -> list[slice]:
+        """Split instants, so that arrays of stresses stay small."""
+        together = max(1, _TOGETHER // self._law.count)
+        return [slice(first, first + together) for first in range(0, count, together)]
+
+    def _law_at(self, batch: Batch) -> StressLaw:
+        return self._elements.element.stress_law(batch, self._xi, self._places(batch))
+
 
 # Places along every element where the largest stress is looked for: bending moments are linear in
 # them, or nearly.

@@ -17,7 +17,7 @@ import numpy as np
 from ancfdae.assembly.joint_formulas import formula_lists
 from ancfdae.assembly.joint_input import JointInput
 from ancfdae.assembly.layout import JointLayout
-from ancfdae.assembly.vectors import Vectors
+from ancfdae.assembly.naming import Vectors
 from ancfdae.kernels import ConstraintPlan, OperationList
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import SparsityPattern

@@ -9,12 +9,11 @@ import numpy as np
 
 from ancfdae.assembly.joint_input import HeldAngles, JointInput
 from ancfdae.assembly.joint_structure import JointStructure
-from ancfdae.assembly.load_input import LoadInput, own_numbers
-from ancfdae.assembly.naming import PointVector, SceneNaming
+from ancfdae.assembly.load_forces import LoadInput, own_numbers
+from ancfdae.assembly.naming import PointVector, SceneNaming, Vectors, point_vectors
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.reference import Reference
-from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.joints.joint import Joint, JointEquations, empty_equations
 from ancfdae.model.loads.load import Load

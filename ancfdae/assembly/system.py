@@ -10,14 +10,13 @@ import numpy as np
 
 from ancfdae.assembly.beam_sections import BeamSections
 from ancfdae.assembly.contact_checks import ContactCheck
-from ancfdae.assembly.energies import Energies
+from ancfdae.assembly.energies import Energies, Works
 from ancfdae.assembly.folds import Folds, first_mirrored
-from ancfdae.assembly.load_input import LoadInput
+from ancfdae.assembly.load_forces import LoadInput
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbers import Numbers
 from ancfdae.assembly.parameters import parameter_map
 from ancfdae.assembly.value_limits import value_limits
-from ancfdae.assembly.works import Works
 from ancfdae.equations import (
     DesignPartials,
     Linearisation,
@@ -25,7 +24,7 @@ from ancfdae.equations import (
     StateDirection,
     SystemProperties,
 )
-from ancfdae.equations.motion import States
+from ancfdae.equations.system import States
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.outcomes import MissedContact

@@ -6,7 +6,6 @@ every override of a system with what it overrides. It knows no beam and no joint
 """
 
 from ancfdae.equations.formula_system import FormulaSystem
-from ancfdae.equations.motion import StateDirection
 from ancfdae.equations.naming import Naming
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import ErrorEstimates, Sensitivities, Statistics
@@ -17,6 +16,7 @@ from ancfdae.equations.system import (
     ListedSystem,
     MechanicalSystem,
     PlannedSystem,
+    StateDirection,
     SystemProperties,
     planned,
     reaction,

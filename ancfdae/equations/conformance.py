@@ -5,8 +5,8 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.equations.probe import Probe
 from ancfdae.equations.proof import (
+    Probe,
     declarations,
     other_values,
     prove,

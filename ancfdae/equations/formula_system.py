@@ -19,8 +19,13 @@ import numpy as np
 
 from ancfdae.equations.complex_steps import FORGOTTEN, at_values
 from ancfdae.equations.formulas import Formulas, Value, bare, is_bare, wrong_shape
-from ancfdae.equations.motion import StateDirection
-from ancfdae.equations.system import DesignPartials, Linearisation, ListedSystem, SystemProperties
+from ancfdae.equations.system import (
+    DesignPartials,
+    Linearisation,
+    ListedSystem,
+    StateDirection,
+    SystemProperties,
+)
 from ancfdae.errors.kinds import InvalidInputError, NotTracedWarning, StabilityWarning
 from ancfdae.kernels import Csr, ListPlan, OperationList
 from ancfdae.numerics.arrays import Array

@@ -1,12 +1,139 @@
-"""Saddle-point matrices of a system, solved in their two parts; constraints must be independent."""
+"""Saddle-point matrices of a system: right sides, what kernels take, solutions in two parts.
+
+Derivatives of M a + Phi_q^T lam with a and lam held, and right sides that they make up.
+
+A system and its matrices as kernels take them.
+
+Saddle-point matrices of a system, solved in their two parts; constraints must be independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, final
 
 import numpy as np
 import scipy
 
-from ancfdae.equations.system import MechanicalSystem
+from ancfdae.equations.system import MechanicalSystem, planned
 from ancfdae.errors.kinds import RedundantConstraintsError, SingularMatrix
-from ancfdae.numerics.arrays import Array
+from ancfdae.kernels import ComplexModel, March, MatrixLayout, Model, real_part
+from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+
+
+def held_q(system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array) -> Array:
+    """Values of (M a + Phi_q^T lam)_q on the system's pattern."""
+    if system.traits.constant_mass and system.traits.linear_constraints:
+        return np.zeros(system.pattern.size)
+    return only(system.linearise(np.array([t]), q[None], None, a[None], lam[None]).f_q)
+
+
+def held_total(
+    system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array, q_b: Array
+) -> Array:
+    """Total derivative of M a + Phi_q^T lam with respect to the design, shape (n_q, n_b)."""
+    partials = system.design_partials(np.array([t]), q[None], None, a[None], lam[None])
+    total = only(partials.f_b)
+    if system.traits.constant_mass and system.traits.linear_constraints:
+        return total
+    return total + system.pattern.dot(held_q(system, t, q, a, lam), q_b)
+
+
+def held_pull_back(
+    system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array, mu: Array
+) -> Array:
+    """Return mu^T (M a + Phi_q^T lam)_b, shape (n_b,)."""
+    none = np.zeros((1, len(lam)))
+    return system.pull_back(np.array([t]), (q[None], None, a[None], lam[None]), (mu[None], none))
+
+
+def held_totals(
+    system: MechanicalSystem, t: float, q: Array, v: Array, x: Array
+) -> tuple[Array, Array | None]:
+    """Total derivatives of M a + Phi_q^T lam and d^2 Phi/dt^2 with x = (a, lam) held.
+
+    q and v are a state above its derivatives, as rows; so are the results, (n_b, n_q) and
+    (n_b, n_lam), the second None for zero. With Q_total they make the right sides
+
+    M a_b + Phi_q^T lam_b = Q_total - (M a + Phi_q^T lam)_total
+    Phi_q a_b             = -(d^2 Phi/dt^2)_total
+    """
+    n_q, q_b = system.n_q, q[1:].T
+    force = held_total(system, t, q[0], x[:n_q], x[n_q:], q_b).T
+    if system.traits.constant_constraints:
+        return force, None
+    motion = q[0], v[0], x[:n_q]
+    return force, system.constraint_total(t, motion, (q_b, v[1:].T, np.zeros_like(q_b))).T
+
+
+def force_total(
+    system: MechanicalSystem, t: float, q: Array, v: Array, q_b: Array, v_b: Array
+) -> Array:
+    """Total derivative of Q with respect to the design, shape (n_q, n_b)."""
+    rows = (np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b)))
+    return system.force_and_total(t, *rows)[1:].T
+
+
+def velocity_side(system: MechanicalSystem, t: float, q: Array) -> Array:
+    """Return nu in Phi_q v = nu, that is -Phi_t, shape (n_lam,)."""
+    return -system.constraint(t, q, np.zeros_like(q))
+
+
+def acceleration_side(system: MechanicalSystem, t: float, q: Array, v: Array) -> Array:
+    """Return gamma in Phi_q a = gamma: -(Phi_q v)_q v - 2 Phi_qt v - Phi_tt."""
+    return -system.constraint(t, q, v, np.zeros_like(q))
+
+
+def jerk_side(system: MechanicalSystem, t: float, q: Array, v: Array, a: Array) -> Array:
+    """Return S in Phi_q q''' = S."""
+    return -system.constraint(t, q, v, a, np.zeros_like(q))
+
+
+@final
+class Prepared:
+    """The model of a system for states of a type, real or complex; the rules are `MarchRules`.
+
+    `real` is the model of the real parts, which has the matrices: the same for a real type.
+    """
+
+    real: Model
+    model: Model | ComplexModel
+
+    def __init__(
+        self, system: MechanicalSystem, matrices: SaddlePoint, rules: Array, dtype: np.dtype[Any]
+    ) -> None:
+        self.plan, self._matrices, self._rules = planned(system), matrices, rules
+        self.dtype = dtype
+        self._prepare(matrices.layout(band=False) or matrices.layout_out_of_band())
+
+    def add_band(self) -> None:
+        """Prepare for matrices that are not positive definite, too."""
+        layout = self._matrices.layout(band=True)
+        assert layout is not None
+        self._prepare(layout)
+
+    def go(self, passed: Callable[[Model, int], tuple[int, int]], done: int) -> int:
+        """Run a pass of the kernel from step `done` on; return the step that it ends before.
+
+        `passed` takes the model of the real parts and a step, and returns the step that it ends
+        before and why, as `March`. The pass goes on in a band where a matrix is not positive
+        definite.
+        """
+        done, end = passed(self.real, done)
+        if end == March.INDEFINITE:
+            self.add_band()
+            done, _ = passed(self.real, done)
+        return done
+
+    def _prepare(self, layout: MatrixLayout) -> None:
+        is_complex = self.dtype.kind == "c"
+        plan = real_part(self.plan) if is_complex else self.plan
+        self.real = Model(plan, layout, self._rules, self._matrices.exchanging(layout))
+        self.model = self.real
+        if is_complex:
+            self.model = ComplexModel(self.plan, self.real, self._rules)
+
 
 # Singular-value ratio under which scaled constraint rows count as dependent; round-off leaves
 # dependent rows at 1e-16 times their number.

@@ -1,4 +1,6 @@
-"""The protocol of a mechanical system, by which integrators and sensitivity methods see it.
+"""States with their rates as one value that can be moved, and directions of them.
+
+The protocol of a mechanical system, by which integrators and sensitivity methods see it.
 
     M(q, b) a + Phi_q^T lam = Q(t, q, v, b),     Phi(t, q, b) = 0          (eq. 1)
 
@@ -36,12 +38,11 @@ import abc
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 
 from ancfdae.equations.complex_steps import ComplexSteps
-from ancfdae.equations.motion import StateDirection, States
 from ancfdae.equations.naming import Naming
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
@@ -50,6 +51,31 @@ from ancfdae.errors.text import listed
 from ancfdae.kernels import CalledPlan, ListPlan, OperationList, Plan
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
+
+#: (q, v, a, lam) at an instant, or their derivatives.
+States: TypeAlias = tuple[Array, Array, Array, Array]
+
+
+class StateDirection(NamedTuple):
+    """A direction of (t, q, v): along the motion it is (1, v, a)."""
+
+    t: float
+    q: Array
+    v: Array
+
+
+class Motion(NamedTuple):
+    """State at one instant, or a change of it; what a quantity does not depend on is zero."""
+
+    q: Array
+    v: Array
+    a: Array
+    lam: Array
+    t: Any
+
+    def plus(self, e: float, change: Motion) -> Motion:
+        """Add e times a change."""
+        return Motion(*(x + e * dx for x, dx in zip(self, change, strict=True)))
 
 
 @final

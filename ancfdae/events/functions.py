@@ -14,7 +14,7 @@ from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.equations.complex_steps import at_values
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.extrapolation import scaled_derivative
+from ancfdae.numerics.complex_step import scaled_derivative
 from ancfdae.sensitivity.observables.expression import leaf_weights
 from ancfdae.sensitivity.observables.observable import Leaf, Observable, States
 

@@ -39,7 +39,7 @@ from ancfdae.equations import (
 from ancfdae.equations.system import called_plan, constraint_q_along, residual_along
 from ancfdae.kernels import CalledPlan, ListPlan, Plan
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.extrapolation import scaled_derivative
+from ancfdae.numerics.complex_step import scaled_derivative
 
 # Distances in time, in parts of the phase, after which a value that changes with time differs.
 _BESIDE = (1e-3, -1e-2, 0.1)

@@ -30,7 +30,7 @@ import numpy as np
 import scipy
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.held import velocity_side
+from ancfdae.equations.saddle_points import velocity_side
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
 

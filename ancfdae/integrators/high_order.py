@@ -18,8 +18,7 @@ from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import require_array, require_count
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
-from ancfdae.integrators.integrand import Integrand
-from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
+from ancfdae.integrators.integrator import Integrand, QuadratureIntegrator, require_rtol
 from ancfdae.integrators.pace import Pace
 from ancfdae.integrators.prescribed_motion import Watch, is_driven, lock
 from ancfdae.integrators.problem import InitialValueProblem

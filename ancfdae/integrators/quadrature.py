@@ -15,8 +15,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.integrators.index_1 import Accelerations, stacked
-from ancfdae.integrators.integrand import Integrand, PartialIntegral, Points, Rule
+from ancfdae.integrators.integrator import Integrand, PartialIntegral, Points, Rule
+from ancfdae.integrators.problem import Accelerations, stacked
 from ancfdae.numerics.arrays import Array
 
 # Nodes of a polynomial, and steps from one to the next.

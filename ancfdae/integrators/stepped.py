@@ -23,8 +23,7 @@ from ancfdae.integrators.step_control import (
     PrescribedSteps,
     StepControl,
 )
-from ancfdae.integrators.step_control.contracts import OneStepMethod, Reached, march
-from ancfdae.integrators.step_control.derivative_sizes import with_own_sizes
+from ancfdae.integrators.step_control.contracts import OneStepMethod, Reached, march, with_own_sizes
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 

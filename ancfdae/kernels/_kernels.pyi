@@ -529,7 +529,7 @@ class Model(Drivers):
     """A system with its matrices, checked once, and room for its steps.
 
     The plan has real numbers (`real_part`). The rules are hht_alpha, Newton's tolerance, most
-    iterations and the other numbers of `integrators/hht/newton.py` in the order of `MarchRules` in
+    iterations and the other numbers of `integrators/hht/step.py` in the order of `MarchRules` in
     `march.h`. A function to factorise is called where the layout has no place for a matrix.
     """
 

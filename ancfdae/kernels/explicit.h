@@ -1,4 +1,4 @@
-/* Steps of DOP853 under error control for y'' = a(t, y, y') (`integrators/dop853.py`).
+/* Steps of DOP853 under error control for y'' = a(t, y, y') (`integrators/explicit.py`).
  *
  * A state is y above its derivatives in the design, then u = y' likewise: (2, rows, n). Stage k is
  * a table of factors, (2, 18), times the rows y, u, K_1, ..., K_16 of the step, where K are

@@ -1,5 +1,5 @@
 /* Accelerations and multipliers from lists of operations, and states moved onto the constraints
- * (`integrators/index_1.py`), in real numbers.
+ * (`integrators/problem.py`), in real numbers.
  *
  * A state is q above its n_b design derivatives, then v likewise: (2, 1 + n_b, n), or (2, 1, n).
  * Lists take all of their inputs in this order, changes of q, v and b last:

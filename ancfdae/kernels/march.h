@@ -4,7 +4,7 @@
  * imaginary part is solved for as another column.
  */
 
-/* Settings of Newton's method in steps of HHT-I3 (`integrators/hht/newton.py` has their values and
+/* Settings of Newton's method in steps of HHT-I3 (`integrators/hht/step.py` has their values and
  * reasons), with the places and weights of the Gauss points of small steps. */
 struct MarchRules {
     double alpha, tolerance, max_iterations, blur, slow, near, ahead, smooth, round_off, jump,

@@ -29,7 +29,7 @@ import numpy as np
 import scipy
 
 from ancfdae.equations import StateDirection
-from ancfdae.equations.held import held_pull_back, held_q, held_total
+from ancfdae.equations.saddle_points import held_pull_back, held_q, held_total
 from ancfdae.equations.system import constraint_q_along
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.modes.eigenpairs import Eigenpairs, largest_entries

@@ -21,8 +21,7 @@ import numpy as np
 import scipy
 
 from ancfdae.equations import reaction
-from ancfdae.equations.held import held_q
-from ancfdae.equations.saddle_points import solve
+from ancfdae.equations.saddle_points import held_q, solve
 from ancfdae.errors.kinds import AncfdaeError, SingularMatrix
 from ancfdae.modes.eigenpairs import distinct
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised

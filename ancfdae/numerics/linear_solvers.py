@@ -43,8 +43,7 @@ from ancfdae.kernels import (
     narrow_order,
 )
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.fronts import Fronts, Terms
-from ancfdae.numerics.inertia import ConstrainedPattern
+from ancfdae.numerics.inertia import ConstrainedPattern, Fronts, Terms
 from ancfdae.numerics.patterns import SparsityPattern
 
 

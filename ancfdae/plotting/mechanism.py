@@ -6,8 +6,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.beam_elements import BeamElements
-from ancfdae.assembly.beam_sections import BeamSections
+from ancfdae.assembly.beam_sections import BeamElements, BeamSections
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import number

@@ -10,11 +10,8 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.beam_elements import BeamElements
-from ancfdae.assembly.beam_sections import BeamSections
-from ancfdae.assembly.naming import SceneNaming
-from ancfdae.assembly.section_results import StressPoints
-from ancfdae.assembly.vectors import Vectors
+from ancfdae.assembly.beam_sections import BeamElements, BeamSections, StressPoints
+from ancfdae.assembly.naming import SceneNaming, Vectors
 from ancfdae.equations import Solution
 from ancfdae.errors.checks import require_text
 from ancfdae.errors.kinds import InvalidInputError

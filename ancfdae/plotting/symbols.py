@@ -5,9 +5,8 @@ from typing import Final, final
 
 import numpy as np
 
-from ancfdae.assembly.load_input import LoadInput, own_numbers
-from ancfdae.assembly.naming import SceneNaming
-from ancfdae.assembly.vectors import Vectors, point_vectors
+from ancfdae.assembly.load_forces import LoadInput, own_numbers
+from ancfdae.assembly.naming import SceneNaming, Vectors, point_vectors
 from ancfdae.equations import Solution
 from ancfdae.model.bodies import MaterialPoint, Quantity, RigidBody
 from ancfdae.model.joints.joint import Joint

@@ -36,7 +36,7 @@ from ancfdae.equations.saddle_points import saddle_point, solve, solve_transpose
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.integrators.hht.equations import Steps, acceleration, correct, predict, require_alpha
-from ancfdae.integrators.index_1 import Accelerations
+from ancfdae.integrators.problem import Accelerations
 from ancfdae.integrators.start import Covectors, consistent_start, pull_back_start
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint

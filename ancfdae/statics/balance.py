@@ -19,9 +19,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, require_no_controllers
-from ancfdae.equations.held import velocity_side
-from ancfdae.equations.prepared import Prepared
-from ancfdae.equations.saddle_points import saddle_point, solve
+from ancfdae.equations.saddle_points import Prepared, saddle_point, solve, velocity_side
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.kernels import RULES, Plan, Rest, finite, norm

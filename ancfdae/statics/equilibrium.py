@@ -24,8 +24,7 @@ from typing import TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.held import force_total, held_q, held_total
-from ancfdae.equations.saddle_points import solve, solve_transposed
+from ancfdae.equations.saddle_points import force_total, held_q, held_total, solve, solve_transposed
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities, Statistics
 from ancfdae.errors.kinds import AncfdaeError, CoarseMeshWarning, StabilityWarning

@@ -25,10 +25,8 @@ from typing import TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.held import force_total, held_q, held_total
-from ancfdae.equations.motion import StateDirection
-from ancfdae.equations.saddle_points import solve, solve_transposed
-from ancfdae.equations.system import constraint_q_along
+from ancfdae.equations.saddle_points import force_total, held_q, held_total, solve, solve_transposed
+from ancfdae.equations.system import StateDirection, constraint_q_along
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array

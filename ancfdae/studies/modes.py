@@ -15,14 +15,16 @@ import scipy
 
 from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.held import (
+from ancfdae.equations.saddle_points import (
     acceleration_side,
     force_total,
     held_pull_back,
     held_q,
     held_total,
+    saddle_point,
+    solve,
+    solve_transposed,
 )
-from ancfdae.equations.saddle_points import saddle_point, solve, solve_transposed
 from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import (
     require_array,

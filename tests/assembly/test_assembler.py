@@ -30,7 +30,7 @@ from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.start import consistent_start, start_sensitivity
 from ancfdae.model.elements import ALL_ELEMENTS, BeamElement, ElementParameter
-from ancfdae.numerics.extrapolation import real_derivative
+from ancfdae.numerics.complex_step import real_derivative
 from ancfdae.sections import Rectangle
 from tests.support.by_hand import oracle_of, plain_elements, turns_by_hand, vector_by_hand
 from tests.support.design_cases import ALL, CASES

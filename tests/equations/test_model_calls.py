@@ -12,7 +12,7 @@ import pytest
 from ancfdae import assemble, kernels
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.equations.system import called_plan, planned
-from ancfdae.integrators.radau.tableau import TABLEAU
+from ancfdae.integrators.radau.stages import TABLEAU
 from ancfdae.numerics.coupled import coupled_arrays
 from tests.support.mechanisms import CartesianPendulum, GuidedDoublePendulum
 from tests.support.nets import net

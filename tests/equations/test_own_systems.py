@@ -21,10 +21,10 @@ from ancfdae import (
     sweep,
 )
 from ancfdae.equations import StateDirection, reaction
-from ancfdae.equations.held import held_q
+from ancfdae.equations.saddle_points import held_q
 from ancfdae.errors import InvalidInputError, NotTracedWarning
 from ancfdae.extend import FormulaSystem
-from ancfdae.numerics.extrapolation import real_derivative
+from ancfdae.numerics.complex_step import real_derivative
 from ancfdae.observables import custom
 from tests.support.mechanisms import (
     CalledPendulum,

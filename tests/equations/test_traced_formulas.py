@@ -23,14 +23,13 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.equations import prepared
-from ancfdae.equations.motion import StateDirection
+from ancfdae.equations import saddle_points as prepared
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.equations.system import called_plan
+from ancfdae.equations.system import StateDirection, called_plan
 from ancfdae.errors import InvalidInputError, NotTracedWarning, StabilityWarning
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.extend import FormulaSystem, SystemProperties
-from ancfdae.integrators.index_1 import Accelerations, ListedAccelerations, accelerations
+from ancfdae.integrators.problem import Accelerations, ListedAccelerations, accelerations
 from ancfdae.kernels import (
     RULES,
     STAGES_SOLVED,
@@ -41,7 +40,7 @@ from ancfdae.kernels import (
     index_1,
     list_values,
 )
-from ancfdae.numerics.extrapolation import scaled_derivative
+from ancfdae.numerics.complex_step import scaled_derivative
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
 from ancfdae.observables import custom
 from ancfdae.sensitivity.observables import user_functions

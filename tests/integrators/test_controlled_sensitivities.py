@@ -23,9 +23,9 @@ from ancfdae import (
 from ancfdae.equations import DesignPartials
 from ancfdae.errors import Interrupted, InvalidInputError, StabilityWarning
 from ancfdae.extend import MaterialPoint
-from ancfdae.integrators.step_control import controlled
-from ancfdae.integrators.step_control import derivative_sizes as sizing
-from ancfdae.integrators.step_control.tolerance import Tolerance
+from ancfdae.integrators.step_control import contracts as sizing
+from ancfdae.integrators.step_control import steps as controlled
+from ancfdae.integrators.step_control.contracts import Tolerance
 from ancfdae.observables import position
 from ancfdae.results import Verdict
 from ancfdae.sections import Rectangle

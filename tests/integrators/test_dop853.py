@@ -15,9 +15,8 @@ from ancfdae import (
     differentiate,
     simulate,
 )
-from ancfdae.integrators.dop853 import Dop853, Kept, Tolerances
-from ancfdae.integrators.index_1 import Accelerations, stacked
-from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.integrators.explicit import Dop853, Kept, Tolerances
+from ancfdae.integrators.problem import Accelerations, InitialValueProblem, stacked
 from ancfdae.kernels import SINGULAR
 from ancfdae.laws import Harmonic
 from ancfdae.sections import Rectangle

@@ -21,7 +21,7 @@ from ancfdae import (
 from ancfdae.errors import Interrupted, InvalidInputError
 from ancfdae.extend import FormulaSystem, SystemProperties
 from ancfdae.integrators.hht import linear_passes
-from ancfdae.integrators.hht.small_steps import ConstraintRow, Nodes
+from ancfdae.integrators.hht.equations import ConstraintRow, Nodes
 from ancfdae.observables import custom
 from ancfdae.results import Verdict
 from tests.support.mechanisms import CartesianPendulum, GuidedDoublePendulum, chain

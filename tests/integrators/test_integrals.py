@@ -28,9 +28,9 @@ from ancfdae import (
     work_precision,
 )
 from ancfdae.errors import Interrupted, NonFiniteObjectiveError
-from ancfdae.integrators.integrand import Points
+from ancfdae.integrators.integrator import Points
 from ancfdae.integrators.quadrature import KRONROD, SHARES
-from ancfdae.integrators.sundials.step_points import _between, _panels
+from ancfdae.integrators.sundials.index_reduced import _between, _panels
 from ancfdae.laws import Harmonic
 from ancfdae.observables import custom, multiplier, position, reaction
 from ancfdae.results import Verdict

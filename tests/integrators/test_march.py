@@ -39,7 +39,8 @@ from ancfdae import (
     kernels,
     simulate,
 )
-from ancfdae.equations import prepared, reaction
+from ancfdae.equations import reaction
+from ancfdae.equations import saddle_points as prepared
 from ancfdae.equations import system as equations_of_systems
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.equations.system import called_plan

@@ -20,7 +20,8 @@ from ancfdae import (
 )
 from ancfdae.errors import StabilityWarning
 from ancfdae.extend import FormulaSystem, MaterialPoint, SystemProperties
-from ancfdae.integrators.hht import continuation, newton
+from ancfdae.integrators.hht import step as continuation
+from ancfdae.integrators.hht import step as newton
 from ancfdae.integrators.step_control.contracts import Failure
 from ancfdae.observables import position
 from ancfdae.results import Verdict

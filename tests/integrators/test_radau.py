@@ -43,13 +43,13 @@ from ancfdae import (
     taylor_test,
     work_precision,
 )
-from ancfdae.equations import prepared
+from ancfdae.equations import saddle_points as prepared
 from ancfdae.equations import system as equations_of_systems
 from ancfdae.equations.system import called_plan
 from ancfdae.errors import InvalidInputError
 from ancfdae.extend import FormulaSystem, MaterialPoint
 from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.integrators.radau.tableau import BUTCHER, EMBEDDED, GAMMA, PLACES, continued
+from ancfdae.integrators.radau.stages import BUTCHER, EMBEDDED, GAMMA, PLACES, continued
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.laws import Harmonic
 from ancfdae.model import loads

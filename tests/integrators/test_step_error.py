@@ -13,7 +13,7 @@ from ancfdae.integrators.problem import InitialValueProblem, Scales
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.start import consistent_start
 from ancfdae.integrators.step_control import AdaptiveSteps
-from ancfdae.integrators.step_control.derivative_sizes import (
+from ancfdae.integrators.step_control.contracts import (
     derivative_sizes,
     sizes_hold,
     smaller_sizes,

@@ -14,7 +14,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.numerics.fronts import Fronts
+from ancfdae.numerics.inertia import Fronts
 from ancfdae.numerics.linear_solvers import SaddlePoint, _Places
 from ancfdae.numerics.patterns import SparsityPattern
 from ancfdae.observables import position

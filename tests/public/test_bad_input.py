@@ -43,7 +43,7 @@ from ancfdae.errors import (
     UnknownNameError,
 )
 from ancfdae.extend import MaterialPoint
-from ancfdae.integrators.hht.newton import StepSolver
+from ancfdae.integrators.hht.step import StepSolver
 from ancfdae.laws import ConstantAcceleration, Harmonic
 from ancfdae.observables import position
 from ancfdae.sections import Rectangle

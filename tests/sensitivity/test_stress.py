@@ -15,7 +15,7 @@ from ancfdae import (
     assemble,
     equilibrium,
 )
-from ancfdae.assembly import section_results as stress_points
+from ancfdae.assembly import beam_sections as stress_points
 from ancfdae.errors import InvalidInputError
 from ancfdae.model.sections.section import rectangle_torsional_shear
 from ancfdae.sections import (

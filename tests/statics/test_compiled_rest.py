@@ -17,7 +17,7 @@ from ancfdae import (
     assemble,
     equilibrium,
 )
-from ancfdae.equations import prepared
+from ancfdae.equations import saddle_points as prepared
 from ancfdae.equations.system import called_plan
 from ancfdae.kernels import RULES, Model, narrow_order
 from ancfdae.results import Verdict

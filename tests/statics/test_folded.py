@@ -32,7 +32,7 @@ from ancfdae import (
     equilibrium,
     equilibrium_gradient,
 )
-from ancfdae.equations import prepared
+from ancfdae.equations import saddle_points as prepared
 from ancfdae.equations.system import called_plan
 from ancfdae.errors import CoarseMeshWarning
 from ancfdae.observables import reaction

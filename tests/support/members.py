@@ -6,7 +6,7 @@ A term with its arguments, time first; a `_total` takes the derivatives of the s
 import numpy as np
 
 from ancfdae.assembly.system import AncfSystem
-from ancfdae.equations.held import (
+from ancfdae.equations.saddle_points import (
     acceleration_side,
     force_total,
     held_pull_back,
@@ -14,8 +14,7 @@ from ancfdae.equations.held import (
     jerk_side,
     velocity_side,
 )
-from ancfdae.equations.motion import StateDirection
-from ancfdae.equations.system import constraint_q_along, reaction
+from ancfdae.equations.system import StateDirection, constraint_q_along, reaction
 
 __all__ = [
     "acceleration_side",

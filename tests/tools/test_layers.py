@@ -36,7 +36,7 @@ INJECTIONS = [
         "The library does not know its validation reports",
     ),
     (
-        "equations/probe.py",
+        "equations/proof.py",
         "import sksundae",
         "Only ancfdae.integrators.sundials.ida imports sksundae",
     ),
@@ -52,13 +52,13 @@ INJECTIONS = [
         "Layers of the integrators",
     ),
     (
-        "integrators/step_control/tolerance.py",
+        "integrators/step_control/contracts.py",
         "from ancfdae.integrators.step_control.contracts import Controller",
         "Layers of step control, which knows no method",
     ),
     ("statics/balance.py", "from ancfdae.statics import softness", "Layers of statics"),
     ("statics/balance.py", "from ancfdae.integrators import HHT", LAYERS),
-    ("assembly/vectors.py", "from ancfdae.assembly import system", "Layers of the assembler"),
+    ("assembly/naming.py", "from ancfdae.assembly import system", "Layers of the assembler"),
     (
         "model/laws/law.py",
         "from ancfdae.model.loads import PointForce",

@@ -6,8 +6,7 @@ import numpy as np
 
 from ancfdae import DOP853, assemble, differentiate, simulate
 from ancfdae.equations import MechanicalSystem
-from ancfdae.integrators.index_1 import stacked
-from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.integrators.problem import InitialValueProblem, stacked
 from ancfdae.numerics.timing import medians
 from validation.performance.row import Row
 from validation.performance.steps import crank_variables, pendulum_variables

@@ -26,19 +26,21 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.prepared import Prepared
+from ancfdae.equations.saddle_points import Prepared
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht.equations import (
     Coefficients,
+    ConstraintRow,
     Defects,
     Node,
+    Nodes,
     NodeSensitivity,
     Steps,
     predict,
+    small_rows,
     step_matrices,
 )
-from ancfdae.integrators.hht.small_steps import ConstraintRow, Nodes, small_rows
 from ancfdae.integrators.integrator import OnStates, Seeds
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.kernels import RULES, Plan

@@ -35,8 +35,14 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, StateDirection, reaction
-from ancfdae.equations.held import held_pull_back, held_q, held_total, jerk_side
-from ancfdae.equations.saddle_points import solve, solve_transposed
+from ancfdae.equations.saddle_points import (
+    held_pull_back,
+    held_q,
+    held_total,
+    jerk_side,
+    solve,
+    solve_transposed,
+)
 from ancfdae.equations.system import residual_along
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity, constraint_error
 from ancfdae.integrators.problem import InitialValueProblem

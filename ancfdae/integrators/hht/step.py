@@ -1,4 +1,22 @@
-"""A step of HHT-I3: of the motion and, if asked for, of its design derivatives.
+"""A step of HHT-I3: Newton's method, shorter steps where it stalls, and the error.
+
+Newton's method for steps of HHT-I3, taken by a kernel: its rules, and how steps end.
+
+Derivation: docs/theory/05-hht-i3.md. `kernels/march.h` iterates.
+
+Continuation in the step: where Newton's method stalls, the solution by way of shorter steps.
+
+From the same state the equations of a step s h, with 0 < s <= 1, have one solution near the motion
+if s is small. The branch of solutions that begins there is followed in s: guesses lie on the cubic
+through the last four solutions, and count only where Newton's method contracts from its first
+correction on, so that the branch is not left. The first rate of contraction is that of the distance
+of the guess, which goes with the stride to the power of the number of solutions. The branch ends at
+s = 1, with the solution of the full step, or turns back before: no larger step has a solution that
+belongs to this motion.
+
+Only guesses differ, not the equations; what they give has the derivatives of any other step.
+
+A step of HHT-I3: of the motion and, if asked for, of its design derivatives.
 
 **Error of a step** (Negrut, Rampalli, Ottarsson & Sajdak 2007, section 3). Inserting the smooth
 solution in eq. (2), with a_n standing for q'' at t_n + alpha h, the position update misses
@@ -10,31 +28,296 @@ derivative in the design. The tolerance bounds delta / h, which falls with h^2; 
 delta, and its runs then err by the tolerance to the power 2/3.
 """
 
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
 from functools import cached_property
-from typing import ClassVar, final
+from typing import ClassVar, NamedTuple, TypeAlias, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.saddle_points import Prepared
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht import linear_passes
-from ancfdae.integrators.hht.continuation import solved
 from ancfdae.integrators.hht.equations import (
+    PLACES,
+    QUIET,
+    WEIGHTS,
     Coefficients,
+    ConstraintRow,
     Node,
     NodeSensitivity,
     constraint_error,
+    predict_increment,
     rescaled,
     rescaled_sensitivity,
 )
-from ancfdae.integrators.hht.newton import StepSolver
-from ancfdae.integrators.hht.small_steps import ConstraintRow
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.prescribed_motion import turn_error
 from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
-from ancfdae.integrators.recorder import SolutionRecorder
-from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
-from ancfdae.integrators.step_control.tolerance import Tolerance
+from ancfdae.integrators.recorder import SolutionRecorder, StateRows
+from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record, Tolerance
+from ancfdae.kernels import CalledPlan, March, norm
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import SaddlePoint
+
+# A matrix is replaced when an iteration shrinks the correction by less than this factor, or the
+# first correction is larger than this part of the motion; and from corrections of the second size
+# on where it would take more than two iterations. (So at any size, 25 of 202 hard runs end early
+# where 14 do otherwise: full steps far from a solution lead to others.)
+_SLOW, _NEAR = 0.2, 1e-5
+# The guess looks a step ahead along the line through a and A, over this multiple of the time
+# between them at most, and where that changes a by less than this part of the forces: else they
+# oscillate.
+_AHEAD, _SMOOTH = 20.0, 0.1
+# Corrections that stop shrinking are round-off if they are this small against the motion.
+_ROUND_OFF = 1e-6
+# Forces may grow by this factor from one step to the next before the Newton test gets stricter.
+_JUMP = 100.0
+# Corrections from a guess close to the solution shrink by this factor at least.
+_CLOSE = 0.5
+# Seconds after which a packet ends, so that interrupts and progress come through.
+_NEWTON_PATIENCE = 0.1
+
+_VERDICTS = {March.NOT_FINITE: Verdict.NOT_FINITE, March.SINGULAR: Verdict.SINGULAR}
+
+# Coefficients, the state before the step, and the instant at its end.
+Step: TypeAlias = tuple[Coefficients, Node, float]
+
+
+class SolvedStep(NamedTuple):
+    """A solution, whether round-off disturbs it, and the slowest rate of the corrections."""
+
+    node: Node
+    round_off: int
+    rate: float
+
+
+class _Attempt(NamedTuple):
+    """How a step is solved: a guess of a and lam, and limits as for `Model.march`."""
+
+    guess: tuple[Array, Array] | None
+    limits: tuple[float, float, int]
+
+
+class _End(NamedTuple):
+    """How steps end: number taken, reason, the last state, size and slowest rate of corrections."""
+
+    taken: int
+    why: March
+    node: Node
+    round_off: int
+    size: float
+    rate: float
+
+
+@final
+class StepSolver:
+    """Newton's method for one step after another, which the recorder counts."""
+
+    def __init__(
+        self,
+        system: MechanicalSystem,
+        matrices: SaddlePoint,
+        alpha: float,
+        newton: tuple[float, int],
+        recorder: SolutionRecorder,
+    ) -> None:
+        self._tolerance, self.max_iterations = newton
+        # The round-off of elastic forces, times 1e7.
+        blur = system.traits.force_round_off / (0.1 * _ROUND_OFF)
+        rates = _SLOW, _NEAR, _AHEAD, _SMOOTH, _ROUND_OFF, _JUMP, QUIET
+        rules = np.array([alpha, *newton, blur, *rates, *PLACES, *WEIGHTS])
+        self._kernel = Prepared(system, matrices, rules, recorder.dtype)
+        # Whether steps are taken one by one: a function of Python may raise in each of them.
+        self.alone = isinstance(self._kernel.plan, CalledPlan)
+        self._sizes = system.n_q, system.n_q, system.n_q, system.n_lam
+        self._recorder, self._small = recorder, False
+
+    @property
+    def iterations(self) -> int:
+        """Iterations so far, of all steps."""
+        return self._recorder.iterations
+
+    def march(self, before: Node, h: Array, ends: Array, rows: StateRows) -> tuple[int, Node]:
+        """Take steps until one is not solved; write the states to rows of q, v, A and lam."""
+        end = self._taken(before, h, ends, rows, self._usual(1))
+        self._recorder.round_off_steps += end.round_off
+        return end.taken, end.node
+
+    def advance(self, step: Step, patience: int = 1) -> Node | Failure:
+        """Solve eqs. (4) and (5), in `patience` times as many iterations as are usual."""
+        solved = self._solved(step, self._usual(patience))
+        return solved if isinstance(solved, Failure) else self.accept(solved)
+
+    def follow(self, step: Step, guess: tuple[Array, Array], rough: float) -> SolvedStep | Failure:
+        """Solve them from a guess that is close to the solution.
+
+        Where corrections do not shrink quickly from the first one on, the solution that they lead
+        to may be another one. A tolerance that is larger than that of the run may be given.
+        """
+        limits = max(rough, self._tolerance), _CLOSE, self.max_iterations
+        return self._solved(step, _Attempt(guess, limits))
+
+    def accept(self, solved: SolvedStep) -> Node:
+        """Count what was found as a step."""
+        self._recorder.round_off_steps += solved.round_off
+        return solved.node
+
+    def _usual(self, patience: int) -> _Attempt:
+        return _Attempt(None, (self._tolerance, math.inf, patience * self.max_iterations))
+
+    def _solved(self, step: Step, attempt: _Attempt) -> SolvedStep | Failure:
+        """Solve one step."""
+        c, before, t = step
+        q, v, A, lam = (np.empty((1, n), dtype=self._recorder.dtype) for n in self._sizes)
+        end = self._taken(before, np.array([c.h]), np.array([t]), (q, v, A, lam), attempt)
+        if end.taken:
+            return SolvedStep(end.node, end.round_off, end.rate)
+        return Failure(_VERDICTS.get(end.why, Verdict.NO_CONVERGENCE), end.size)
+
+    def _taken(
+        self, before: Node, h: Array, ends: Array, rows: StateRows, attempt: _Attempt
+    ) -> _End:
+        """Take steps until one is not solved, and count what they cost."""
+        t, q, v, a, lam, A, motion = before
+        starts = np.concatenate([[t], ends[:-1]])
+        of_loads = self._kernel.plan.load_factors
+        loads = np.stack([of_loads(ends), of_loads(starts)], axis=1)
+        tables = self._joint_factors(starts, ends, h), loads
+        taken, why, motion, a, counts, size, rate = self._kernel.model.march(
+            (q, v, a, lam, A), motion, h, *tables, _NEWTON_PATIENCE, rows, *attempt
+        )
+        iterations, factorisations, round_off = counts
+        self._recorder.iterations += iterations
+        self._recorder.residuals += iterations
+        self._recorder.factorisations += factorisations
+        if not taken and why in (March.NEEDS_GAUSS, March.INDEFINITE):
+            self._add(why)
+            return self._taken(before, h, ends, rows, attempt)
+        if taken:
+            # Copies: a node that is kept must not keep the rows of a whole part.
+            q, v, A, lam = (row[taken - 1].copy() for row in rows)
+            before = Node(float(ends[taken - 1]), q, v, a, lam, A, motion)
+        return _End(taken, March(why), before, round_off, size, rate)
+
+    def _add(self, why: int) -> None:
+        """Prepare what the next step needs."""
+        if why == March.NEEDS_GAUSS:
+            self._small = True
+        else:
+            self._kernel.add_band()
+
+    def _joint_factors(self, starts: Array, ends: Array, h: Array) -> Array:
+        """Factors at ends and beginnings of steps, and where they are small at Gauss points."""
+        of = self._kernel.plan.joint_factors
+        if of is None:
+            return np.ones((1, 2, 1))
+        instants = [ends, starts]
+        if self._small:
+            instants += [starts + place * h for place in PLACES]
+        t = np.stack(instants, axis=1)
+        values, rates = of(t.ravel(), 1)[0], of(t[:, 2:].ravel(), 2)[1]
+        tables = [x.reshape(len(h), -1, x.shape[1]) for x in (values, rates)]
+        return np.concatenate(tables, axis=1)
+
+
+# What follows only serves as a guess needs few digits.
+_ROUGH = 1e-8
+# The shortest part of a step that is tried.
+_SHORTEST = 2.0**-20
+# Where the part grows by less than this of itself the branch is taken for ended.
+_FINEST = 1e-4
+# Iterations, in multiples of those that Newton's method may take: more than any branch took that
+# reached a solution (measured: 10 to 200, with 15).
+_MOST = 15
+# Solutions that a guess is made of.
+_POINTS = 4
+# Rate of contraction that strides aim at, and how much one may differ from the last.
+_AIM, _LEAST, _LONGEST = 0.2, 0.5, 3.0
+# Where the branch of solutions could be followed over more than this part of a step, and then was
+# lost in round-off, as many iterations as this times the usual ones are spent on the full step.
+_MOST_OF_IT, _CONTINUATION_PATIENCE = 0.5, 4
+
+
+def solved(
+    solver: StepSolver, system: MechanicalSystem, step: Step, why: Failure
+) -> Node | Failure:
+    """Solve the equations of a step that Newton's method alone does not solve, for a reason."""
+    node, part = continued(solver, step, why)
+    if isinstance(node, Failure) and part > _MOST_OF_IT:
+        node = _patient(solver, system, step)
+    if not isinstance(node, Failure) or node.verdict is Verdict.NOT_FINITE:
+        # No step helps where the forces themselves are not finite.
+        return node
+    return node._replace(remedy=_remedy(step[0].h, part))
+
+
+def continued(solver: StepSolver, step: Step, why: Failure) -> tuple[Node | Failure, float]:
+    """Follow the branch, beside the part of the step that was solved."""
+    branch: deque[tuple[float, SolvedStep]] = deque(maxlen=_POINTS)
+    reached, stride = 0.0, 1.0
+    most = solver.iterations + _MOST * solver.max_iterations
+    while solver.iterations < most:
+        part = min(1.0, reached + stride)
+        stride = part - reached
+        solved = _solved(solver, step, part, branch)
+        if isinstance(solved, Failure):
+            why = why if solved.verdict is Verdict.SINGULAR else solved
+            stride /= 2 if reached else 4
+            if stride < max(_FINEST * reached, _SHORTEST):
+                break
+            continue
+        if part == 1.0:
+            return solver.accept(solved), 1.0
+        branch.append((part, solved))
+        reached = part
+        wish = (_AIM / max(solved.rate, 1e-9)) ** (1 / len(branch))
+        stride *= min(_LONGEST, max(_LEAST, wish))
+    return why, reached
+
+
+def _patient(solver: StepSolver, system: MechanicalSystem, step: Step) -> Node | Failure:
+    """Iterate on where round-off hides the branch, unless that leads away from the motion."""
+    c, last, _ = step
+    node = solver.advance(step, patience=_CONTINUATION_PATIENCE)
+    if isinstance(node, Failure):
+        return node
+    ahead, _ = predict_increment(c, last.v, last.a)
+    near = norm(node.q - last.q - ahead, system.weights) <= norm(ahead, system.weights)
+    return node if near else Failure(Verdict.NO_CONVERGENCE, math.inf)
+
+
+def _remedy(h: float, part: float) -> str:
+    """Return in words how much of a step of size h was solved; nothing if all or none."""
+    if not 0 < part < 1:
+        return ""
+    return (
+        f"The solution that belongs to the motion was found there for steps up to {part * h:.3g}."
+    )
+
+
+def _solved(
+    solver: StepSolver, step: Step, part: float, branch: Sequence[tuple[float, SolvedStep]]
+) -> SolvedStep | Failure:
+    """Solve the equations of a part of the step from a guess, which must be close."""
+    c, before, t = step
+    now = t if part == 1.0 else before.t + part * (t - before.t)
+    state, rough = rescaled(before, part), 0.0 if part == 1.0 else _ROUGH
+    guess = _guess(part, branch) if branch else (state.a, state.lam)
+    return solver.follow((Coefficients(part * c.h, c.alpha), state, now), guess, rough)
+
+
+def _guess(part: float, branch: Sequence[tuple[float, SolvedStep]]) -> tuple[Array, Array]:
+    """Return a and lam on the polynomial through solutions."""
+    s = np.array([reached for reached, _ in branch])
+    weights = [np.prod((part - np.delete(s, i)) / (x - np.delete(s, i))) for i, x in enumerate(s)]
+    a, lam = (np.stack(x) for x in zip(*((f.node.a, f.node.lam) for _, f in branch), strict=True))
+    return weights @ a, weights @ lam
+
 
 # State of the recurrence at an instant, and of its derivatives if they are integrated.
 State = tuple[Node, NodeSensitivity | None]

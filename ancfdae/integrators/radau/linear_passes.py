@@ -23,16 +23,21 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.prepared import Prepared
+from ancfdae.equations.saddle_points import Prepared
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import Verdict
-from ancfdae.integrators.completion import Completion
 from ancfdae.integrators.integrator import OnStates, Seeds
 from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.integrators.radau.stages import Stages, stage_matrices
-from ancfdae.integrators.radau.tableau import INVERSE, PLACES, SQUARED, TABLEAU
-from ancfdae.integrators.start import Covectors, pull_back_start
+from ancfdae.integrators.radau.stages import (
+    INVERSE,
+    PLACES,
+    SQUARED,
+    TABLEAU,
+    Stages,
+    stage_matrices,
+)
+from ancfdae.integrators.start import Completion, Covectors, pull_back_start
 from ancfdae.kernels import RULES
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar

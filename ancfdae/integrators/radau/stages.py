@@ -1,4 +1,8 @@
-"""The equations of the three stages of a step, and their matrices.
+"""The three stages of a step of Radau IIA: coefficients, equations, Newton's method.
+
+Coefficients of Radau IIA with three stages (Hairer & Wanner, Solving ODEs II, IV.5 and IV.8).
+
+The equations of the three stages of a step, and their matrices.
 
 With h^2 x the displacements of the stages from the motion at constant velocity,
 
@@ -10,20 +14,67 @@ the equations of a step are those of motion and the constraints at every stage,
 
 **Matrix.** With the matrices of every stage at its own state block (i, j) of K is
 (A^-2)_ij M_i + h (A^-1)_ij f_v,i, and h^2 f_q,i more for i = j.
+
+Newton's method runs in `kernels/stages.h`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 
 from ancfdae.equations import Linearisation, MechanicalSystem
+from ancfdae.equations.saddle_points import Prepared
+from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.integrators.radau.tableau import INVERSE, PLACES, SQUARED, at_stages
-from ancfdae.kernels import CoupledArrays
+from ancfdae.integrators.recorder import SolutionRecorder
+from ancfdae.integrators.step_control.contracts import Failure
+from ancfdae.kernels import RULES, STAGES_NOT_FINITE, STAGES_SINGULAR, STAGES_SOLVED, CoupledArrays
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.coupled import coupled_arrays
+
+_ROOT = np.sqrt(6.0)
+
+#: Butcher matrix A.
+BUTCHER = np.array(
+    [
+        [(88 - 7 * _ROOT) / 360, (296 - 169 * _ROOT) / 1800, (-2 + 3 * _ROOT) / 225],
+        [(296 + 169 * _ROOT) / 1800, (88 + 7 * _ROOT) / 360, (-2 - 3 * _ROOT) / 225],
+        [(16 - _ROOT) / 36, (16 + _ROOT) / 36, 1 / 9],
+    ]
+)
+#: Places c of the stages in the step, as a column.
+PLACES = np.array([[(4 - _ROOT) / 10], [(4 + _ROOT) / 10], [1.0]])
+#: A^-1 and A^-2.
+INVERSE = np.linalg.inv(BUTCHER)
+SQUARED = INVERSE @ INVERSE
+#: The places, A^-1 and A^-2 as `StageTableau` of the kernel has them.
+TABLEAU = np.concatenate([x.ravel() for x in (PLACES, INVERSE, SQUARED)])
+#: Weights e, a row, of the embedded formula: err = (gamma/h - J)^-1 (f_0 + sum e_i (Y_i - y_0)/h).
+EMBEDDED = np.array([[-13 - 7 * _ROOT, -13 + 7 * _ROOT, -1]]) / 3
+
+
+#: The real eigenvalue of A^-1.
+GAMMA = float(min(np.linalg.eigvals(INVERSE), key=lambda x: abs(x.imag)).real)
+
+
+def at_stages(matrix: Array, x: Array) -> Array:
+    """Return sums over j of matrix_ij x_j for what stages hold, (3, ...)."""
+    return np.asarray((matrix @ x.reshape(3, -1)).reshape(-1, *x.shape[1:]))
+
+
+def continued(rows: Array, ahead: Array) -> Array:
+    """Continue what a step holds at its start and stages, (4, n), to other places, a column.
+
+    By the cubic; the unit is the size of the step.
+    """
+    places, shares = np.append(0.0, PLACES), []
+    for k, place in enumerate(places):
+        others = np.delete(places, k)
+        shares.append(np.prod((ahead - others) / (place - others), axis=1))
+    return np.asarray(np.transpose(shares) @ rows)
 
 
 class Stages(NamedTuple):
@@ -75,3 +126,68 @@ def stage_matrices(problem: InitialValueProblem) -> CoupledArrays:
     patterns = system.pattern, system.constraint_pattern
     layout = problem.matrices.layout(band=False)
     return coupled_arrays(3, *patterns, system.weights, Phi_q, layout and layout.order)
+
+
+# The iteration matrix is recomputed if more than _MORE further iterations are predicted.
+_MORE = 4
+# Forces above _JUMP times those at the start of the step come from wrong strains of the guess: a
+# matrix made there is used once.
+_JUMP = 10.0
+# Corrections are measured against forces of the iterate, at most _MOST times those at the start of
+# the step: a diverging iterate has huge forces.
+_MOST = 100.0
+# Corrections stop shrinking where they shrink by less than this factor.
+_SLOW = 0.5
+# Corrections that stop shrinking are round-off if they are this small against the motion, or that
+# many times the round-off of positions.
+_ROUND_OFF, _POSITIONS = 1e-6, 1e4
+_TINY = float(np.finfo(float).tiny)
+
+
+class SolvedStages(NamedTuple):
+    """Scaled displacements and multipliers of the stages."""
+
+    x: Array
+    lam: Array
+
+
+@final
+class StageSolver:
+    """Newton's method for one step after another, which the recorder counts."""
+
+    def __init__(
+        self,
+        problem: InitialValueProblem,
+        tolerance: float,
+        max_iterations: int,
+        recorder: SolutionRecorder,
+    ) -> None:
+        system, matrices = problem.system, problem.matrices
+        least = max(10 * system.traits.force_round_off, _TINY)
+        rules = tolerance, max_iterations, least, _MORE, _JUMP, _MOST, _SLOW, _ROUND_OFF
+        self._rules, self._recorder = np.array([0.0, *rules, _POSITIONS]), recorder
+        self._kernel = Prepared(system, matrices, np.zeros(RULES), recorder.dtype)
+        self._coupled = stage_matrices(problem)
+
+    def solve(self, begin: Begin, guess: tuple[Array, Array]) -> SolvedStages | Failure:
+        """Solve the equations of a step from a guess of x and of the multipliers."""
+        plan, dtype = self._kernel.plan, self._kernel.dtype
+        x, lam = (np.array(each, dtype=dtype) for each in guess)
+        instants = np.append(begin.times, begin.t)
+        joints, still = plan.joint_factors, np.ones((1, 1))
+        factors = still if joints is None else joints(instants, 1)[0]
+        tables = factors, plan.load_factors(instants), TABLEAU, self._rules
+        self._rules[0] = begin.h
+        ends, size, (iterations, factorisations, stuck) = self._kernel.model.solve_stages(
+            self._coupled, begin.state, x, lam, *tables
+        )
+        self._recorder.residuals += 3 * iterations
+        self._recorder.iterations += iterations
+        self._recorder.factorisations += factorisations
+        self._recorder.round_off_steps += stuck
+        if ends == STAGES_SINGULAR:
+            raise SingularMatrix("the matrix of the stages is singular")
+        if ends == STAGES_SOLVED:
+            return SolvedStages(x, lam)
+        why = Verdict.NOT_FINITE if ends == STAGES_NOT_FINITE else Verdict.NO_CONVERGENCE
+        return Failure(why, size)

@@ -29,24 +29,25 @@ import numpy as np
 from ancfdae.equations import Linearisation
 from ancfdae.equations.saddle_points import solve
 from ancfdae.errors.kinds import SingularMatrix
-from ancfdae.integrators.completion import completed
 from ancfdae.integrators.prescribed_motion import turn_error
 from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
 from ancfdae.integrators.radau.linear_passes import LinearStages, StageKernel
-from ancfdae.integrators.radau.newton import SolvedStages, StageSolver
-from ancfdae.integrators.radau.stages import Begin, linearised
-from ancfdae.integrators.radau.tableau import (
+from ancfdae.integrators.radau.stages import (
     BUTCHER,
     EMBEDDED,
     GAMMA,
     INVERSE,
     PLACES,
+    Begin,
+    SolvedStages,
+    StageSolver,
     at_stages,
     continued,
+    linearised,
 )
 from ancfdae.integrators.recorder import SolutionRecorder
-from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
-from ancfdae.integrators.step_control.tolerance import Tolerance
+from ancfdae.integrators.start import completed
+from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record, Tolerance
 from ancfdae.numerics.arrays import Array
 
 # Parts of a run that first steps are tried with, each an eighth of the one before.

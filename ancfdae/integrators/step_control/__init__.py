@@ -5,5 +5,4 @@ offers for it, and `march` brings both to the end.
 """
 
 from ancfdae.integrators.step_control.contracts import StepControl
-from ancfdae.integrators.step_control.controlled import AdaptiveSteps
-from ancfdae.integrators.step_control.planned import FixedSteps, PrescribedSteps
+from ancfdae.integrators.step_control.steps import AdaptiveSteps, FixedSteps, PrescribedSteps

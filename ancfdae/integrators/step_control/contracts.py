@@ -1,4 +1,29 @@
-"""Contracts of step control, and the loop over the steps of a run.
+"""Contracts of step control: sizes, errors against tolerances, and the loop over the steps.
+
+Sizes that derivatives reach in a run, which error control of them needs beforehand.
+
+Derivatives in parameters start from zero, so that the start does not tell their sizes S_j
+but a run before does.
+
+Error of a step against its tolerance.
+
+With delta what the positions miss in a step, the rates delta / h add up to the error of the run, so
+that is what the tolerance bounds (error per unit step):
+
+    e^2 = mean over i of (T delta_i / h / (rtol |r_i| + atol Q_i))^2
+
+with T the length of the run, |r_i| the root mean square of the vector to which coordinate i
+belongs, positions from the place of the system, and Q_i the size of coordinate i (`Problem`,
+`Scales`). A step is accepted if e <= 1.
+
+Where derivatives are integrated too, each design variable j has its own e, from the derivative of
+delta in the design, with
+
+    rtol |r_b,ij| + atol S_j Q_i
+
+below the fraction and twice the value, because errors of the motion feed into those of its
+derivatives as much again; the largest e is that of the step. S_j is the largest size of
+derivative j in the run, relative to the coordinates .
 
 A method offers, a controller decides, a user sets; `march` brings them to the end.
 """
@@ -7,19 +32,144 @@ from __future__ import annotations
 
 import abc
 from collections import deque
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem
+from ancfdae.equations import ErrorEstimates, MechanicalSystem, Sensitivities
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.integrators.prescribed_motion import Watch, half_a_turn_off, lock
+from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.recorder import SolutionRecorder
-from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
+
+_TWICE = 2.0
+# A change of the design by its own size that moves the coordinates by less than this part of
+# theirs is none (measured where the influence is zero, E = 1e7 to 1e13 Pa: 1e-15 at most).
+_ROUND_OFF = 1e-12
+
+
+def with_own_sizes(rough: Solution, run: Callable[[Array], Solution], scales: Scales) -> Solution:
+    """Repeat a run until its derivatives have the sizes that it was controlled under.
+
+    They come from a rough run under error control of the motion alone. Where that had them too
+    large the tolerance was too loose; then the sizes found count, and all is run again.
+    """
+    solution, sizes_b = rough, None
+    while solution.outcome.verdict is not Verdict.INTERRUPTED:
+        assert solution.sensitivities is not None
+        shown = derivative_sizes(scales, solution.sensitivities.q_b)
+        if sizes_b is None:
+            # A rough run that broke off may have seen the beginning of a derivative only.
+            sizes_b = shown if solution.outcome.success else np.full(len(shown), np.inf)
+        elif not solution.outcome.success or sizes_hold(sizes_b, shown):
+            break
+        else:
+            sizes_b = smaller_sizes(sizes_b, shown)
+        solution = run(sizes_b)
+    return solution
+
+
+def derivative_sizes(scales: Scales, q_b: Array) -> Array:
+    """Return S_j of the derivatives of a run, shape (n_t, n_q, n_b).
+
+    Infinite if they are not finite, and zero if they are round-off.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = mean_squares(q_b, scales.q)
+        sizes = np.sqrt(np.max(squares, axis=0, initial=0.0))
+    sizes = np.where(np.isfinite(sizes), sizes, np.inf)
+    return np.where(sizes * scales.b > _ROUND_OFF, sizes, 0.0)
+
+
+def mean_squares(x: Array, sizes: Array) -> Array:
+    """Return means of (x / sizes)^2 over coordinates, shape (n, n_q, ...) to (n, ...)."""
+    rows = x if x.ndim == 2 else np.moveaxis(x, 1, -1)
+    return np.asarray(np.square(rows) @ (1 / (sizes**2 * x.shape[1])))
+
+
+def sizes_hold(assumed: Array, shown: Array) -> bool:
+    """Whether sizes under which a run was controlled are at most twice those it shows.
+
+    Round-off has no size to compare with, and no error either.
+    """
+    return bool(np.all((shown == 0) | ((assumed > 0) & (assumed <= _TWICE * shown))))
+
+
+def smaller_sizes(assumed: Array, shown: Array) -> Array:
+    """Return the smaller ones; zero, which bounds nothing, counts as none.
+
+    Where `sizes_hold` is false one of them at least falls to half or stops being zero, which none
+    becomes again, so that repeating a run ends.
+    """
+    smaller = np.where(assumed > 0, np.minimum(assumed, shown), shown)
+    return np.where(shown > 0, smaller, assumed)
+
+
+# Errors of the motion add as much to the derivatives' errors as their own:
+# docs/theory/13-errors.md.
+_FED = 2.0
+
+
+@final
+@dataclass(frozen=True)
+class Tolerance:
+    """Measure of the error of a step: sizes Q_i, and sizes_b S_j, zero without influence."""
+
+    rtol: float
+    atol: float
+    t_end: float
+    sizes: Array
+    sizes_b: Array
+
+    def of_motion(self, h: float, delta: Array, size: Array, blur: Array | float = 0.0) -> float:
+        """Return e of the motion; `size` is |r|, and delta below `blur` is round-off."""
+        return self._of(h, delta, self.rtol * size + self.atol * self.sizes + blur)
+
+    def of_derivatives(
+        self, h: float, delta_b: Array, size_b: Array, blur_b: Array | float = 0.0
+    ) -> float:
+        """Return the largest e of the derivatives; `size_b` is |r_b|."""
+        seen = self.sizes_b > 0
+        least = self.sizes[:, None] * self.sizes_b
+        allowed = self.rtol * size_b + self.atol * least + blur_b
+        return _FED * self._of(h, delta_b[:, seen], allowed[:, seen])
+
+    def _of(self, h: float, delta: Array, allowed: Array) -> float:
+        ratio = delta * (self.t_end / h) / allowed
+        return float(np.sqrt(np.max(np.mean(ratio * ratio, axis=0), initial=0.0)))
+
+
+def estimated_errors(
+    scales: Scales, scale: Array, rise: Array, sensitivities: Sensitivities | None
+) -> ErrorEstimates:
+    """Add up the errors of all n steps of a run, relative to Q_i and Q_i S_j.
+
+    They are the scale, (n,), times the rises of the accelerations, (n, n_q), and of a_b of the
+    derivatives.
+    """
+    # A run that diverged overflows; its error counts as infinite.
+    with np.errstate(over="ignore", invalid="ignore"):
+        motion = float(_added_up(scale, rise, scales.q))
+        if sensitivities is None:
+            return ErrorEstimates(motion)
+        sums = _FED * _added_up(scale, np.diff(sensitivities.a_b, axis=0), scales.q)
+        sizes_b = derivative_sizes(scales, sensitivities.q_b)
+        relative = np.divide(sums, sizes_b, out=np.full_like(sums, np.nan), where=sizes_b > 0)
+    relative = np.where(np.isfinite(sizes_b), relative, np.inf)
+    return ErrorEstimates(motion, tuple(float(x) for x in relative))
+
+
+def _added_up(scale: Array, rises: Array, sizes: Array) -> Array:
+    """Add up, over steps, root mean squares over coordinates; infinite where that is no number."""
+    total = np.abs(scale) @ np.sqrt(mean_squares(rises, sizes))
+    return np.where(np.isfinite(total), total, np.inf)
+
 
 # What a method knows at an instant.
 State = TypeVar("State")

@@ -25,12 +25,10 @@ import scipy
 
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.high_order import March, NotFinite
-from ancfdae.integrators.index_1 import stacked
-from ancfdae.integrators.problem import InitialValueProblem
+from ancfdae.integrators.problem import InitialValueProblem, stacked
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import verdict
-from ancfdae.integrators.sundials.index_reduced import ColumnStorage, SundialsIntegrator
-from ancfdae.integrators.sundials.step_points import StepPoints
+from ancfdae.integrators.sundials.index_reduced import ColumnStorage, StepPoints, SundialsIntegrator
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
 

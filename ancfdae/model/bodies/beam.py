@@ -21,7 +21,7 @@ from ancfdae.model.material import Material
 from ancfdae.model.sections.section import Section
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import cross
-from ancfdae.numerics.quadrature import box_rule
+from ancfdae.numerics.time_grid import box_rule
 
 _SOME = "Use at least one element; 100 are many."
 # Places in matrices are numbers of 32 bits: an element in space has 24^2 of them.

@@ -17,7 +17,7 @@ import scipy
 from ancfdae.errors.checks import require_array, require_count, require_vector
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.quadrature import box_rule
+from ancfdae.numerics.time_grid import box_rule
 
 # Below the square root of round-off a direction that is left over is noise.
 _NOISE = 1e-8

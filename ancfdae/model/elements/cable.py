@@ -67,8 +67,8 @@ from ancfdae.model.elements.section_results import SMALL_STRAIN, scaled, slope_o
 from ancfdae.model.elements.strains import change, upper_triangle
 from ancfdae.model.sections.section import Section, central_moments
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.quadrature import box_rule
 from ancfdae.numerics.rotations import in_space
+from ancfdae.numerics.time_grid import box_rule
 
 _CORNER, _RULE = box_rule((2,))
 #: Gauss points of the energy of bending, in xi, shape (2,).

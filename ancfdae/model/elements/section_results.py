@@ -47,8 +47,8 @@ from ancfdae.model.elements.strains import (
     packed_gram,
 )
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.quadrature import box_rule
 from ancfdae.numerics.rotations import in_space
+from ancfdae.numerics.time_grid import box_rule
 
 
 @final

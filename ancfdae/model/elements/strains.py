@@ -88,7 +88,7 @@ from ancfdae.model.elements.element import (
 )
 from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.quadrature import box_rule
+from ancfdae.numerics.time_grid import box_rule
 
 # Poisson's effect on the axis couples stretch, quadratic in xi, with thickness strains, linear in
 # xi: two points ask it where both can follow.

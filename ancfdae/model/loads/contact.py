@@ -30,7 +30,7 @@ from ancfdae.model.loads.obstacles import Carrier, Obstacle, require_obstacle
 from ancfdae.model.parts import Elements, LineVector, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, positive
-from ancfdae.numerics.quadrature import box_rule
+from ancfdae.numerics.time_grid import box_rule
 
 #: Design fields of the force, in the order that `ContactLoad.pressed` takes them.
 FORCE_FIELDS = (

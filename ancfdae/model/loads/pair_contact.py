@@ -25,7 +25,7 @@ from ancfdae.model.loads.obstacles import CENTRE
 from ancfdae.model.parts import Elements, FrameDirection, LineVector, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, dot, positive
-from ancfdae.numerics.quadrature import box_rule
+from ancfdae.numerics.time_grid import box_rule
 
 # Newton iterations for the closest point of a cubic, and how far beyond its ends they may lead.
 _ITERATIONS, _BEYOND = 6, 0.3

@@ -20,7 +20,7 @@ from ancfdae.model.sections.section import (
     stepped_share,
 )
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.quadrature import box_rule
+from ancfdae.numerics.time_grid import box_rule
 
 # Points of a circumference: the cosine of half the angle between them is 0.981.
 _AROUND = 16

@@ -11,7 +11,7 @@ import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.kinds import AncfdaeError
-from ancfdae.integrators.integrand import Density
+from ancfdae.integrators.integrator import Density
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.expression import (
     Expression,

@@ -17,7 +17,7 @@ import scipy
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_finite, require_kind, require_positive
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.integrators.integrand import Density, Integrand, PartialIntegral, Points
+from ancfdae.integrators.integrator import Density, Integrand, PartialIntegral, Points
 from ancfdae.numerics.arrays import STEP, Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.objectives.objective import (

@@ -12,7 +12,7 @@ from typing import ClassVar, Protocol, cast, final
 
 import numpy as np
 
-from ancfdae.assembly.beam_elements import StatePartials
+from ancfdae.assembly.beam_sections import StatePartials
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem, Naming, Solution

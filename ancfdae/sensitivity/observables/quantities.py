@@ -5,7 +5,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from ancfdae.assembly.works import LoadFunction
+from ancfdae.assembly.energies import LoadFunction
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_kind, require_text
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError

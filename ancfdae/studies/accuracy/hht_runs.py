@@ -9,8 +9,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import ErrorEstimates
+from ancfdae.integrators.hht.equations import small_from
 from ancfdae.integrators.hht.method import HHT
-from ancfdae.integrators.hht.small_steps import small_from
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.accuracy.bars import (

@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.assembly.load_input import LoadInput
+from ancfdae.assembly.load_forces import LoadInput
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.equations import MechanicalSystem, PlannedSystem, Solution
 from ancfdae.equations.formula_system import FormulaSystem
