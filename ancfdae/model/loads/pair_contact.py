@@ -195,8 +195,8 @@ class BeamPairContact(PairContact):
     """Contact of two beams or cables, centre lines with radii.
 
     Gauss points along `beam` touch the closest points of the other centre line. The force per unit
-    of reference length of `beam` follows the law of `Contact`. A contact at a crossing is short: there the
-    points must lie closer than the radii. Design targets: ``stiffness``, ``radius``,
+    of reference length of `beam` follows the law of `Contact`. A contact at a crossing is short:
+    there the points must lie closer than the radii. Design targets: ``stiffness``, ``radius``,
     ``other_radius``, ``restitution``, ``impact_speed``, ``friction`` and ``slip_speed``.
 
     Parameters
