@@ -6,8 +6,7 @@ import scipy
 
 from ancfdae import Beam, Clamp, Material, Scene, SpringDamper, assemble, modes
 from ancfdae.modes import lanczos
-from ancfdae.modes.configuration import LinearisationPoint
-from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.linearised import LinearisationPoint, Linearised
 from ancfdae.sections import Rectangle
 from validation.peers.loops import frame
 

@@ -20,7 +20,8 @@ from ancfdae import (
 from ancfdae.equations import saddle_points
 from ancfdae.errors import RedundantConstraintsError
 from ancfdae.sections import Rectangle
-from ancfdae.statics import search, ways
+from ancfdae.statics import search
+from ancfdae.statics import search as ways
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.softness import Softness, softest
 from validation.peers.cables import Elastica
