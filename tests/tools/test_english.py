@@ -73,17 +73,17 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "opens with what": 51,
+    "opens with what": 50,
     "as far as": 5,
-    "is none": 70,
-    "that of, those of": 525,
+    "is none": 68,
+    "that of, those of": 518,
     "inversion": 1,
-    "tells": 79,
-    "all of them": 50,
-    "the other": 33,
-    "instants": 508,
-    "array without a shape": 327,
-    "long sentence": 270,
+    "tells": 76,
+    "all of them": 48,
+    "the other": 32,
+    "instants": 498,
+    "array without a shape": 319,
+    "long sentence": 233,
 }
 
 Hit = tuple[Text, str]
