@@ -50,13 +50,12 @@ from ancfdae.sensitivity.objectives import (
     Terminal,
 )
 from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference
+from ancfdae.studies.accuracy.error_bars import error_bars, estimate_adjoint_error
 from ancfdae.studies.calls import differentiate, evaluate, gradient, gradients, simulate
-from ancfdae.studies.campbell import campbell
-from ancfdae.studies.error_bars import error_bars, estimate_adjoint_error
+from ancfdae.studies.fit import FrequencyMisfit, Misfit, StaticMisfit
 from ancfdae.studies.ladder import choose_model
 from ancfdae.studies.mass_properties import mass_properties
-from ancfdae.studies.misfit import FrequencyMisfit, Misfit, StaticMisfit
-from ancfdae.studies.modes import modes, suggest_step
+from ancfdae.studies.modes import campbell, modes, suggest_step
 from ancfdae.studies.observing import record_observables
 from ancfdae.studies.responses import Responses
 from ancfdae.studies.statics import CriticalValue, critical_load, equilibrium, equilibrium_gradient

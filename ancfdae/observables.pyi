@@ -1,14 +1,5 @@
 """Observables: quantities of a motion at every instant, with exact partial derivatives."""
 
-from ancfdae.sensitivity.observables.accelerations import acceleration
-from ancfdae.sensitivity.observables.controllers import effort, state
-from ancfdae.sensitivity.observables.drives import (
-    driver_force,
-    driver_torque,
-    joint_power,
-    load_power,
-    spring_energy,
-)
 from ancfdae.sensitivity.observables.mass import (
     angular_momentum,
     centre_of_mass,
@@ -18,26 +9,9 @@ from ancfdae.sensitivity.observables.mass import (
 )
 from ancfdae.sensitivity.observables.observable import observe
 from ancfdae.sensitivity.observables.orientation import orientation, rotation_angle
-from ancfdae.sensitivity.observables.quantities import (
-    design_value,
-    elapsed_time,
-    gravitational_energy,
-    kinetic_energy,
-    multiplier,
-    potential_energy,
-    reaction,
-    strain_energy,
-)
-from ancfdae.sensitivity.observables.rotation import angular_velocity
-from ancfdae.sensitivity.observables.section_forces import (
-    axial_force,
-    bending_moment,
-    shear_force,
-    torsional_moment,
-)
-from ancfdae.sensitivity.observables.stress import maximum_von_mises, von_mises
-from ancfdae.sensitivity.observables.user_functions import apply, custom
-from ancfdae.sensitivity.observables.vectors import (
+from ancfdae.sensitivity.observables.points import (
+    acceleration,
+    angular_velocity,
     axial_strain,
     deflection,
     position,
@@ -45,6 +19,32 @@ from ancfdae.sensitivity.observables.vectors import (
     slope_angle,
     velocity,
 )
+from ancfdae.sensitivity.observables.quantities import (
+    design_value,
+    driver_force,
+    driver_torque,
+    effort,
+    elapsed_time,
+    gravitational_energy,
+    joint_power,
+    kinetic_energy,
+    load_power,
+    multiplier,
+    potential_energy,
+    reaction,
+    spring_energy,
+    state,
+    strain_energy,
+)
+from ancfdae.sensitivity.observables.sections import (
+    axial_force,
+    bending_moment,
+    maximum_von_mises,
+    shear_force,
+    torsional_moment,
+    von_mises,
+)
+from ancfdae.sensitivity.observables.user_functions import apply, custom
 
 __all__ = [
     "acceleration",

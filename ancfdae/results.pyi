@@ -12,17 +12,16 @@ from ancfdae.sensitivity.method import Accuracy, Gradient
 from ancfdae.statics.critical import CriticalLoad
 from ancfdae.statics.equilibrium import Equilibrium
 from ancfdae.statics.outcome import EquilibriumOutcome
-from ancfdae.studies.campbell import Campbell
-from ancfdae.studies.error_bars import AdjointErrorEstimate, ErrorBars
-from ancfdae.studies.fit import ResidualFunction
-from ancfdae.studies.ladder_result import ModelChoice, ModelComparison, ModelVariant, VariantRun
+from ancfdae.studies.accuracy.error_bars import AdjointErrorEstimate, ErrorBars
+from ancfdae.studies.accuracy.search import ObservableEstimates
+from ancfdae.studies.fit import ResidualFunction, RunResidualFunction
+from ancfdae.studies.ladder import ModelChoice, ModelComparison, ModelVariant, VariantRun
 from ancfdae.studies.mass_properties import MassProperties
-from ancfdae.studies.misfit import RunResidualFunction
+from ancfdae.studies.modes import Campbell
 from ancfdae.studies.observing import ObservableRecord
 from ancfdae.studies.responses import Response
 from ancfdae.studies.sweep_file import Sweep, SweepRow
 from ancfdae.studies.taylor import TaylorTest
-from ancfdae.studies.tolerance.observables import ObservableEstimates
 from ancfdae.studies.tradeoff_result import MeasuredSetting, WorkPrecision
 
 __all__ = [

@@ -1,7 +1,7 @@
 """Costs and errors that pages quote, taken from the results of the reports when the site is built.
 
 A page writes a name in double braces; `CLAIMS` says which figure stands there and with how many
-digits. tests/test_claims.py finds costs that are typed into a page instead.
+digits. tests/public/test_claims.py finds costs that are typed into a page instead.
 """
 
 import json
@@ -20,6 +20,12 @@ def _figures(report: str) -> dict[str, float]:
     text = (_REPORTS / report / "results.json").read_text(encoding="utf-8")
     found: dict[str, float] = json.loads(text)["figures"]
     return found
+
+
+def _made(report: str) -> str:
+    """Return the day on which a report was started."""
+    text = (_REPORTS / report / "results.json").read_text(encoding="utf-8")
+    return str(json.loads(text)["meta"]["started"])[:10]
 
 
 def _shown(value: float, digits: int = 2) -> str:
@@ -100,6 +106,7 @@ def _speeds() -> dict[str, str]:
         "step_crank": _shown(step / 1e3, 1),
         "step_ten_thousand": _shown(speed[f"{size}step_of_10000_elements"] / 1e3, 1),
         "chain_of_100": _shown(speed["start.chain_of_100_bodies_assembled"]),
+        "tolerance_made": _made("tolerance"),
         "tolerance_price": _shown(tolerance["price"]),
         "tolerance_held": _shown(100 * tolerance["held"]),
     }

@@ -28,7 +28,7 @@ from ancfdae.observables import strain_energy
 from ancfdae.results import Gradient
 from ancfdae.sections import Rectangle
 from ancfdae.plotting import BendingMoment
-from ancfdae.plotting.bars import bar_places
+from ancfdae.plotting.derivatives import bar_places
 from ancfdae.plotting.charts import settings
 from ancfdae.plotting.mechanism import frames_of, mechanism
 from ancfdae.plotting.painters import canvas

@@ -20,7 +20,7 @@ from ancfdae.extend import Section
 from ancfdae.results import Solution
 from ancfdae.sections import ISection, QuadratureSection, Rectangle
 from ancfdae.sensitivity.observables.observable import observe
-from ancfdae.sensitivity.observables.section_forces import axial_force, shear_force
+from ancfdae.sensitivity.observables.sections import axial_force, shear_force
 from validation.report import Agreement, Report
 
 __all__ = ["sections"]

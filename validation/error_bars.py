@@ -294,5 +294,5 @@ _LIMITS = """
   derivatives, differences of runs are not reliable; `resolved` is False there.
 - Errors of the model (elements, constitutive law) are not in the bars.
 - `estimate_adjoint_error`, an estimate of the value's error from one run, is compared with it in
-  `tests/test_error_bars.py` (within 15 %), not here.
+  `tests/studies/test_error_bars.py` (within 15 %), not here.
 """

@@ -21,8 +21,8 @@ from ancfdae import (
     equilibrium,
 )
 from ancfdae.sections import Circle, Rectangle
+from ancfdae.sensitivity.observables.observable import States
 from ancfdae.sensitivity.observables.quantities import strain_energy
-from ancfdae.sensitivity.observables.states import States
 from validation.report import Report
 
 __all__ = ["fill"]

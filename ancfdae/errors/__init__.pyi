@@ -23,7 +23,7 @@ from ancfdae.sensitivity.objectives import NonFiniteObjectiveError
 from ancfdae.statics.critical import NoCriticalPointError
 from ancfdae.statics.equilibrium import NoEquilibriumError
 from ancfdae.statics.outcome import FreeMotionError
-from ancfdae.studies.ladder_result import NoAccurateModelError
+from ancfdae.studies.ladder import NoAccurateModelError
 from ancfdae.studies.tradeoff_result import TargetNotReachedError
 
 __all__ = [

@@ -40,7 +40,7 @@ from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import States
 from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference, Perturbation
 
 # Name of the mode in which every run begins.

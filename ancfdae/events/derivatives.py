@@ -31,7 +31,7 @@ from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.method import UnfinishedRunError, finished
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import States
 
 # A function whose rate at its zero is this part of the largest one in the phase grazes zero.
 _GRAZES = 1e-6

@@ -16,8 +16,7 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.extrapolation import scaled_derivative
 from ancfdae.sensitivity.observables.expression import leaf_weights
-from ancfdae.sensitivity.observables.observable import Leaf, Observable
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import Leaf, Observable, States
 
 # A gap whose gradients differ by less than this, relative to the largest entry, is linear in the
 # coordinates.

@@ -30,8 +30,7 @@ from ancfdae.events.kinds import Impact
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import Observable, States
 
 # Inverse masses below this part of the largest possible one are round-off: of a gap that joints
 # hold, and of a gap whose rate follows from the rates of other gaps.

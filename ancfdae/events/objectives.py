@@ -25,8 +25,7 @@ from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.objectives.objective import NonFiniteObjectiveError, Objective
 from ancfdae.sensitivity.objectives.reductions import AtInstants, OverTime, Reduction, Terminal
 from ancfdae.sensitivity.observables.expression import evaluated, leaf_weights, leaves
-from ancfdae.sensitivity.observables.observable import remembered
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import States, remembered
 
 # A time within this part of the run after the end of a phase lies at that end.
 _SAME = 1e-12

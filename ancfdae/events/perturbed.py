@@ -19,8 +19,7 @@ from ancfdae.events.phase_system import PhaseStart, PhaseSystem
 from ancfdae.events.run import Jump, Phase, PhasedRun
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.sensitivity.method import finished
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import Observable, States
 
 State = tuple[complex, Array, Array]
 

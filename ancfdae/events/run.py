@@ -31,7 +31,7 @@ from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import States
 
 #: Impacts that follow each other within this part of the run are rest.
 REST = 1e-8

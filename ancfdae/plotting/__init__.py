@@ -1,8 +1,9 @@
 """Pictures of mechanisms, films, histories and line plots: only here matplotlib is imported."""
 
-from ancfdae.plotting.bars import gradient_bars
 from ancfdae.plotting.charts import Figure, Panel, Scale, Series, draw, save
-from ancfdae.plotting.fields import (
+from ancfdae.plotting.derivatives import gradient_bars, history
+from ancfdae.plotting.pictures import Film, animate, snapshots
+from ancfdae.plotting.shapes import (
     AxialForce,
     BendingMoment,
     Field,
@@ -11,8 +12,6 @@ from ancfdae.plotting.fields import (
     StrainEnergyDensity,
     VonMisesStress,
 )
-from ancfdae.plotting.history import history
-from ancfdae.plotting.pictures import Film, animate, snapshots
 from ancfdae.plotting.vtk import write_vtk
 
 __all__ = [

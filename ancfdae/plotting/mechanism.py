@@ -22,8 +22,7 @@ from ancfdae.model.bodies import RigidBody
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.plotting.fields import Field
-from ancfdae.plotting.shapes import BeamMesh, Mesh, RigidMesh
+from ancfdae.plotting.shapes import BeamMesh, Field, Mesh, RigidMesh
 from ancfdae.plotting.symbols import Arrows, Line, Mark, Symbols
 
 # Lengths of elements that are the same number, summed in another order.

@@ -22,10 +22,15 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.elements import Quantity
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.plotting.fields import StrainEnergyDensity, VonMisesStress, section_forces
 from ancfdae.plotting.mechanism import Mechanism, mechanism
 from ancfdae.plotting.pictures import checked_path
-from ancfdae.plotting.shapes import BeamMesh, Mesh
+from ancfdae.plotting.shapes import (
+    BeamMesh,
+    Mesh,
+    StrainEnergyDensity,
+    VonMisesStress,
+    section_forces,
+)
 
 _QUAD = 9  # type of a cell with four corners, in the VTK file formats
 _FORCES = ("N [N]", "V_y [N]", "V_z [N]", "T [N m]", "M_y [N m]", "M_z [N m]")

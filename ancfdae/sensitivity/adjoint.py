@@ -1,21 +1,42 @@
-"""The discrete equations differentiated: directly (eqs. 21-25), and by their transpose."""
+"""The discrete equations differentiated: directly (eqs. 21-25), and by their transpose.
 
+**Within a limit of memory** parts of the run are taken again. The run is divided into parts.
+Forward, only the states that some parts begin with are kept; the pass back takes each part again
+from the last of them before it. Which to keep, and which parts to repeat, is the schedule of
+Griewank & Walther (revolve, ACM TOMS 26, 2000) by the library `checkpoint_schedules`, with the
+least repetitions that the number of kept states allows.
+"""
+
+import re
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import final
+from dataclasses import dataclass, replace
+from typing import Any, cast, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
+from ancfdae.errors.checks import require_package, require_positive
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
+from ancfdae.integrators.integrator import AdjointIntegrator, PartwiseIntegrator, RunInParts, Seeds
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
-from ancfdae.sensitivity import checkpointed
-from ancfdae.sensitivity.checkpointed import size_of
-from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, keeping
+from ancfdae.numerics.time_grid import TimeGrid
+from ancfdae.sensitivity.method import (
+    Gradient,
+    GradientMethod,
+    Method,
+    Run,
+    finished,
+    keeping,
+    require_differentiable,
+)
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.objectives.objective import require_finite_number
+from ancfdae.sensitivity.objectives.reductions import Reduction
+from ancfdae.sensitivity.observables.expression import evaluated, leaf_weights, leaves
+from ancfdae.sensitivity.observables.observable import States, remembered, states_of
 
 
 @final
@@ -90,7 +111,7 @@ class Adjoint(GradientMethod):
             )
             raise InvalidInputError("Adjoint", rule, repr(integrator), repair)
         if self.memory is not None:
-            return checkpointed.gradients(run, objectives, self, size_of(self.memory))
+            return checkpointed_gradients(run, objectives, self, size_of(self.memory))
         solution, totals = run.integrals(objectives, differentiated=True)
         results = []
         factorised = integrator.back_factorisations(solution)
@@ -104,3 +125,198 @@ class Adjoint(GradientMethod):
             done = solution.with_pass(factorised, seconds)
             results.append(Gradient(partials.value, total, system.design_names, self, done))
         return results
+
+
+_UNITS = {"B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9}
+# A part is held with its partials and, while these are made, what they are made of.
+_COPIES = 3
+
+
+def size_of(memory: str | float) -> float:
+    """Return a size in bytes of a number or a text such as ``"200 MB"``."""
+    rule, repair = "must be a size", 'For example "200 MB"; units are B, kB, MB and GB.'
+    if not isinstance(memory, str):
+        require_positive("memory", memory)
+        return float(memory)
+    match = re.fullmatch(r"\s*([0-9.eE+]+)\s*([kMG]?B)\s*", memory)
+    try:
+        number = float(match[1]) if match else 0.0
+    except ValueError:
+        number = 0.0
+    if not match or not 0 < number < np.inf:
+        raise InvalidInputError("memory", rule, repr(memory), repair)
+    return number * _UNITS[match[2]]
+
+
+@in_one_thread
+def checkpointed_gradients(
+    run: Run, objectives: Sequence[Objective], method: GradientMethod, memory: float
+) -> list[Gradient]:
+    """Return value and gradient of every objective; `memory` in bytes is for states of the run.
+
+    The solution of the results is the last part of the run; its statistics count repeated steps.
+    """
+    system, integrator = run.system, run.integrator
+    if not (
+        isinstance(integrator, PartwiseIntegrator) and isinstance(integrator, AdjointIntegrator)
+    ):
+        rule = "needs an integrator that can take parts of its runs again, such as HHT"
+        repair = "Use HHT(step=...) or Radau(step=...), or leave it out."
+        raise InvalidInputError("memory", rule, repr(integrator), repair)
+    started, replay = time.perf_counter(), integrator.replay(system, run.t_end)
+    length, kept = division(system, len(replay.t) - 1, memory, replay.degree)
+    watched = [
+        _Watched(system, objective, TimeGrid(replay.t, replay.degree)) for objective in objectives
+    ]
+    backward = _Backward(system, replay, length, watched)
+    for action in schedule(-(-(len(replay.t) - 1) // length), kept):
+        backward.follow(action)
+    solution, seconds = backward.last, time.perf_counter() - started
+    done = replace(solution.statistics, steps=replay.taken, wall_seconds=seconds)
+    solution = replace(solution, statistics=done)
+    return [Gradient(x.value, x.gradient, system.design_names, method, solution) for x in watched]
+
+
+def division(
+    system: MechanicalSystem, steps: int, memory: float, degree: int = 1
+) -> tuple[int, int]:
+    """Return instants in a part, and states to keep: half of the memory is for each.
+
+    A part of all instants, and no repetition, where the memory holds that. Steps of `degree`
+    instants stay whole, and what is kept has all of one.
+    """
+    number = np.dtype(float).itemsize
+    row = number * _COPIES * (3 * system.n_q + system.n_lam + 1)
+    node = number * degree * (4 * system.n_q + system.n_lam + 1)
+    if row * (steps + 1) <= memory:
+        return steps, 1
+    length, kept = int(memory / 2 // row) - 1, int(memory / 2 // node)
+    length -= length % degree
+    if length < 1:
+        rule = f"must be {2 * (degree + 1) * row / 1e6:.3g} MB or more for {system.n_q} coordinates"
+        repair = "Omit it to store the whole run."
+        raise InvalidInputError("memory", rule, f"{memory / 1e6:.3g} MB", repair)
+    return length, min(kept, -(-steps // length))
+
+
+def schedule(parts: int, kept: int) -> Any:
+    """Return the Revolve schedule for `parts` parts of a run and `kept` stored checkpoints."""
+    library = require_package("memory", "checkpoint_schedules", "checkpoints")
+    return library.Revolve(parts, kept)
+
+
+@final
+class _Watched:
+    """An objective whose observables are followed part by part."""
+
+    def __init__(self, system: MechanicalSystem, objective: Objective, grid: TimeGrid) -> None:
+        self._system, self._objective, self._grid = system, objective, grid
+        self._values = {
+            x: np.zeros(len(grid.t)) for x in cast("list[Reduction]", leaves(objective))
+        }
+        self._slopes: dict[Reduction, Array] = {}
+        # What observables remember where a part begins.
+        self._past: dict[int, dict[object, float]] = {0: {}}
+        self.value, self.gradient = 0.0, np.zeros(system.n_b)
+        self.on: Array | None = None
+
+    def look(self, states: States, first: int) -> None:
+        """Note the values at instants from `first` on."""
+        require_differentiable(self._system, states.t, states.q, states.v)
+        states, last = replace(states, past=self._past[first]), first + len(states.t) - 1
+        self._past[last] = {}
+        for leaf, values in self._values.items():
+            nodes = leaf.observable.node_values(self._system, states)
+            values[first : last + 1] = list(nodes.values())[-1]
+            self._past[last] |= remembered(nodes)
+
+    def close(self) -> None:
+        """Make the value of those of all instants, and the slopes in each."""
+        values, grid = self._values, self._grid
+        nodes = evaluated(self._objective, lambda leaf: leaf.of_values(values[leaf], grid))
+        value = list(nodes.values())[-1]
+        require_finite_number("the value", value)
+        self.value = float(value)
+        for leaf, weight in leaf_weights(nodes, np.ones(())).items():
+            require_finite_number("the derivative", weight)
+            reduction = cast(Reduction, leaf)
+            self._slopes[reduction] = weight * reduction.slopes_of_values(values[reduction], grid)
+
+    def seeds(self, states: States, first: int) -> Seeds:
+        """Return the partials in the states of a part, and add those in the design.
+
+        The instant that a part begins with belongs to the one before.
+        """
+        states = replace(states, past=self._past[first])
+        total: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
+        for leaf, all_slopes in self._slopes.items():
+            slopes = all_slopes[first : first + len(states.t)].copy()
+            slopes[: first > 0] = 0.0
+            nodes = leaf.observable.node_values(self._system, states)
+            p = leaf.pulled_back(self._system, states, nodes, slopes)
+            self.gradient = self.gradient + p.b.sum(axis=0)
+            for name, so_far in total.items():
+                partial: Array | None = getattr(p, name)
+                if partial is not None:
+                    total[name] = partial if so_far is None else so_far + partial
+        return Seeds(total["q"], total["v"], total["lam"])
+
+
+@final
+class _Backward:
+    """Follows a schedule; the solution `last` is the part that the run ends with."""
+
+    last: Solution
+
+    def __init__(
+        self, system: MechanicalSystem, replay: RunInParts, length: int, watched: list[_Watched]
+    ) -> None:
+        self._system, self._replay, self._watched = system, replay, watched
+        self._ends = [*range(0, len(replay.t) - 1, length), len(replay.t) - 1]
+        self._node, self._kept, self._seen = replay.start(), dict[int, Any](), 0
+        # The part that is pulled back next, with the node that it begins with.
+        self._held: tuple[Solution, Any] | None = None
+
+    def follow(self, action: Any) -> None:
+        """Do what an action of `checkpoint_schedules` says."""
+        match type(action).__name__, action.args:
+            case "Forward", (begin, end, keep, hold, _):
+                if keep:
+                    self._kept[begin] = self._node
+                for k in range(begin, end):
+                    self._forward(k, hold)
+            case "EndForward", _:
+                for x in self._watched:
+                    x.close()
+            case "Reverse", (end, begin, _):
+                assert end == begin + 1
+                self._reverse(begin)
+            case "Copy", (k, _, _):
+                self._node = self._kept[k]
+            case "Move", (k, _, _):
+                self._node = self._kept.pop(k)
+
+    def _forward(self, k: int, hold: bool) -> None:
+        from ancfdae.modes.periods import advised
+
+        first, begin = self._ends[k], self._node
+        solution, self._node = self._replay.part(begin, first, self._ends[k + 1])
+        finished(advised(self._system, solution))
+        if hold:
+            self._held = solution, begin
+        if k == self._seen:
+            self._seen, self.last = k + 1, solution
+            for x in self._watched:
+                x.look(states_of(solution), first)
+
+    def _reverse(self, k: int) -> None:
+        assert self._held is not None
+        (solution, begin), self._held = self._held, None
+        with keeping(solution):
+            for x in self._watched:
+                seeds = x.seeds(states_of(solution), self._ends[k])
+                on = self._replay.no_covectors() if x.on is None else x.on
+                gradient, x.on = self._replay.pull_back(solution, begin, self._ends[k], seeds, on)
+                x.gradient = x.gradient + gradient
+                if k == 0:
+                    x.gradient = self._replay.close(x.on, seeds, x.gradient)

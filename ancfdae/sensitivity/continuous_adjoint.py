@@ -42,12 +42,18 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
-from ancfdae.sensitivity.along_runs import require_differentiable
-from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
+from ancfdae.sensitivity.method import (
+    Gradient,
+    GradientMethod,
+    Run,
+    finished,
+    keeping,
+    require_differentiable,
+)
 from ancfdae.sensitivity.objectives import Objective, ObjectivePartials
 from ancfdae.sensitivity.objectives.reductions import OverTime
 from ancfdae.sensitivity.observables.expression import leaves
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
 
 # Steps needed for the one-sided differences at the end.
 _LEAST_STEPS = 4

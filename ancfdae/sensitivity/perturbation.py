@@ -19,8 +19,7 @@ from ancfdae.errors.checks import require_flag, require_kind, require_positive
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.threads import in_one_thread
-from ancfdae.sensitivity.along_runs import require_differentiable
-from ancfdae.sensitivity.method import Gradient, Method, Run
+from ancfdae.sensitivity.method import Gradient, Method, Run, require_differentiable
 from ancfdae.sensitivity.objectives import Objective
 
 _STATES = ("q", "v", "a", "lam")

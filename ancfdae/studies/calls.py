@@ -23,17 +23,22 @@ from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
-from ancfdae.sensitivity.along_runs import warn_near_singular
-from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRunError
+from ancfdae.sensitivity.method import (
+    Gradient,
+    GradientMethod,
+    Method,
+    Run,
+    UnfinishedRunError,
+    warn_near_singular,
+)
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import Observable, states_of
 from ancfdae.studies.parts import Keep, RunOfParts
 from ancfdae.studies.remedies import with_remedies
 
 if TYPE_CHECKING:
     from ancfdae.events.kinds import Event, Mode
-    from ancfdae.studies.tolerance.observables import ObservableEstimates
+    from ancfdae.studies.accuracy.search import ObservableEstimates
 
 # States of a run, the end included, at which strains are looked at: all would cost half a run.
 _LOOKS = 9
@@ -140,7 +145,7 @@ def simulate(
         return phased
     if tolerance is not None:
         _require_alone("tolerance", integrator=integrator, after=after, keep=keep)
-        from ancfdae.studies.tolerance.observables import observed_within
+        from ancfdae.studies.accuracy.search import observed_within
 
         return observed_within(system, observables, at, t_end, tolerance, progress)
     if observables is not None or at is not None:
@@ -362,7 +367,7 @@ def gradients(
         return gradients_with_events(made, objectives, method)
     if tolerance is not None:
         _require_alone("tolerance", integrator=integrator, memory=memory, after=after)
-        from ancfdae.studies.tolerance.gradients import gradients_within
+        from ancfdae.studies.accuracy.search import gradients_within
 
         return gradients_within(system, objectives, t_end, tolerance, method, progress)
     if memory is not None:

@@ -12,8 +12,7 @@ from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.mass import centre_of_mass, inertia, mass
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import Observable, States
 from ancfdae.studies.calls import as_system
 
 

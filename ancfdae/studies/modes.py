@@ -1,36 +1,55 @@
-"""Natural frequencies and shapes, where `modes` linearises, and a step that follows them."""
+"""Natural frequencies and shapes, a step that follows them, and a Campbell diagram."""
+
+from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias, final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, final
 
 import numpy as np
+import scipy
 
+from ancfdae.assembly.system import assemble
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import force_total, held_pull_back, held_q, held_total
 from ancfdae.equations.saddle_points import saddle_point, solve, solve_transposed
-from ancfdae.errors.checks import require_count, require_flag, require_kind, require_positive
+from ancfdae.equations.solution_parts import pandas
+from ancfdae.errors.checks import (
+    require_array,
+    require_count,
+    require_flag,
+    require_kind,
+    require_positive,
+)
 from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.start import (
     Covectors,
     consistent_start,
     pull_back_start,
     start_sensitivity,
 )
-from ancfdae.model.design import DesignVariable
+from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
+from ancfdae.model.turning_frame import RotatingFrame
 from ancfdae.modes.analysis import modes_about
 from ancfdae.modes.configuration import LinearisationPoint
+from ancfdae.modes.linearised import EPS
 from ancfdae.modes.periods import StepSuggestion, suggestion
-from ancfdae.modes.result import Modes
-from ancfdae.numerics.arrays import Array
+from ancfdae.modes.result import ModeKind, Modes
+from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
 from ancfdae.statics.derivatives import Tangent
-from ancfdae.statics.equilibrium import Equilibrium
+from ancfdae.statics.equilibrium import Equilibrium, NoEquilibriumError
 from ancfdae.studies.calls import as_system
+from ancfdae.studies.statics import equilibrium
 
 
 @in_one_thread
@@ -238,3 +257,255 @@ class _Start(DesignedConfiguration):
         on_b = on_b - held_pull_back(system, 0.0, q, rest, z, a)
         on = Covectors(on_q, rest, rest, none, on_b)
         return pull_back_start(system, self.matrices, self._state, on)
+
+
+if TYPE_CHECKING:
+    from ancfdae.plotting import Panel
+
+# Target of the rate, the first of all design variables.
+_RATE = "scene.rate"
+# Weight of decay beside distance where a line has two ways to go on.
+_FALLS = 1e-3
+# Size of whirl, from 0 to 1, from which a motion counts as a circle.
+_CIRCLES = 0.5
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class Campbell(PrintedTable):
+    """Modes of a scene at several rates of its frame, each followed over all of them.
+
+    Attributes
+    ----------
+    rates : array, shape (k,)
+        Rates of the frame; rad/s.
+    exponents : array, shape (k, count), complex
+        s as in `Modes`, as seen in the rotating frame. A mode keeps its column; where it does not
+        vibrate, as between the critical speeds of a shaft that is not round, s is real, that of the
+        motion which decays least or grows.
+    exponents_b : array, shape (k, count, n_b), complex
+        Design derivatives of `exponents`, with the change of the equilibrium; 1/s per unit of
+        the variable.
+    names : tuple of str
+        Names of the design variables, ``"scene.rate"`` first.
+    whirl : array, shape (k, count)
+        Sense of the motion about the axis in the frame, dimensionless: 1 for circles in the sense
+        of the rate, -1 for circles against it, zero for motion to and fro.
+    equilibria : tuple of Equilibrium
+    """
+
+    rates: Array
+    exponents: Array
+    exponents_b: Array
+    names: tuple[str, ...]
+    whirl: Array
+    equilibria: tuple[Equilibrium, ...]
+
+    @property
+    def frequencies(self) -> Array:
+        """Circular frequencies in the rotating frame, shape (k, count); rad/s."""
+        return self.exponents.imag
+
+    @property
+    def frequencies_b(self) -> Array:
+        """Design derivatives of `frequencies`, shape (k, count, n_b); rad/s per unit of each."""
+        return self.exponents_b.imag
+
+    @property
+    def whirl_speeds(self) -> Array:
+        """Speeds of circular motions seen at rest, shape (k, count); rad/s.
+
+        Positive forward, in the sense of the axis, negative backward. Motions to and fro, |whirl|
+        below 1/2, keep the frequency that they have in the frame, as torsion about the axis and
+        stretch along it do; sideways, as of a shaft that is not alike in all directions, they have
+        two frequencies at rest, which differ from it by the rate.
+        """
+        circles = np.abs(self.whirl) >= _CIRCLES
+        turned = self.rates[:, None] + np.sign(self.whirl) * self.frequencies
+        return np.where(circles, turned, self.frequencies)
+
+    @property
+    def critical_speeds(self) -> Array:
+        """Rates at which a mode stands still in the rotating frame, ascending, shape (n,); rad/s.
+
+        A load that turns with the frame, such as an unbalance, then acts at the frequency of the
+        mode. They are found between neighbouring `rates` by cubics through the exponents and their
+        derivatives. A shaft that is not alike in all directions has two for each mode, between
+        which it is unstable.
+        """
+        found = [x for k in range(len(self.rates) - 1) for x in self._standing(k)]
+        return np.array(sorted(found))
+
+    def _standing(self, k: int) -> Iterator[float]:
+        """Return the rates between two neighbouring ones at which an exponent passes zero."""
+        circles = np.all(np.abs(self.whirl[k : k + 2]) >= _CIRCLES, axis=0)
+        s, s_b = self.exponents[k : k + 2], self.exponents_b[k : k + 2, :, 0]
+        sense = np.sign(self.whirl[k : k + 2])
+        # Of circles the frequency changes its sense; of other motions s^2 changes its sign.
+        values = np.where(circles, sense * s.imag, (s * s).real)
+        slopes = np.where(circles, sense * s_b.imag, 2 * (s * s_b).real)
+        for j in np.flatnonzero(np.sign(values[0]) * np.sign(values[1]) < 0):
+            line = scipy.interpolate.CubicHermiteSpline(
+                self.rates[k : k + 2], values[:, j], slopes[:, j]
+            )
+            yield from line.roots(extrapolate=False).tolist()
+
+    def plot(self, path: str | os.PathLike[str]) -> tuple[Path, ...]:
+        """Draw the Campbell diagram, as `panels`, and save it; return the files written."""
+        from ancfdae import plotting
+
+        return plotting.save(plotting.draw(self.panels()), path)
+
+    def panels(self) -> list[Panel]:
+        """Return the panel of `plot`: whirl speeds over the rate, and the rate itself."""
+        from ancfdae.plotting import Panel, Series
+
+        speeds = np.abs(self.whirl_speeds).T
+        lines = [Series(f"mode {j}", self.rates, line) for j, line in enumerate(speeds)]
+        lines.append(Series("rate of the frame", self.rates, self.rates, dashed=True))
+        axes = "rate of the frame [rad/s]", "speed of whirl seen at rest [rad/s]"
+        return [Panel("Campbell diagram", *axes, lines)]
+
+    def to_dataframe(self) -> Any:
+        """Return `frequencies` as a table of pandas: a row for each rate, a column a mode."""
+        index = pandas().Index(self.rates, name="rate")
+        names = [f"mode {j}" for j in range(self.exponents.shape[1])]
+        return pandas().DataFrame(self.frequencies, index=index, columns=names)
+
+    def _printed(self) -> TableText:
+        head = ["rate", *(f"mode {j}" for j in range(self.exponents.shape[1]))]
+        values = np.column_stack([self.rates, self.frequencies])
+        rows = [[f"{x:.6g}" for x in row] for row in values]
+        return "Frequencies in the rotating frame, rad/s", [head, *rows], ""
+
+
+def campbell(
+    scene: Scene,
+    rates: Numbers,
+    count: int = 6,
+    *,
+    design: Sequence[str | DesignVariable] = (),
+    progress: bool = False,
+) -> Campbell:
+    """Return the lowest modes about steady rotation at several rates: a Campbell diagram.
+
+    Every equilibrium is searched from that of the rate before. Modes are followed by their
+    exponents and the derivatives of these in the rate, so that lines cross where they do.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a `RotatingFrame`, whose rate is replaced.
+    rates : sequence of float
+        Ascending; rad/s. Close enough that a line and its neighbours are nearly straight between.
+    count : int
+        How many, the lowest at the first rate; those that coincide there are not separated, so
+        there may be a few more.
+    design : sequence of str or DesignVariable
+        What to differentiate in beside the rate.
+    progress : bool
+        Whether to show a progress bar, which counts the rates.
+    """
+    frame = _frame_of(scene)
+    require_flag("progress", progress)
+    require_count("count", count, "Ask for one or more modes.")
+    rates = require_array("rates", rates)
+    if rates.ndim != 1 or not len(rates) or not np.all(np.diff(rates) > 0):
+        rule = "must be a sequence that ascends"
+        raise InvalidInputError("rates", rule, rates.tolist(), "For example [0, 50, 100].")
+    variables, equilibria, lines = (_RATE, *design), list[Equilibrium](), list[_Lines]()
+    for rate in progress_bar(progress, rates.tolist(), desc="campbell", unit="rate"):
+        turned = replace(scene, frame=replace(frame, rate=rate))
+        at = equilibrium(turned, start=equilibria[-1] if equilibria else None)
+        if not at.outcome.success:
+            raise NoEquilibriumError(at)
+        # Twice as many, so that lines which leave the lowest ones are not lost.
+        modes_there = modes(turned, 2 * count, at=at, design=variables, damped=True)
+        all_lines = _Lines.of(modes_there, turned)
+        if lines:
+            which = lines[-1].matched(all_lines, rate - rates[len(lines) - 1])
+        else:
+            which = _lowest(modes_there, count)
+        equilibria.append(at)
+        lines.append(all_lines.chosen(which))
+    s, s_b = np.array([x.s for x in lines]), np.array([x.s_b for x in lines])
+    whirl = np.array([x.whirl for x in lines])
+    names = tuple(x.name for x in as_design(variables))
+    return Campbell(rates, s, s_b, names, whirl, tuple(equilibria))
+
+
+@final
+@dataclass(frozen=True)
+class _Lines:
+    """Modes at one rate: s, s_b and sense of whirl."""
+
+    s: Array
+    s_b: Array
+    whirl: Array
+
+    @staticmethod
+    def of(modes: Modes, scene: Scene) -> _Lines:
+        assert modes.derivatives is not None
+        assert scene.frame is not None
+        numbers = np.array(list(scene.frame.parameters().values()))
+        J, X = scene.frame.turn(numbers, scene.dimension)[1], modes.shapes.astype(complex)
+        turned = np.einsum("ij,vjm->vim", J, X.reshape(-1, len(J), X.shape[1])).reshape(X.shape)
+        M_turned = assemble(scene).mass_times(modes.configuration.q, turned)
+        along = (X.conj().T @ M_turned - M_turned.conj().T @ X) / 2j
+        sizes = turned.conj().T @ M_turned
+        size = np.real(np.diagonal(sizes))
+        whirl = np.real(np.diagonal(along)) / np.where(size == 0, 1.0, size)
+        s_b = modes.derivatives.exponents_b
+        for group in map(np.array, modes.coincide):
+            # Any combination of modes that coincide is one. Circles are those that part as the
+            # rate grows: the forward one falls in the frame, as no polar inertia is more than the
+            # sum of the two others.
+            within = np.ix_(group, group)
+            circles = _quotients(along[within], sizes[within])
+            if len(circles) == len(group):
+                whirl[group[np.argsort(-s_b[group, 0].imag)]] = circles
+        return _Lines(modes.exponents, s_b, whirl)
+
+    def chosen(self, which: Array) -> _Lines:
+        return _Lines(self.s[which], self.s_b[which], self.whirl[which])
+
+    def matched(self, following: _Lines, step: float) -> Array:
+        """Return for each mode its place among the following ones.
+
+        A smooth line has the slopes of both ends half way on either side. It is s^2 that is smooth
+        where a motion ceases to vibrate; of its two real exponents the greater one goes on.
+        """
+        here, there = self._squares(step / 2), following._squares(-step / 2)
+        falls = -_FALLS * following.s.real * np.abs(following.s)
+        apart = np.abs(here[:, None] - there) + falls
+        return np.asarray(scipy.optimize.linear_sum_assignment(apart)[1])
+
+    def _squares(self, step: float) -> Array:
+        """Return s^2 at another rate, to first order."""
+        slopes = 2 * self.s * self.s_b[:, 0]
+        # Infinite where two exponents part.
+        return self.s**2 + step * np.where(np.isfinite(slopes), slopes, 0.0)
+
+
+def _quotients(A: Array, B: Array) -> Array:
+    """Return the eigenvalues of A - w B, ascending, in the space where B is not round-off."""
+    squares, V = np.linalg.eigh(B)
+    kept = squares > EPS**0.5 * squares[-1]
+    V = V[:, kept] / np.sqrt(squares[kept])
+    return np.asarray(np.linalg.eigvalsh(V.conj().T @ A @ V))
+
+
+def _lowest(modes: Modes, count: int) -> Array:
+    """Return the places of the lowest ones that do not just decay, without cutting a group."""
+    moving = [j for j, kind in enumerate(modes.kinds) if kind is not ModeKind.DECAYING]
+    last = moving[:count][-1:]
+    groups = [group for group in modes.coincide if last and last[0] in group]
+    return np.array(moving[:count] + [j for group in groups for j in group if j > last[0]])
+
+
+def _frame_of(scene: Scene) -> RotatingFrame:
+    require_kind("scene", scene, (Scene,), "Call Scene(...).")
+    if scene.frame is None:
+        rule, repair = "must have a RotatingFrame", "Write Scene(..., frame=RotatingFrame(0.0))."
+        raise InvalidInputError("campbell, scene", rule, "a scene in a frame at rest", repair)
+    return scene.frame

@@ -17,8 +17,7 @@ from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.observables.observable import Observable, remembered
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import Observable, remembered, states_of
 from ancfdae.studies.calls import as_system
 from ancfdae.studies.parts import Keep, RunOfParts
 

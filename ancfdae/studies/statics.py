@@ -25,8 +25,7 @@ from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective, ObjectivePartials, Terminal
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
-from ancfdae.sensitivity.observables.observable import Observable
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import Observable, States
 from ancfdae.statics.critical import CriticalLoad, find_critical
 from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, find_equilibrium
 from ancfdae.studies.calls import as_system, cheapest, differentiable, warn_of_strains

@@ -32,8 +32,7 @@ from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.method import GradientMethod, Run, finished
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.observable import Observable, observe
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import Observable, observe, states_of
 from ancfdae.studies.calls import as_system, gradient
 from ancfdae.studies.jobs import answers
 from ancfdae.studies.sweep_file import Sweep, SweepFile, SweepRow

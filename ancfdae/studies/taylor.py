@@ -20,7 +20,8 @@ from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.numerics.progress import progress_bar
 from ancfdae.sensitivity.method import Gradient, GradientMethod, finished
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.states import states_of
+from ancfdae.sensitivity.observables.observable import states_of
+from ancfdae.studies.accuracy.bars import observed_order
 from ancfdae.studies.calls import differentiable, gradient
 
 
@@ -52,8 +53,7 @@ class TaylorTest(PrintedTable):
 
         Infinite where a remainder vanishes, as that of a linear objective does to round-off.
         """
-        with np.errstate(divide="ignore", invalid="ignore"):
-            orders = np.diff(np.log(self.first)) / np.diff(np.log(self.sizes))
+        orders = observed_order(self.first[:-1], self.first[1:], self.sizes[:-1] / self.sizes[1:])
         return float(np.min(np.where(np.isnan(orders), np.inf, orders)))
 
     def to_dataframe(self) -> Any:

@@ -27,8 +27,14 @@ from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import differentiable, require_objectives
 from ancfdae.studies.jobs import answers
 from ancfdae.studies.meshes import known_design
-from ancfdae.studies.tradeoff_result import WorkPrecision, compared
-from ancfdae.studies.tradeoff_run import Measurement, Results, Task, measure
+from ancfdae.studies.tradeoff_result import (
+    Measurement,
+    Results,
+    Task,
+    WorkPrecision,
+    compared,
+    measure,
+)
 
 # Most steps of the reference by default: the crank-slider of the paper takes 29,410 by `DOP853`.
 _STEPS = 50_000

@@ -82,7 +82,8 @@ def continuous(report: Report, extent: Extent) -> None:
         "The continuous adjoint discretises the adjoint equations of the paper, with the corrected "
         "end condition; it meets the discrete one at second order on average. Single halvings are "
         "irregular as long as waves of the section are not resolved; at steps that resolve them "
-        "the order is 1.9 to 2.0, for objectives of q and of lam (`tests/test_adjoint.py`)."
+        "the order is 1.9 to 2.0, for objectives of q and of lam "
+        "(`tests/sensitivity/test_adjoint.py`)."
     )
 
 

@@ -187,5 +187,5 @@ _DERIVATIVES = """
 The derivatives take the increment as well: Phi_q dq_b + G q_b + g in place of Phi_q q_b + Phi_b,
 which would leave 1e-2 of a_b and lambda_b at 1e-6 s and nothing at 1e-7 s. Largest relative errors
 of the derivatives of the rigid pendulum in its length and in gravity at the end of the same runs;
-the discrete adjoint is the transpose of these lines (`tests/test_extremes.py`).
+the discrete adjoint is the transpose of these lines (`tests/integrators/test_extremes.py`).
 """

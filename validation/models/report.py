@@ -12,7 +12,7 @@ from ancfdae.errors import NoAccurateModelError
 from ancfdae.extend import Objective
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import ModelChoice, ModelComparison
-from ancfdae.studies.ladder_result import KINDS, ErrorOf, error
+from ancfdae.studies.ladder import KINDS, ErrorOf, error
 from ancfdae.studies.meshes import with_mesh
 from validation.models.scenes import CASES, Case
 from validation.report import Agreement, Report

@@ -83,7 +83,7 @@ def around(h: Array, w: Array) -> tuple[Array, Array]:
     Bending has its largest stress at corners and torsion in the middle of the long sides, but it
     keeps most of it up to about the thickness from the corners: so places there come in, which the
     number 0.4 puts best. Stresses linear along the sides, together with those of torsion, exceed
-    the largest at these places by less than 3.5 % (tests/test_stress.py).
+    the largest at these places by less than 3.5 % (tests/sensitivity/test_stress.py).
     """
     zero = 0.0 * h
     y_near = h / 2 * (1 - w / (w + 0.4 * h))

@@ -15,13 +15,13 @@ from ancfdae.integrators.integrand import Density
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.expression import (
     Expression,
+    Function,
     Operation,
     evaluated,
     leaf_weights,
     leaves,
 )
-from ancfdae.sensitivity.observables.functions import Function
-from ancfdae.sensitivity.observables.states import States
+from ancfdae.sensitivity.observables.observable import States
 
 
 @final

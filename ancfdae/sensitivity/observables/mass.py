@@ -18,9 +18,17 @@ from ancfdae.errors.checks import require_text, require_vector
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
-from ancfdae.sensitivity.observables.states import Named, States, known_scene, require_index
-from ancfdae.sensitivity.observables.vectors import position
+from ancfdae.sensitivity.observables.observable import (
+    Columns,
+    Leaf,
+    LeafGradient,
+    Named,
+    Observable,
+    States,
+    known_scene,
+    require_index,
+)
+from ancfdae.sensitivity.observables.points import position
 
 
 def mass(beam: str | None = None) -> Observable:

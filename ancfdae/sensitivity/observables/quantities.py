@@ -1,18 +1,21 @@
-"""Observables of joints and energies, time, and the design variables themselves."""
+"""Observables of joints, drives, loads and controllers, energies, time and design variables."""
 
 from dataclasses import dataclass
 from typing import ClassVar, final
 
 import numpy as np
 
+from ancfdae.assembly.works import LoadFunction
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import require_kind, require_text
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.observables.drives import spring_energy
-from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
-from ancfdae.sensitivity.observables.states import (
+from ancfdae.sensitivity.observables.observable import (
+    Columns,
+    Leaf,
+    LeafGradient,
     Named,
+    Observable,
     States,
     known_naming,
     known_scene,
@@ -218,3 +221,180 @@ class Design(Leaf):
         b = np.zeros((len(states.t), system.n_b))
         b[:, system.design_names.index(self.name)] = 1.0
         return LeafGradient(b=b)
+
+
+def driver_torque(joint: str) -> Observable:
+    """Return the torque of a `RotationDriver` on what it turns, in the sense of its angle; N m.
+
+    It is work conjugate to the angle: its product with the rate of the angle is `joint_power`.
+    """
+    return DriveWork(joint, unit_rate=True)
+
+
+def driver_force(joint: str) -> Observable:
+    """Return the force of a `TranslationDriver` on what it moves, along its direction; N."""
+    return DriveWork(joint, unit_rate=True)
+
+
+def joint_power(joint: str) -> Observable:
+    """Return the power of a driven joint, what it adds to the energy of the scene; W.
+
+    ``Integral(joint_power("motor"))`` is its work; J.
+    """
+    return DriveWork(joint, unit_rate=False)
+
+
+def load_power(load: str) -> Observable:
+    """Return the power of a load, what it adds to the energy of the scene; W.
+
+    That of a spring is what it gives back, and that of a damper is negative.
+    """
+    return LoadQuantity(load)
+
+
+def spring_energy(load: str | None = None) -> Observable:
+    """Return the elastic energy of a spring, or of all springs of the scene; J.
+
+    Springs are `SpringDamper`, `TorsionalSpringDamper` and `Bushing`. With a law the energy has its
+    factor, and changes with it.
+    """
+    return SpringEnergy(load)
+
+
+@final
+@dataclass(frozen=True)
+class SpringEnergy(Leaf):
+    """Elastic energy of one spring, or of all springs of a scene."""
+
+    load: str | None
+
+    def __post_init__(self) -> None:
+        if self.load is not None:
+            require_text("spring_energy, load", self.load)
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a load that does not exist or stores no energy."""
+        known_scene(system).works.of_springs(self.load)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return the energy of the states, shape (k,)."""
+        springs = known_scene(system).works.of_springs(self.load)
+        none = np.zeros(len(states.t))
+        return sum((x.value(states.t, states.q, states.v) for x in springs), start=none)
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Differentiate with respect to q and b."""
+        springs = known_scene(system).works.of_springs(self.load)
+        q, b = np.zeros(states.q.shape), np.zeros((len(states.t), system.n_b))
+        for each in springs:
+            by_q, _, by_b = each.partials(states.t, states.q, states.v)
+            q, b = q + by_q, b + by_b
+        return LeafGradient(q=Columns(slice(None), q), b=b)
+
+
+@final
+@dataclass(frozen=True)
+class LoadQuantity(Leaf):
+    """Power of a load, or with an axis the torque or force of a controller on it."""
+
+    load: str
+    axis: int | None = None
+
+    def __post_init__(self) -> None:
+        where = "load_power, load" if self.axis is None else "effort, controller"
+        require_text(where, self.load)
+
+    def check_leaf(self, system: Named) -> None:
+        """Raise UnknownNameError or InvalidInputError for a load or axis that does not exist."""
+        self._function(system)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return F . V, or the effort, at the times, shape (n_t,)."""
+        return self._function(system).value(states.t, states.q, states.v)
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Differentiate with respect to q, v and b."""
+        q, v, b = self._function(system).partials(states.t, states.q, states.v)
+        return LeafGradient(q=Columns(slice(None), q), v=Columns(slice(None), v), b=b)
+
+    def _function(self, system: Named) -> LoadFunction:
+        works = known_scene(system).works
+        return (
+            works.of_load(self.load)
+            if self.axis is None
+            else works.of_controller(self.load, self.axis)
+        )
+
+
+@final
+@dataclass(frozen=True)
+class DriveWork(Leaf):
+    """Power of a driven joint, at the rate of its law or at a rate of one."""
+
+    joint: str
+    unit_rate: bool
+
+    def __post_init__(self) -> None:
+        require_text("joint of an observable", self.joint)
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a joint that does not exist or is not driven."""
+        known_scene(system).works.of_joint(self.joint, self.unit_rate)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return lam . Phi_t."""
+        work = known_scene(system).works.of_joint(self.joint, self.unit_rate)
+        return work.value(states.t, states.q, states.lam)
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Differentiate with respect to q, the joint's multipliers and b."""
+        work = known_scene(system).works.of_joint(self.joint, self.unit_rate)
+        q, lam, b = work.partials(states.t, states.q, states.lam)
+        columns = np.arange(work.rows.start, work.rows.stop)
+        return LeafGradient(q=Columns(slice(None), q), lam=Columns(columns, lam), b=b)
+
+
+def state(controller: str, name: str) -> Observable:
+    """Return a state of a controller, such as ``state("motor", "current")``; its own unit."""
+    return ControllerState(controller, name)
+
+
+def effort(controller: str, axis: int = 0) -> Observable:
+    """Return the torque, N m, or the force, N, of a controller on one of its axes.
+
+    Axes are counted from 0 on; a `PID` or a `DCMotor` has one.
+    """
+    require_kind("effort, axis", axis, (int, np.integer), "Counted from 0 on.")
+    return LoadQuantity(controller, axis)
+
+
+@final
+@dataclass(frozen=True)
+class ControllerState(Leaf):
+    """A state of a controller."""
+
+    controller: str
+    name: str
+
+    def __post_init__(self) -> None:
+        require_text("state, controller", self.controller)
+        require_text("state, name", self.name)
+
+    def check_leaf(self, system: Named) -> None:
+        """Raise UnknownNameError for a controller or a state that does not exist."""
+        its = known_naming(system).layout.controller(self.controller)
+        if self.name not in its.states:
+            raise UnknownNameError(f"state of {self.controller!r}", self.name, its.states)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return the state at the times, shape (n_t,)."""
+        return states.v[:, self._column(system)]
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Return one in the column of the velocity that is the state."""
+        return LeafGradient(v=Columns(np.array([self._column(system)]), np.ones((1, 1))))
+
+    def _column(self, system: Named) -> int:
+        layout = known_naming(system).layout
+        its = layout.controller(self.controller)
+        return layout.d * (its.first_vector + its.states.index(self.name))

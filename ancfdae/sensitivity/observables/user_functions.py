@@ -16,9 +16,16 @@ from ancfdae.kernels import OperationList, list_values
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import FAILURES, require_derivative
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
-from ancfdae.sensitivity.observables.functions import Function, require_vectorised
-from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
-from ancfdae.sensitivity.observables.states import Named, States, known_system
+from ancfdae.sensitivity.observables.expression import Function, require_vectorised
+from ancfdae.sensitivity.observables.observable import (
+    Columns,
+    Leaf,
+    LeafGradient,
+    Named,
+    Observable,
+    States,
+    known_system,
+)
 
 
 def apply(function: Callable[..., Array], *observables: Observable) -> Observable:

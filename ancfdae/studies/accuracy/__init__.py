@@ -1,0 +1,1 @@
+"""Accuracy: sequences of runs, observed orders, extrapolation and estimated error bars."""

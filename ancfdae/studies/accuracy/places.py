@@ -1,0 +1,640 @@
+"""Sharp places: where forces or integrands change within a small part of a step of a run.
+
+Functions of time alone are sampled before any run (`features`). Functions of the state are known
+along the path of a run only, and may change between any two samples: a notch of a thousandth of the
+travel. But formulas are lists of operations, which bound their own values
+(`ancfdae.numerics.enclosures`). Along the cubic path between two times the derivative of a function
+in time lies in [low, high]. The function is then at most (high - low) h/4 away from its chord. An
+interval is halved while that is much, or falls less than a smooth function makes it fall. No sharp
+place lies between the samples that remain.
+
+From these samples follow the distances of the function from its chords over T, T/2, T/4 and so on.
+A quarter of the length brings a smooth function sixteen times closer, and a kink four times. It
+brings a change within less than a chord no closer. Steps must be shorter than the longest chord
+from which on it does, unless the motion itself changes as fast: then the run knows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final, NamedTuple, TypeAlias, final
+
+import numpy as np
+
+from ancfdae.assembly.load_input import LoadInput
+from ancfdae.assembly.system import AncfSystem
+from ancfdae.equations import MechanicalSystem, PlannedSystem, Solution
+from ancfdae.equations.formula_system import FormulaSystem
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.enclosures import Interval, enclosed, values
+from ancfdae.numerics.operations import NotTraceable, Operations, Traced
+from ancfdae.sensitivity.observables.expression import Operation, evaluated, in_order
+from ancfdae.sensitivity.observables.observable import Observable, States, states_of
+from ancfdae.sensitivity.observables.user_functions import Custom
+
+# Distance from a chord that is much, over the size of a function; what a bound over half an
+# interval has of that over the whole one, at most, where the function is smooth.
+_MUCH: Final = 0.05
+_FALLS: Final = 1 / 3
+# What distances from chords of a quarter of the length have of those before, at least, at a place
+# and at a kink. Distances that count, over the tolerance: at a place, where derivatives see the
+# slope of a jump, and at a kink.
+_QUARTERED, _KINKED = 0.6, 1 / 8
+_JUMP, _BEND = 0.1, 0.3
+# Steps in the longest chord that follows a place; levels that a motion must be coarser by, and how
+# much less of it counts.
+_FINER, _COARSER, _CLOSER = 32, 2, 2
+# Fewest samples in a chord; fewer were enough, because the function is smooth there.
+_SEEN: Final = 5
+# The longest and the shortest chord, as powers of two of the run.
+_LONGEST, _SHORTEST = 3, 30
+# Places may take this share of the time; more are a motion that is fast throughout.
+_SHARE: Final = 0.3
+# Halvings of an interval, those in one pass and in all, and operations of a list that is bounded.
+_DEPTH: Final = 30
+_WIDE, _MOST = 2**10, 2**15
+_OPERATIONS: Final = 2000
+# Samples of functions without a list, samples that are called one by one, most in an interval.
+_SAMPLES, _CALLS, _EACH = 2**15, 2**10, 64
+# Stops in the longest chord that follows a place, and how far apart they may be within it; all.
+_STOPS, _APART, _ALL = 12, 0.25, 1800
+# Degree up to which polynomials of observables change no more suddenly than these.
+_LOW: Final = 4
+# Chords of this length before and after a place belong to it: its tails.
+_WIDER: Final = 2
+
+
+# Columns of a path.
+Columns: TypeAlias = "slice | list[int]"
+
+
+class Part(NamedTuple):
+    """Ends of a sharp place and the longest chord that follows it, s."""
+
+    left: float
+    right: float
+    chord: float
+
+
+class Places(NamedTuple):
+    """Sharp places that a run passes over: fewest steps that follow all, and parts.
+
+    Each part is a place that error control may not see. Kinks are no places; steps below `kinks`
+    jump over one that matters.
+    """
+
+    steps: int
+    kinks: int
+    parts: tuple[Part, ...]
+
+    def stops(self, times: int = 1) -> tuple[float, ...]:
+        """Return times that part every place, `times` as many as follow it."""
+        found = set[float]()
+        for left, right, chord in self.parts:
+            count = math.ceil((right - left) / chord * _STOPS) * times
+            found.update(np.linspace(left, right, count + 1).tolist())
+        return tuple(sorted(found)[:_ALL])
+
+    def followed(self, stops: Sequence[float]) -> bool:
+        """Return whether stops of a run part each place."""
+        t = np.sort(stops)
+        for left, right, chord in self.parts:
+            inside = np.concatenate([[left], t[(t > left) & (t < right)], [right]])
+            if np.diff(inside).max() > _APART * chord:
+                return False
+        return True
+
+    @property
+    def words(self) -> str:
+        """Where the first of them is."""
+        left, right, _ = self.parts[0]
+        return (
+            f"forces or observables change within {right - left:.1g} s at t = {left:.6g} s, which "
+            "no run followed"
+        )
+
+
+class Seen(NamedTuple):
+    """An observable of which places matter, and a sharpness k if exp(k x) is what is integrated."""
+
+    observable: Observable
+    sharpness: float | None = None
+
+
+class _Listed(NamedTuple):
+    """Functions as a list: numbers and their rates, and the columns of a path that they need.
+
+    `inputs` and `rates` are the numbers of these columns and of their rates in the list.
+    """
+
+    operations: Operations
+    outputs: Array
+    columns: list[int]
+    inputs: list[int]
+    rates: list[int]
+    constants: dict[int, float]
+
+
+class _Group(NamedTuple):
+    """Functions that share a size: factors that bring them to one unit, and how it is found.
+
+    `level` says that the mean is a part of the size. Functions that are no list have the samples.
+    """
+
+    path: _Path
+    listed: _Listed | None
+    factors: Array
+    level: bool
+    sample: Callable[[Array, Array], Array]
+    samples: int = _SAMPLES
+
+
+@final
+@dataclass(frozen=True)
+class Witness:
+    """Looks for places that the times of runs pass over, in a system and what is observed.
+
+    What changes a function by much less than the tolerance, `share`, does not count.
+    """
+
+    system: MechanicalSystem
+    seen: tuple[Seen, ...]
+    share: float
+
+    @property
+    def looks(self) -> bool:
+        """Whether there is anything that may have places."""
+        system = self.system
+        own = not isinstance(system, PlannedSystem)
+        if isinstance(system, AncfSystem):
+            own = bool(system.sharp_loads())
+        return own or any(_sharp(x) for x in self.seen)
+
+    def of(self, run: Solution, steps: int) -> Places:
+        """Return the places of the path of a run that its steps may pass over."""
+        if not self.looks or len(run.t) < 3:
+            return Places(0, 0, ())
+        path = _Path.of(run)
+        groups = [*_forces(self.system, path)]
+        for each in filter(_sharp, self.seen):
+            groups += _observed(self.system, each, path, run)
+        found = [group.path.places(group, self.share, steps) for group in groups]
+        parts = _deepest([part for each in found for part in each.parts])
+        steps = max((x.steps for x in found), default=0)
+        return Places(steps, max((x.kinks for x in found), default=0), parts)
+
+
+def _sharp(seen: Seen) -> bool:
+    """Whether an observable may change more suddenly than the motion.
+
+    Polynomials of a low degree do not, like squares of velocities.
+    """
+    return seen.sharpness is not None or not _degree(seen.observable) <= _LOW
+
+
+def _degree(observable: Observable) -> float:
+    """Return the degree of a polynomial of observables of the package; infinite of others."""
+    degrees = dict[object, float]()
+    for node in in_order(observable):
+        if not isinstance(node, Operation):
+            degrees[node] = math.inf if isinstance(node, Custom) else 1.0
+            continue
+        of = [0.0 if isinstance(x, float) else degrees[x] for x in node.operands]
+        name, last = node.function.name, node.operands[-1]
+        if name in ("add", "subtract", "negative", "positive"):
+            degrees[node] = max(of)
+        elif name == "multiply":
+            degrees[node] = sum(of)
+        elif name == "square":
+            degrees[node] = 2 * of[0]
+        elif name == "divide" and isinstance(last, float):
+            degrees[node] = of[0]
+        elif name == "power" and isinstance(last, float) and last >= 0 and last % 1 == 0:
+            degrees[node] = last * of[0]
+        else:
+            degrees[node] = math.inf
+    return degrees[observable]
+
+
+def _deepest(parts: Sequence[Part]) -> tuple[Part, ...]:
+    """Return parts that hold none of a shorter chord, by which they are explained."""
+    found = list[Part]()
+    for part in sorted(parts, key=lambda x: x.chord):
+        if all(
+            part.right <= x.left or x.right <= part.left or part.chord == x.chord for x in found
+        ):
+            found.append(part)
+    return tuple(sorted(found))
+
+
+@final
+@dataclass(frozen=True)
+class _Path:
+    """Cubics through values and slopes at the times of a run: t, q, v, lam and more columns."""
+
+    t: Array
+    Y: Array
+    slopes: Array
+    sizes: tuple[int, int]
+
+    @staticmethod
+    def of(run: Solution) -> _Path:
+        """Return the path of a run, of times that differ."""
+        kept = np.append(True, np.diff(run.t) > 1e-12 * run.t[-1])
+        t, q, v, a, lam = (np.real(x[kept]) for x in (run.t, run.q, run.v, run.a, run.lam))
+        Y = np.concatenate([t[:, None], q, v, lam], axis=1)
+        rates = np.concatenate([np.ones((len(t), 1)), v, a, np.gradient(lam, t, axis=0)], axis=1)
+        return _Path(t, Y, rates, (q.shape[1], lam.shape[1]))
+
+    def with_columns(self, run: Solution, columns: Sequence[Array]) -> _Path:
+        """Return the path with more functions of the times of its run."""
+        if not columns:
+            return self
+        kept = np.append(True, np.diff(run.t) > 1e-12 * run.t[-1])
+        more = np.stack([np.real(x)[kept] for x in columns], axis=1)
+        Y = np.concatenate([self.Y, more], axis=1)
+        slopes = np.concatenate([self.slopes, np.gradient(more, self.t, axis=0)], axis=1)
+        return _Path(self.t, Y, slopes, self.sizes)
+
+    def _powers(self, columns: Columns) -> tuple[Array, Array, Array, Array]:
+        """Return the coefficients of 1, s, s^2 and s^3 in each interval, (columns, intervals)."""
+        h, Y = np.diff(self.t), self.Y[:, columns].T
+        slopes = self.slopes[:, columns].T
+        first, last, rise = h * slopes[:, :-1], h * slopes[:, 1:], np.diff(Y)
+        return Y[:, :-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise
+
+    def at(self, n: Array, s: Array, columns: Columns = slice(None)) -> Array:
+        """Return columns at parts s of the intervals n, (columns, k)."""
+        y, dy, bend, twist = (x[:, n] for x in self._powers(columns))
+        return np.asarray(y + s * (dy + s * (bend + s * twist)))
+
+    def rates(self, n: Array, s: Array, columns: Columns = slice(None)) -> Array:
+        """Return rates of columns at parts s of the intervals n, (columns, k)."""
+        _, dy, bend, twist = (x[:, n] for x in self._powers(columns))
+        return np.asarray((dy + s * (2 * bend + 3 * s * twist)) / np.diff(self.t)[n])
+
+    def boxes(
+        self, n: Array, s: Array, e: Array, columns: Columns
+    ) -> tuple[list[Interval], list[Interval]]:
+        """Return bounds of columns and of their rates from parts s to e of the intervals n.
+
+        A cubic and its derivative lie within the hulls of their Bezier points.
+        """
+        d = (e - s) * np.diff(self.t)[n]
+        x, y = (self.at(n, part, columns) for part in (s, e))
+        dx, dy = (self.rates(n, part, columns) for part in (s, e))
+        inner, outer = x + d * dx / 3, y - d * dy / 3
+        whole = [x, inner, outer, y]
+        rates = [dx, 3 * (outer - inner) / d, dy]
+        return (
+            [Interval(*pair) for pair in zip(np.min(whole, 0), np.max(whole, 0), strict=True)],
+            [Interval(*pair) for pair in zip(np.min(rates, 0), np.max(rates, 0), strict=True)],
+        )
+
+    def states(self, n: Array, s: Array) -> States:
+        """Return the states at parts of intervals."""
+        (n_q, _), x = self.sizes, self.at(n, s)
+        return States(x[0], x[1 : 1 + n_q].T, x[1 + n_q : 1 + 2 * n_q].T, x[1 + 2 * n_q :].T)
+
+    def places(self, group: _Group, share: float, steps: int) -> Places:
+        """Return the places of some functions that steps may pass over."""
+        with np.errstate(all="ignore"):
+            if group.listed is not None:
+                places = self._divided(group, group.listed, _JUMP * share)
+            else:
+                count = len(self.t) - 1
+                each = 2 ** int(np.log2(np.clip(_SAMPLES // count, 4, _EACH)))
+                samples = min(count * each, group.samples)
+                places = np.linspace(0.0, count, samples + 1)
+            n, parts = self._split(places)
+            rows = group.sample(n, parts) * group.factors[:, None]
+            known = np.all(np.isfinite(rows), axis=1)
+            size = _size(rows[known], group.level)
+            if not size > 0:
+                return Places(0, 0, ())
+            t, factors = self.at(n, parts, [0])[0], group.factors[known, None] / size
+
+            def function(places: Array) -> Array:
+                return np.asarray(group.sample(*self._split(places))[known] * factors)
+
+            chords = _Chords.of(self.t, t, function)
+            least = self._unsure()
+            kinks = chords.kinks(max(_BEND * share, least))
+            sharp = chords.level(max(_JUMP * share, least))
+            if not (sharp.any() or kinks > steps):
+                return Places(0, 0, ())
+            own = _Chords.of(self.t, t, self._motion(n, parts)).level(_JUMP * share / _CLOSER)
+            return chords.places(np.where(sharp >= own + _COARSER, sharp, 0), kinks, steps)
+
+    def _split(self, places: Array) -> tuple[Array, Array]:
+        """Return intervals, and parts of them, of places that are counted in intervals."""
+        n = np.minimum(places.astype(int), len(self.t) - 2)
+        return n, places - n
+
+    def _unsure(self) -> float:
+        """Return how far the rates of q are from v between the times, over the range of v."""
+        n_q, count = self.sizes[0], len(self.t) - 1
+        q, v = slice(1, 1 + n_q), slice(1 + n_q, 1 + 2 * n_q)
+        middles = np.arange(count), np.full(count, 0.5)
+        x = self.at(*middles, v)
+        off = float(np.abs(self.rates(*middles, q) - x).max(initial=0.0))
+        return off / (_size(x, False) or 1.0)
+
+    def _motion(self, n: Array, s: Array) -> Callable[[Array], Array]:
+        """Return the function of places that is q and v, each relative to its largest range."""
+        n_q = self.sizes[0]
+        both = slice(1, 1 + 2 * n_q)
+        q, v = (_size(x, False) or 1.0 for x in np.split(self.at(n, s, both), 2))
+        factors = np.repeat([1 / q, 1 / v], n_q)[:, None]
+        return lambda places: self.at(*self._split(places), both) * factors
+
+    def _divided(self, group: _Group, listed: _Listed, share: float) -> Array:
+        """Return the ends of intervals in which functions are smooth, (k,), in intervals."""
+        count = len(self.t) - 1
+        n, s, e = np.arange(count), np.zeros(count), np.ones(count)
+        before, ends = np.zeros(count), [np.arange(count + 1.0)]
+        outputs, rates = np.split(listed.outputs, 2)
+        rows = _values(self, listed, outputs, n, s)
+        low, high = rows.min(axis=1), rows.max(axis=1)
+        for _ in range(_DEPTH):
+            middle = (s + e) / 2
+            rows = _values(self, listed, outputs, n, middle)
+            ends.append(n + middle)
+            low, high = np.fmin(low, rows.min(axis=1)), np.fmax(high, rows.max(axis=1))
+            both = np.stack([low, high], axis=1) * group.factors[:, None]
+            size = _size(both, group.level) or 1.0
+            least, most = _enclosed(self, listed, rates, n, s, e)
+            d = (e - s) * np.diff(self.t)[n]
+            off = (most - least) * d / 4 * group.factors[:, None] / size
+            off = np.where(np.isfinite(off), off, np.inf).max(axis=0)
+            again = (off > _MUCH) | ((off > share) & (off > _FALLS * before))
+            if not again.any() or sum(map(len, ends)) > _MOST + 2 * count:
+                break
+            if again.sum() > max(_WIDE, count):
+                # Every value counts of a function whose large values are not yet seen.
+                again &= off >= np.sort(off)[-max(_WIDE, count)]
+            n, s, middle, e = (x[again] for x in (n, s, middle, e))
+            before = np.tile(off[again], 2)
+            n, s, e = np.tile(n, 2), np.append(s, middle), np.append(middle, e)
+        return np.unique(np.concatenate(ends))
+
+
+def _size(rows: Array, level: bool) -> float:
+    """Return the size of functions: the largest value, or range, of any."""
+    if not rows.size:
+        return 0.0
+    largest = float(np.abs(rows).max())
+    size = largest if level else float(np.ptp(rows, axis=1).max())
+    return size if size > 1e-12 * largest else 0.0
+
+
+@final
+@dataclass(frozen=True)
+class _Chords:
+    """Distances of functions of the size one from chords over 2^-l of a run, at times t.
+
+    `gaps` has a row for each level l, from `_LONGEST` on; `between` is of chords that begin in
+    the middle of these, so that no place is at the end of all.
+    """
+
+    t: Array
+    gaps: Array
+    between: Array
+
+    @staticmethod
+    def of(known: Array, t: Array, function: Callable[[Array], Array]) -> _Chords:
+        """Measure the distances of a function of places; no level is finer than the times.
+
+        Places are counted in intervals of the `known` times.
+        """
+        x = t / t[-1]
+        at = np.interp(t, known, np.arange(float(len(known))))
+        rows = function(at)
+
+        def value(x: Array) -> Array:
+            return function(np.interp(x * t[-1], known, np.arange(float(len(known)))))
+
+        last = min(math.ceil(-math.log2(float(np.diff(x).min()))) + 2, _SHORTEST)
+        levels = range(_LONGEST, last + 3)
+        gaps = (
+            np.array([_gap(x, rows, value, level, shift) for level in levels])
+            for shift in (0.0, 0.5)
+        )
+        return _Chords(t, *gaps)
+
+    @property
+    def _levels(self) -> list[tuple[int, float]]:
+        """Levels and where their chords begin, the finest last."""
+        known = range(_LONGEST, _LONGEST + len(self.gaps) - 2)
+        return [(level, shift) for level in known for shift in (0.0, 0.5)]
+
+    def _cells(self, level: int, shift: float) -> tuple[Array, Array, Array]:
+        """Return the largest distances in each chord of a level, of two levels on, and sizes."""
+        cell = np.floor(self.t / self.t[-1] * 2.0**level + shift)
+        begins = np.flatnonzero(np.append(True, np.diff(cell) > 0))
+        k = level - _LONGEST
+        rows = (self.between if shift else self.gaps)[k], self.gaps[k + 2]
+        sizes = np.diff(np.append(begins, len(cell)))
+        off, after = (np.maximum.reduceat(row, begins) for row in rows)
+        return np.where(sizes < _SEEN, 0.0, off), after, sizes
+
+    def level(self, share: float) -> Array:
+        """Return the last level whose chord passes over something, (k,); 0 for none.
+
+        Levels are counted in halves: chords of half levels begin between others.
+        """
+        found = np.zeros(len(self.t))
+        for level, shift in self._levels:
+            off, after, sizes = self._cells(level, shift)
+            over = (off > share) & (after > _QUARTERED * off)
+            found[np.repeat(over, sizes)] = level + shift
+        return found
+
+    def kinks(self, share: float) -> int:
+        """Return the steps below which chords pass over a kink."""
+        steps = 0
+        for level, shift in self._levels:
+            off, after, _ = self._cells(level, shift)
+            if np.any((off > share) & (after > _KINKED * off)):
+                steps = 2 ** (level + 1)
+        return steps
+
+    def places(self, level: Array, kinks: int, steps: int) -> Places:
+        """Return places of which the last level that passes over them is known at each time."""
+        kinks = kinks if kinks > steps else 0
+        level = np.where(2.0 ** (np.floor(level) + 1) * _FINER > steps, level, 0)
+        inside, t_end = level > 0, float(self.t[-1])
+        if not inside.any():
+            return Places(0, kinks, ())
+        parts = list[Part]()
+        for at in np.unique(level[inside]).tolist():
+            chord, shift = t_end / 2.0 ** (math.floor(at) + 1), at % 1
+            cells = np.unique(np.floor(self.t[level == at] / (2 * chord) + shift)) - shift
+            for cell in cells.tolist():
+                left, right = (2 * cell - _WIDER) * chord, (2 * cell + 2 + _WIDER) * chord
+                parts.append(Part(max(left, 0.0), min(right, t_end), chord))
+        deepest = _deepest(parts)
+        if sum(part.right - part.left for part in deepest) > _SHARE * t_end:
+            return Places(0, kinks, ())
+        return Places(2 ** (math.floor(level.max()) + 1) * _FINER, kinks, deepest)
+
+
+def _gap(x: Array, rows: Array, value: Callable[[Array], Array], level: int, shift: float) -> Array:
+    """Return the largest distances of rows from chords of a level, shape (k,)."""
+    left = np.floor(x * 2.0**level + shift) - shift
+    ends, which = np.unique(np.concatenate([left, left + 1]), return_inverse=True)
+    at_ends = value(np.clip(ends / 2.0**level, 0.0, 1.0))
+    first, second = np.split(at_ends[:, which], 2, axis=1)
+    # The first and the last chord may be cut.
+    low, high = (np.clip(end / 2.0**level, 0.0, 1.0) for end in (left, left + 1))
+    part = (x - low) / np.where(high > low, high - low, 1.0)
+    off = rows - first - part * (second - first)
+    return np.asarray(np.abs(off).max(axis=0))
+
+
+# -- functions ---------------------------------------------------------------------------------
+
+
+def _values(path: _Path, listed: _Listed, outputs: Array, n: Array, s: Array) -> Array:
+    at = dict(zip(listed.inputs, path.at(n, s, listed.columns), strict=True))
+    at |= {number: np.full(len(n), value) for number, value in listed.constants.items()}
+    return values(listed.operations, outputs, at)
+
+
+def _enclosed(
+    path: _Path, listed: _Listed, outputs: Array, n: Array, s: Array, e: Array
+) -> tuple[Array, Array]:
+    whole, rates = path.boxes(n, s, e, listed.columns)
+    at = dict(zip(listed.inputs, whole, strict=True)) | dict(zip(listed.rates, rates, strict=True))
+    ones = np.ones(len(n))
+    at |= {number: Interval(x * ones, x * ones) for number, x in listed.constants.items()}
+    return enclosed(listed.operations, outputs, at)
+
+
+def _with_rates(
+    operations: Operations,
+    outputs: Array,
+    columns: tuple[Array, Array],
+    constants: dict[int, float],
+    path: _Path,
+) -> _Group | None:
+    """Return functions with their rates along a path; None for none, and for very long lists.
+
+    `columns` are the numbers of inputs and of their rates, in the order of the path.
+    """
+    outputs = outputs.ravel()
+    if not np.any(outputs >= 0):
+        return None
+    pairs = list(zip(*(x.tolist() for x in columns), strict=True))
+    (rates,) = operations.along(outputs, dict(pairs))
+    both = np.concatenate([outputs, rates])
+    used = operations.inputs(both)
+    needed = [k for k, pair in enumerate(pairs) if k == 0 or not used.isdisjoint(pair)]
+    inputs, rated = (list(x) for x in zip(*(pairs[k] for k in needed), strict=True))
+    listed = _Listed(operations, both, needed, inputs, rated, constants)
+    sample = partial(_values, path, listed, outputs)
+    short = len(operations.rows(both)) <= _OPERATIONS
+    return _Group(path, listed if short else None, np.ones(len(outputs)), True, sample)
+
+
+def _forces(system: MechanicalSystem, path: _Path) -> list[_Group]:
+    """Return forces, masses and constraints of a user's own along a path."""
+    if isinstance(system, AncfSystem):
+        return [group for item in system.sharp_loads() for group in _loaded(item, path)]
+    if isinstance(system, PlannedSystem):
+        return []
+    root, groups = 1 / np.sqrt(system.weights), list[_Group]()
+    listed = system.right_side() if isinstance(system, FormulaSystem) else None
+    if listed is None or "Q" not in listed[1]:
+        groups.append(_Group(path, None, root, True, _called(system, path), _CALLS))
+    if listed is None:
+        return groups
+    operations, parts, at = listed
+    columns = tuple(np.concatenate([at[d + x] for x in ("t", "q", "v", "lam")]) for d in ("", "d"))
+    constants = dict(zip(at["b"].tolist(), np.real(system.b).tolist(), strict=True))
+    for name, part in parts.items():
+        group = _with_rates(operations, part, (columns[0], columns[1]), constants, path)
+        if group is not None:
+            groups.append(group._replace(factors=root) if name == "Q" else group)
+    return groups
+
+
+def _loaded(item: LoadInput, path: _Path) -> list[_Group]:
+    """Return the forces of a load, with its law of time, along the path of its vectors."""
+    n_q, size, t = path.sizes[0], item.reference.size, path.t
+    rows = path.Y[:, 1 : 1 + n_q], path.Y[:, 1 + n_q : 1 + 2 * n_q], path.slopes[:, 1 + n_q :]
+    U, V, A = (item.vectors.of(x[:, :n_q]).reshape(len(t), size) for x in rows)
+    factors, rates = (item.factors(t, order) for order in (0, 1))
+    if not np.any(factors[:, 0]):
+        return []
+    # The law of the load stands behind its signals.
+    factors, rates = (np.roll(x, -1, axis=1) for x in (factors, rates))
+    Y = np.concatenate([path.Y[:, :1], U, V, factors], axis=1)
+    slopes = np.concatenate([path.slopes[:, :1], V, A, rates], axis=1)
+    n_signals = factors.shape[1] - 1
+    n = 2 * size + n_signals
+    # U, V and signals come first, then their rates; the time and the law, and their rates.
+    operations, at, time, factor = Operations(2 * n + 4), np.arange(n), 2 * n, 2 * n + 1
+    forces = item.listed(operations, n_signals).ravel().tolist()
+    outputs = np.array([operations.apply(np.multiply, x, factor) for x in forces])
+    columns = np.array([time, *at, factor]), np.array([time + 2, *(n + at), factor + 2])
+    moving = _Path(t, Y, slopes, (size, n_signals))
+    group = _with_rates(operations, outputs, columns, {}, moving)
+    return [] if group is None else [group]
+
+
+def _called(system: MechanicalSystem, path: _Path) -> Callable[[Array, Array], Array]:
+    """Return forces of a system that is called one after the other, at few of them."""
+    places = np.linspace(0.0, len(path.t) - 1.0, _CALLS + 1)
+    n = np.minimum(places.astype(int), len(path.t) - 2)
+    at = path.states(n, places - n)
+    rows = zip(at.t.tolist(), at.q, at.v, strict=True)
+    forces = np.real(np.array([system.force(*row) for row in rows]))
+    return lambda n, s: np.stack([np.interp(n + s, places, x) for x in forces.T])
+
+
+def _observed(system: MechanicalSystem, seen: Seen, path: _Path, run: Solution) -> list[_Group]:
+    """Return an observable along a path: as a list if it can be traced, as samples else."""
+    observable, k = seen
+    near = 0.0
+    if k is not None:
+        near = float(np.max(np.real(observable.value(system, states_of(run)))))
+    leaves = [x for x in observable.leaves() if not isinstance(x, Custom)]
+    columns = [x.leaf_value(system, states_of(run)) for x in leaves]
+    whole = path.with_columns(run, columns)
+    count = whole.Y.shape[1]
+    operations, at = Operations(2 * count), np.arange(2 * count)
+    inputs = Traced.array(operations, at[:count])
+    n_q = path.sizes[0]
+    parts = np.split(inputs[: path.Y.shape[1]], [1, 1 + n_q, 1 + 2 * n_q])
+    own = {leaf: inputs[path.Y.shape[1] + i :][:1] for i, leaf in enumerate(leaves)}
+    t, q, v, lam = parts[0], *(x[None] for x in parts[1:])
+
+    def value(leaf: Any) -> Array:
+        if isinstance(leaf, Custom):
+            return np.asarray(leaf.function(t, q, v, lam, np.real(system.b)))
+        return own[leaf]
+
+    try:
+        (x,) = list(evaluated(observable, value).values())[-1]
+        if k is not None:
+            x = np.exp(k * (x - near))
+        outputs = Traced.numbers(operations, [x])
+        if operations.calls(outputs):
+            raise NotTraceable("an ExternalFunction is called")
+    except (NotTraceable, TypeError, ValueError, AttributeError, ArithmeticError, IndexError):
+        return [_Group(path, None, np.ones(1), False, partial(_sampled, system, seen, path, near))]
+    pair = at[:count], at[count:]
+    group = _with_rates(operations, outputs, pair, {}, whole)
+    return [] if group is None else [group._replace(level=False)]
+
+
+def _sampled(
+    system: MechanicalSystem, seen: Seen, path: _Path, near: float, n: Array, s: Array
+) -> Array:
+    """Return values of an observable at parts of a path, or of exp(k x), (1, k)."""
+    x = np.real(seen.observable.value(system, path.states(n, s)))
+    return np.asarray(x if seen.sharpness is None else np.exp(seen.sharpness * (x - near)))[None]

@@ -1,1 +1,0 @@
-"""Numbers to a tolerance: methods and settings chosen by pilot runs, with bars."""

@@ -1,0 +1,1 @@
+"""Scenes, mechanisms, examples of every part, oracles and documents that tests share."""
