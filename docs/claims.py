@@ -22,6 +22,12 @@ def _figures(report: str) -> dict[str, float]:
     return found
 
 
+def _made(report: str) -> str:
+    """Return the day on which a report was started."""
+    text = (_REPORTS / report / "results.json").read_text(encoding="utf-8")
+    return str(json.loads(text)["meta"]["started"])[:10]
+
+
 def _shown(value: float, digits: int = 2) -> str:
     """Return a number with its significant digits, 1,000 in place of 1e+03."""
     text = f"{value:.{digits}g}"
@@ -100,6 +106,7 @@ def _speeds() -> dict[str, str]:
         "step_crank": _shown(step / 1e3, 1),
         "step_ten_thousand": _shown(speed[f"{size}step_of_10000_elements"] / 1e3, 1),
         "chain_of_100": _shown(speed["start.chain_of_100_bodies_assembled"]),
+        "tolerance_made": _made("tolerance"),
         "tolerance_price": _shown(tolerance["price"]),
         "tolerance_held": _shown(100 * tolerance["held"]),
     }

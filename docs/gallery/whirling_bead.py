@@ -42,8 +42,8 @@ class Bead(FormulaSystem):
 
 
 # %%
-# Every member is checked against differences; then the angle at the end, which is that of the
-# equilibrium cos(angle) = g/(w^2 R).
+# Every member is checked against differences; then the angle at the end, in equilibrium:
+# cos(angle) = g/(w^2 R).
 
 check_system(Bead(), samples=1).raise_if_wrong()
 angle = custom(lambda t, q, v, lam, b: np.arctan2(q[:, 0], -q[:, 1]))

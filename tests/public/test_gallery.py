@@ -24,7 +24,7 @@ def four_bar(x: Names) -> bool:
 
 
 def paper_crank_slider(x: Names) -> bool:
-    """The derivatives of the position are those of a central difference of the motion."""
+    """The derivatives of the position equal a central difference of the motion."""
     scene, rod, step = x["scene"], x["rod"], 1e-4
     ends = [
         simulate(scene.with_values({"rod.height": 0.05 * (1 + s * step)}), 1.0, HHT(2**-8))

@@ -1,8 +1,8 @@
 """Nodes and frames of curved beams: circular arcs, and smooth curves through points.
 
 A frame has the unit tangent in its first row. In the plane the second points to the left. In space
-the section does not turn about the tangent along the curve (rotation-minimising frames): on an arc
-the angle between its height and the plane of the arc is constant; on another curve the frame is
+the section does not turn about the tangent along the curve (rotation-minimising frames). On an arc
+the angle between its height and the plane of the arc is constant. On another curve the frame is
 carried on by double reflection, of fourth order in the distance of neighbouring places (W. Wang,
 B. Juttler, D. Zheng, Y. Liu, ACM Transactions on Graphics 27, 2008).
 """

@@ -1,9 +1,9 @@
 """How bodies have turned since the reference configuration: directions, and angles about an axis.
 
-The slopes r_k of a material point are F r_ok, with those of the reference, and F carries every
+The slopes r_k of a material point are F r_ok, r_ok in the reference, and F carries every
 direction of the reference along; of a rigid body F is its rotation. A body that turns about the
-axis a as seen from another one has G = F'^T F (F' = 1 for the ground), and its angle is that of the
-rotation about a that comes nearest to G,
+axis a as seen from another one has G = F'^T F (F' = 1 for the ground), and its angle is the angle
+of the rotation about a that comes nearest to G,
 
     angle = atan2(a . sum_k e_k x G e_k, tr G - a . G a),
 
