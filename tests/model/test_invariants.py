@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ancfdae.errors import InvalidInputError
-from ancfdae.kernels import strain, stressed
+from ancfdae.kernels import stressed
 from ancfdae.model.elements import (
     ALL_ELEMENTS,
     Batch,
@@ -327,7 +327,7 @@ def test_force_partial_in_the_damping_time_is_the_stress_of_the_strain_rate(case
     Y, V = case.relative(case.state(12)), case.relative(case.state(13))
     A, g_o = case.inv.A, case.inv.g_o
     by_step = element_forces.force(A, g_o, Y, V, TAU + 1j * STEP).imag / STEP
-    rate = elastic.apply_invariant(A, gram(Y, V))
+    rate = elastic.apply_invariant(A, strain(None, Y, V, None))
     assert_close(stressed(rate, Y), by_step, DERIVATIVE)
 
 
@@ -450,7 +450,7 @@ def dissipated_power(case, Y, V):
     """Power of the damping part of the force, and the sum of its terms by magnitude."""
     A, g_o = case.inv.A, case.inv.g_o
     D = element_forces.force(A, g_o, Y, V, TAU) - element_forces.force(A, g_o, Y)
-    rate = np.abs(gram(Y, V))
+    rate = np.abs(strain(None, Y, V, None))
     return np.sum(D * V), TAU[0] * np.max(np.abs(A)) * np.sum(rate) ** 2
 
 
@@ -463,7 +463,7 @@ def test_dissipated_power_is_positive_and_that_of_the_strain_rate(case, seed):
     if seed % 5 == 0:
         V = Y @ spin(case.dim, rng).T + 0.01 * V
     power, _ = dissipated_power(case, Y, V)
-    rate = gram(Y, V)[0]
+    rate = strain(None, Y, V, None)[0]
     assert power > 0
     # The damping force is a difference of two forces; the nearly rigid motion makes its power
     # smaller by 0.01^2 than that of the elastic force: CLOSE over 1e-4.

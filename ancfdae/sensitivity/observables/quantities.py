@@ -295,46 +295,6 @@ def load_power(load: str) -> Observable:
     return LoadQuantity(load)
 
 
-def spring_energy(load: str | None = None) -> Observable:
-    """Return the elastic energy of a spring, or of all springs of the scene; J.
-
-    Springs are `SpringDamper`, `TorsionalSpringDamper` and `Bushing`. With a law the energy has its
-    factor, and changes with it.
-    """
-    return SpringEnergy(load)
-
-
-@final
-@dataclass(frozen=True)
-class SpringEnergy(Leaf):
-    """Elastic energy of one spring, or of all springs of a scene."""
-
-    load: str | None
-
-    def __post_init__(self) -> None:
-        if self.load is not None:
-            require_text("spring_energy, load", self.load)
-
-    def check_leaf(self, system: Named) -> None:
-        """Refuse a load that does not exist or stores no energy."""
-        known_scene(system).works.of_springs(self.load)
-
-    def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the energy of the states, shape (k,)."""
-        springs = known_scene(system).works.of_springs(self.load)
-        none = np.zeros(len(states.t))
-        return sum((x.value(states.t, states.q, states.v) for x in springs), start=none)
-
-    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Differentiate with respect to q and b."""
-        springs = known_scene(system).works.of_springs(self.load)
-        q, b = np.zeros(states.q.shape), np.zeros((len(states.t), system.n_b))
-        for each in springs:
-            by_q, _, by_b = each.partials(states.t, states.q, states.v)
-            q, b = q + by_q, b + by_b
-        return LeafGradient(q=Columns(slice(None), q), b=b)
-
-
 @final
 @dataclass(frozen=True)
 class LoadQuantity(Leaf):
