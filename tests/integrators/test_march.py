@@ -327,6 +327,8 @@ def test_passes_of_every_load_are_the_same_in_the_kernel():
         (0.0, -9.81, 0.0)[: members[0].dimension],
     )
     for load in all_examples(loads, Load, members, points).values():
+        if load.touches:  # These steps do not resolve it; tests/physics/test_contact.py does.
+            continue
         held = {"joints": [Clamp(members[0].at_start)], "gravity": gravity}
         scene = replace(scene_of(members, load), project_start=True, **held)
         system = assemble(scene, ["rod.density", "rod.height"])

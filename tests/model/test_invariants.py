@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ancfdae.errors import InvalidInputError
-from ancfdae.kernels import stressed
+from ancfdae.kernels import strain, stressed
 from ancfdae.model.elements import (
     ALL_ELEMENTS,
     Batch,

@@ -32,7 +32,7 @@ from ancfdae.observables import (
     strain_energy,
 )
 from ancfdae.sections import Circle
-from tests.physics.test_contact import UNITS, agree
+from tests.support.contacts import UNITS, agree
 
 SOFT = Material(1000.0, 1e7, 0.3)
 LAW = {"restitution": 0.7, "impact_speed": 1.0}

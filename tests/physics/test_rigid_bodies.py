@@ -18,6 +18,8 @@ from ancfdae import (
     IDA,
     Adjoint,
     Beam,
+    BeamContact,
+    BeamPairContact,
     ComplexStep,
     DesignVariable,
     DirectDifferentiation,
@@ -444,7 +446,11 @@ def pairs():
             on_bodies = all_examples(module, base, bodies, points_of(bodies))
             on_beams = all_examples(module, base, beams, points_of(beams))
             # What acts on a whole centre line needs a beam.
-            whole = {name for name, part in on_beams.items() if part.whole_beams}
+            whole = {
+                name
+                for name, part in on_beams.items()
+                if part.whole_beams or isinstance(part, BeamContact | BeamPairContact)
+            }
             assert set(on_bodies) == set(on_beams) - whole
             for name, part in on_bodies.items():
                 yield pytest.param(d, part, on_beams[name], id=f"{d}, {name}")

@@ -175,7 +175,7 @@ def _plot(report: Report, each: _Run) -> None:
             Panel(
                 "Distance from a singular position",
                 "time t [s]",
-                "singular value [m], multiplier [N/m]",
+                "singular value in m, multiplier in N/m",
                 [
                     Series("smallest singular value of Phi_q", t, rank),
                     Series("largest multiplier", t, largest),
