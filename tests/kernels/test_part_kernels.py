@@ -87,9 +87,10 @@ def called(item, x, q, v):
 
 
 def along(item, x, dx, q, v, dq, dv):
-    """The derivative by jets; zero of a force that is constant. Of copies by a complex step."""
+    """The derivative by jets; zero of a force that is constant. Copies take a complex step."""
     if item.own.size:
-        moved = (a + 1j * STEP * b for a, b in ((x, dx), (q, dq), (v, dv)))
+        signals = np.insert(dx[:, 1:], 0, 0.0, axis=1)  # the law is held
+        moved = (a + 1j * STEP * b for a, b in ((x, signals), (q, dq), (v, dv)))
         return called(item, *moved).imag / STEP
     U, V, dU, dV = (item.vectors.of(state) for state in (q, v, dq, dv))
     F = item.force(Jet(U, dU), Jet(V, dV), Jet(x[:, 1:], dx[:, 1:]))

@@ -25,7 +25,7 @@ from ancfdae.numerics.operations import Listed, Operations
 from ancfdae.observables import position
 from ancfdae.results import Verdict
 from ancfdae.sensitivity.method import UnfinishedRunError
-from tests.physics.test_contact import falling
+from tests.support.contacts import falling
 
 
 def shot(obstacle, speed=10.0, **law):

@@ -451,8 +451,12 @@ def pairs():
                 for name, part in on_beams.items()
                 if part.whole_beams or isinstance(part, BeamContact | BeamPairContact)
             }
-            assert set(on_bodies) == set(on_beams) - whole
+            # Only a rigid body carries the obstacle of a contact.
+            apart = set(on_bodies) ^ (set(on_beams) - whole)
+            assert all(name.startswith("Contact") for name in apart)
             for name, part in on_bodies.items():
+                if name in apart:
+                    continue
                 yield pytest.param(d, part, on_beams[name], id=f"{d}, {name}")
 
 

@@ -53,7 +53,7 @@ INJECTIONS = [
     ),
     (
         "integrators/step_control/contracts.py",
-        "from ancfdae.integrators.step_control.contracts import Controller",
+        "from ancfdae.integrators.step_control.steps import FixedSteps",
         "Layers of step control, which knows no method",
     ),
     ("statics/balance.py", "from ancfdae.statics import softness", "Layers of statics"),

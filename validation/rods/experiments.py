@@ -2,9 +2,9 @@
 
 import importlib
 import importlib.util
-import time
 from typing import Any
 
+from ancfdae.numerics.timing import stopwatch
 from validation.report import Report
 from validation.rods.adapter import AncfSolver
 
@@ -67,13 +67,13 @@ def _scored(experiment: Any, solver: Any) -> tuple[dict[str, float] | str, float
     if lacks:
         return f"unsupported: {', '.join(x.value for x in lacks)}", 0.0
     settings = {"n_elements": experiment.n_elements, "n_frames": experiment.n_frames}
-    begin = time.perf_counter()
+    clock = stopwatch(wall=True)
     try:
         trajectory = solver.run(experiment.scenario, **settings)
     except NotImplementedError as error:
         return f"unsupported: {error}", 0.0
     except ArithmeticError as error:
         return f"ended early: {error}"[:160], 0.0
-    seconds = time.perf_counter() - begin
+    seconds = clock()
     scores = {key: f(experiment.scenario, trajectory) for key, f in experiment.metrics.items()}
     return scores, seconds
