@@ -22,7 +22,7 @@ from ancfdae import (
 )
 from ancfdae.errors import InvalidInputError
 from ancfdae.observables import elapsed_time, position
-from tests.events.test_events import HEIGHT, Ball
+from tests.support.balls import HEIGHT, Ball
 
 EXACT = (DirectDifferentiation(), Adjoint(), ComplexStep())
 

@@ -28,7 +28,7 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError
 from ancfdae.observables import multiplier, position
 from ancfdae.sections import Rectangle
-from tests.events.test_events import BOUNCE, HEIGHT, Ball, ball_by_hand, slopes_by_hand
+from tests.support.balls import BOUNCE, HEIGHT, Ball, ball_by_hand, slopes_by_hand
 
 FLOOR = Impact(HEIGHT, 0.8, "floor")
 

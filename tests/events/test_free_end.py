@@ -29,7 +29,7 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError
 from ancfdae.observables import custom, elapsed_time, position, velocity
 from ancfdae.sections import Rectangle
-from tests.events.test_events import BOUNCE, HEIGHT, Ball, ball_by_hand
+from tests.support.balls import BOUNCE, HEIGHT, Ball, ball_by_hand
 
 EXACT = (DirectDifferentiation(), Adjoint(), ComplexStep())
 SPEED = custom(lambda t, q, v, lam, b: v[:, 0], "speed")
