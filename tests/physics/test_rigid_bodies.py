@@ -848,7 +848,7 @@ def test_solution_names_bodies(tmp_path):
     assert again.naming.layout == run.naming.layout
     assert again.nodes("body").shape == (3, 1, 3, 2)
     assert_close(again.position(BODY.at(0.1, 0.2))[0], np.array([0.1, 0.2]))
-    with pytest.raises(InvalidInputError, match="no fractions"):
+    with pytest.raises(InvalidInputError, match="by their coordinates in it"):
         again.position(MaterialPoint("body", 0.5))
     with pytest.raises(UnknownNameError, match="body"):
         again.position(MaterialPoint("boddy"))
