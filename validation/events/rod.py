@@ -50,7 +50,7 @@ def fill(report: Report, quick: bool) -> None:
         Terminal(velocity(rod.at_end, 0)),
         Terminal(multiplier("hinge", 1)),
     ]
-    steps = [4e-3 / 2**k for k in range(3)] if quick else [4e-4 / 2**k for k in range(4)]
+    steps = [1e-3 / 2**k for k in range(3)] if quick else [4e-4 / 2**k for k in range(4)]
     values: list[Any] = []
     for step in steps:
         found = gradients(scene, objectives, 0.28, HHT(step=step), design=_DESIGN, events=[stop])
