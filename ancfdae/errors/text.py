@@ -62,8 +62,8 @@ def columns(rows: Sequence[Sequence[str]], shorten: bool = True) -> str:
 def page(head: str, rows: Sequence[Sequence[str]], tail: str = "") -> str:
     """Return a table in HTML, as notebooks show it, between two texts.
 
-    The first row has the titles; of the others those are shown that `columns` shows. Without rows
-    there is no table.
+    The first row has the titles; of the others those are shown that `columns` shows. No rows make
+    no table.
     """
     shown = rows[: _SHOWN + 1] if len(rows) > _SHOWN + 2 else rows
     cells = "".join(
