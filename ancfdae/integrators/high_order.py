@@ -233,7 +233,7 @@ class HighOrder(QuadratureIntegrator):
             raise InvalidInputError(type(self).__name__, rule, got, "Only HHT takes complex steps.")
         with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
             problem = InitialValueProblem.of(system, t_end)
-            problem = problem.differentiated() if sensitivities else problem
+            problem = problem.differentiated(True) if sensitivities else problem
         problem.require_finite()
         grid = TimeGrid.lobatto(t_end, self.intervals or INTERVALS)
         recorder = SolutionRecorder(system, len(grid.t), grid.degree, sensitivities)
