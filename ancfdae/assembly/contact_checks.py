@@ -31,7 +31,7 @@ from ancfdae.numerics.arrays import Array
 
 # Time points over which an impulse must be spread: the speed after a free impact is then wrong by
 # 5 % at most, by HHT and Radau (docs/theory/19-contact.md).
-_FEWEST: Final = 5.0
+_FEWEST: Final = 6.0
 # Contacts with less than this part of the momentum of a body do not count.
 _SMALL: Final = 0.01
 # Numbers of states that are looked at together.
