@@ -44,6 +44,7 @@ from ancfdae.sensitivity.observables.sections import (
     torsional_moment,
     von_mises,
 )
+from ancfdae.sensitivity.observables.sliding import slide_distance, slide_speed
 from ancfdae.sensitivity.observables.user_functions import apply, custom
 
 __all__ = [
@@ -78,6 +79,8 @@ __all__ = [
     "reaction",
     "rotation_angle",
     "shear_force",
+    "slide_distance",
+    "slide_speed",
     "slope",
     "slope_angle",
     "spring_energy",

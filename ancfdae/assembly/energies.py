@@ -218,7 +218,7 @@ class Energies:
         layout: Layout,
         centrifugal: Callable[[Array], Array] | None = None,
     ) -> None:
-        self._centrifugal, self._of_states = centrifugal, numbering.d * len(numbering.masses)
+        self._centrifugal, self._of_states = centrifugal, numbering.d * numbering.controlled
         self._elastic, self._inertia = elastic, inertia
         self._owners, self._layout, self.places = numbering.owners, layout, inertia.positions
 

@@ -31,6 +31,7 @@ from ancfdae import (
 )
 from ancfdae.laws import ConstantAcceleration, Harmonic
 from ancfdae.model import joints, loads
+from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.model.joints.joint import DrivenJoint, Joint
 from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import Normal
@@ -131,7 +132,12 @@ def catalogue(module, base, planar, spatial):
     return found
 
 
-JOINTS = catalogue(joints, Joint, planar_joints, spatial_joints)
+#: Joints by formulas have tests of their own: tests/model/test_formula_joints.py, test_sliding.py.
+JOINTS = {
+    name: joint
+    for name, joint in catalogue(joints, Joint, planar_joints, spatial_joints).items()
+    if not isinstance(joint, FormulaJoint)
+}
 LOADS = catalogue(loads, Load, planar_loads, spatial_loads)
 
 

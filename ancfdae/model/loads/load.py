@@ -8,7 +8,7 @@ design derivatives.
 """
 
 import abc
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, final
 
@@ -71,10 +71,6 @@ class Load(Part):
     damping_fields: ClassVar[tuple[str, ...]] = ()
     #: Whether the force depends on the reference configuration.
     refers: ClassVar[bool] = False
-    #: Names of states that are integrated with the mechanism (`Controller`); their vectors come
-    #: last.
-    states: ClassVar[tuple[str, ...]] = ()
-
     #: Whether the force may change more suddenly with positions or velocities than they change: a
     #: run within a tolerance then looks for such places along its path.
     sharp: ClassVar[bool] = True
@@ -150,10 +146,6 @@ class Load(Part):
         None without such laws.
         """
         return None
-
-    def initial_states(self, p: Array) -> Sequence[Any]:
-        """Return the `states` at t = 0."""
-        return ()
 
     @final
     def factor(self, p: Array, t: Array, order: int) -> Array:
