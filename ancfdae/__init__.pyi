@@ -54,6 +54,7 @@ from ancfdae.model.loads.forces import (
 from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
 from ancfdae.model.loads.obstacles import Cylinder, Plane, Sphere
 from ancfdae.model.loads.pair_contact import BeamPairContact, SphereContacts
+from ancfdae.model.loads.rope import Pulley, Rope
 from ancfdae.model.loads.sliding_friction import SlidingFriction
 from ancfdae.model.loads.springs import Bushing, SpringDamper
 from ancfdae.model.material import Material
@@ -145,6 +146,7 @@ __all__ = [
     "PointOnLine",
     "PrescribedSteps",
     "Prismatic",
+    "Pulley",
     "Radau",
     "Responses",
     "Revolute",
@@ -152,6 +154,7 @@ __all__ = [
     "RigidBox",
     "RigidCylinder",
     "RigidSphere",
+    "Rope",
     "RotatingFrame",
     "RotationDriver",
     "RotationalFriction",

@@ -188,7 +188,7 @@ class Structure:
             abs(value)
             for load in scene.loads
             for name, value in load.parameters().items()
-            if name.startswith(("ground_", "obstacle_place_"))
+            if name.startswith(("ground_", "obstacle_place_", "start_", "end_", "pulley_"))
         )
         reach = max(of_ground, default=0.0)
         return Structure(

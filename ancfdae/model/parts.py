@@ -164,7 +164,7 @@ class Part(Designable, abc.ABC):
             raise InvalidInputError(where, rule, repr(name), "Write '_' or '-' instead.")
         given = self._given()
         where = f"{self.role} {name!r}" if name else self.kind
-        at = given.get("beam", given.get("joint"))
+        at = given.get("beam", given.get("joint", given.get("start")))
         if "point" in given:
             require_point(where, given["point"])
             at = str(given["point"])
@@ -183,8 +183,8 @@ class Part(Designable, abc.ABC):
     def off_route(self, U: Array, p: Array, U_o: Array) -> tuple[int, str] | None:
         """Return the first of k states in which the part is off its route, and in words how.
 
-        U are the vectors, (k, n_vectors, d), and U_o the vectors in the reference configuration. None if it is on its
-        route in all states. The words begin with a verb and end with a remedy.
+        U are the vectors, (k, n_vectors, d), and U_o the vectors in the reference configuration.
+        None if it is on its route in all states. The words begin with a verb and end with a remedy.
         """
         return None
 
@@ -206,9 +206,13 @@ class Part(Designable, abc.ABC):
         for name, number in placing.items():
             owner, _, coordinate = name.rpartition("_")
             points[owner] = replace(points[owner], **{coordinate: number})  # type: ignore[arg-type]
-        part = replace(self, **points)  # type: ignore[arg-type]
+        part = self.with_points(points)
         rest = {name: number for name, number in changes.items() if name not in placing}
         return super(Part, part).with_parameters(rest)
+
+    def with_points(self, points: Mapping[str, MaterialPoint]) -> Self:
+        """Return the same part with other points in its `point_fields`."""
+        return replace(self, **points)  # type: ignore[arg-type]
 
     def point_fields(self) -> dict[str, MaterialPoint]:
         """Return the fields that hold a point."""

@@ -20,6 +20,7 @@ from ancfdae import (
     PointOnLine,
     Prismatic,
     Revolute,
+    Rope,
     RotationDriver,
     Scene,
     Spherical,
@@ -132,13 +133,18 @@ def catalogue(module, base, planar, spatial):
     return found
 
 
-#: Joints by formulas have tests of their own: tests/model/test_formula_joints.py, test_sliding.py.
+#: Joints by formulas and ropes, some examples of which are slack, have tests of their own:
+#: tests/model/test_formula_joints.py, test_sliding.py and test_rope.py.
 JOINTS = {
     name: joint
     for name, joint in catalogue(joints, Joint, planar_joints, spatial_joints).items()
     if not isinstance(joint, FormulaJoint)
 }
-LOADS = catalogue(loads, Load, planar_loads, spatial_loads)
+LOADS = {
+    name: load
+    for name, load in catalogue(loads, Load, planar_loads, spatial_loads).items()
+    if not isinstance(load, Rope)
+}
 
 
 class Alone(MeasuredSetting):

@@ -80,6 +80,9 @@ class Load(Part):
     #: Whether it stores elastic energy, which `energy` returns.
     stores: ClassVar[bool] = False
 
+    #: Whether it has `efforts_at`: torques of a controller, or tensions of a rope.
+    has_efforts: ClassVar[bool] = False
+
     law: Law | None = field(default=None, kw_only=True)
 
     def energy(self, U: Any, p: Array, U_o: Array) -> Any:
@@ -146,6 +149,17 @@ class Load(Part):
         None without such laws.
         """
         return None
+
+    def effort_count(self, p: Array) -> int:
+        """Return the number of `efforts_at`."""
+        return 0
+
+    def efforts_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
+        """Return torques of a controller, or tensions of a rope, (..., 1, 1) each.
+
+        Arguments as in `force_at`.
+        """
+        return ()
 
     @final
     def factor(self, p: Array, t: Array, order: int) -> Array:
