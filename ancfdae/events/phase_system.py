@@ -461,6 +461,10 @@ class PhaseSystem(LaterSystem):
         """Return the first state that is mirrored or folded."""
         return self.base.mirrored(q)
 
+    def off_route(self, q: Array) -> tuple[int, str] | None:
+        """Return the first state in which a part is off its route."""
+        return self.base.off_route(q)
+
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate at which constraints prescribe an angle, (k,); rad/s."""
         return self.base.turn_rate(self._times(t))

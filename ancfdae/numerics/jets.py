@@ -50,8 +50,10 @@ DERIVATIVES: dict[np.ufunc, tuple[Callable[[Any, Any], Any], ...]] = {
 _LINEAR = (np.add, np.subtract, np.negative, np.positive)
 
 
-class Carried(NDArrayOperatorsMixin, abc.ABC):
-    """Stand-in for an array in a formula: NumPy's operations on it return more of its kind."""
+class StandIn(abc.ABC):
+    """Stand-in for numbers in a formula, with functions that NumPy does not have."""
+
+    __slots__ = ()
 
     @abc.abstractmethod
     def angle(self, x: Any) -> Any:
@@ -59,11 +61,15 @@ class Carried(NDArrayOperatorsMixin, abc.ABC):
 
     @abc.abstractmethod
     def positive(self) -> Any:
-        """Return the array where it is positive, else 0."""
+        """Return the numbers where they are positive, else 0."""
 
     @abc.abstractmethod
     def step(self) -> Any:
-        """Return 1 where it is positive, else 0."""
+        """Return 1 where they are positive, else 0."""
+
+
+class Carried(NDArrayOperatorsMixin, StandIn):
+    """Stand-in for an array in a formula: NumPy's operations on it return more of its kind."""
 
     @property
     @abc.abstractmethod
@@ -263,7 +269,7 @@ def direction(e: Any) -> tuple[Any, Any]:
 
 def angle(y: Any, x: Any) -> Any:
     """Return the angle of (x, y), rad; complex x and y must be real except for a tiny step."""
-    if isinstance(y, Carried):
+    if isinstance(y, StandIn):
         return y.angle(x)
     size = x.real**2 + y.real**2
     turned = (x.real * y.imag - y.real * x.imag) / size
@@ -276,12 +282,12 @@ def positive(x: Any) -> Any:
 
     The derivative is 1 or 0; at x = 0, where none exists, it is 0.
     """
-    return x.positive() if isinstance(x, Carried) else np.where(np.real(x) <= 0, 0.0, x)
+    return x.positive() if isinstance(x, StandIn) else np.where(np.real(x) <= 0, 0.0, x)
 
 
 def step(x: Any) -> Any:
     """Return 1 where the real part of x is positive, else 0."""
-    return x.step() if isinstance(x, Carried) else np.where(np.real(x) <= 0, 0.0, 1.0)
+    return x.step() if isinstance(x, StandIn) else np.where(np.real(x) <= 0, 0.0, 1.0)
 
 
 def concatenate(parts: Sequence[Any]) -> Any:

@@ -24,7 +24,7 @@ import numpy as np
 from ancfdae.kernels import OperationList, OperationTrace
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import FAILURES
-from ancfdae.numerics.jets import Carried, without_derivatives
+from ancfdae.numerics.jets import Carried, StandIn, without_derivatives
 
 #: Functions that are none of NumPy: the angle of two numbers, what is positive of a number and
 #: whether it is.
@@ -287,7 +287,7 @@ class NotTraceable(Exception):
 
 
 @final
-class Traced:
+class Traced(StandIn):
     """A number whose operations are listed; `Symbols` are arrays of such numbers.
 
     NumPy calls methods of the names of its functions on the entries of such arrays.
@@ -416,8 +416,19 @@ class Traced:
     def arctan(self) -> Traced:  # noqa: D102
         return self._of(np.arctan, self)
 
-    def arctan2(self, x: Any) -> Traced:  # noqa: D102
+    def angle(self, x: Any) -> Traced:
+        """Return the angle of (x, self)."""
         return self._of(ANGLE, self, x)
+
+    arctan2 = angle
+
+    def positive(self) -> Traced:
+        """Return the number where it is positive, else 0."""
+        return self._of(POSITIVE, self)
+
+    def step(self) -> Traced:
+        """Return 1 where it is positive, else 0."""
+        return self._of(STEP, self)
 
     def arcsin(self) -> Traced:  # noqa: D102
         return self.arctan2(((1.0 - self) * (1.0 + self)).sqrt())

@@ -8,7 +8,7 @@ design derivatives.
 """
 
 import abc
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, final
 
@@ -71,10 +71,6 @@ class Load(Part):
     damping_fields: ClassVar[tuple[str, ...]] = ()
     #: Whether the force depends on the reference configuration.
     refers: ClassVar[bool] = False
-    #: Names of states that are integrated with the mechanism (`Controller`); their vectors come
-    #: last.
-    states: ClassVar[tuple[str, ...]] = ()
-
     #: Whether the force may change more suddenly with positions or velocities than they change: a
     #: run within a tolerance then looks for such places along its path.
     sharp: ClassVar[bool] = True
@@ -83,6 +79,9 @@ class Load(Part):
     touches: ClassVar[bool] = False
     #: Whether it stores elastic energy, which `energy` returns.
     stores: ClassVar[bool] = False
+
+    #: Whether it has `efforts_at`: torques of a controller, or tensions of a rope.
+    has_efforts: ClassVar[bool] = False
 
     law: Law | None = field(default=None, kw_only=True)
 
@@ -151,8 +150,15 @@ class Load(Part):
         """
         return None
 
-    def initial_states(self, p: Array) -> Sequence[Any]:
-        """Return the `states` at t = 0."""
+    def effort_count(self, p: Array) -> int:
+        """Return the number of `efforts_at`."""
+        return 0
+
+    def efforts_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
+        """Return torques of a controller, or tensions of a rope, (..., 1, 1) each.
+
+        Arguments as in `force_at`.
+        """
         return ()
 
     @final
