@@ -34,7 +34,7 @@ _STATES: Final = ("q3", "v0", "v1", "v3")
 _TEXT: Final = """
 A sleeve with clearance slides down a pole and carries a bird on a torsional spring. Its ends and
 the beak of the bird hit the pole: three contacts with friction 0.3 and restitution 0, 0 and 0.5,
-Newton's law. Equations and data are those of Ch. Glocker (dissertation, TU Muenchen, 1995) and of
+Newton's law. Equations and data: Ch. Glocker (dissertation, TU Muenchen, 1995) and
 R. I. Leine, Ch. Glocker and D. H. van Campen (Nonlinear dynamics of the woodpecker toy, ASME
 DETC2001/VIB-21608), as the examples of Siconos and cardillo repeat them. The package integrates
 four absolute coordinates with one joint. While an end stays on the pole, one more constraint holds
