@@ -3,7 +3,7 @@
 from ancfdae.assembly.saved import load_event_solution, load_solution
 from ancfdae.assembly.system import assemble
 from ancfdae.equations.conformance import check_system
-from ancfdae.events.kinds import EndEvent, Impact, Mode, Switch
+from ancfdae.events.kinds import EndEvent, Impact, ImpactLaw, Mode, RestModes, Switch
 from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.radau.method import Radau
@@ -128,6 +128,7 @@ __all__ = [
     "FollowerForce",
     "FrequencyMisfit",
     "Impact",
+    "ImpactLaw",
     "IndexReduction",
     "InitialVelocity",
     "Integral",
@@ -150,6 +151,7 @@ __all__ = [
     "Pulley",
     "Radau",
     "Responses",
+    "RestModes",
     "Revolute",
     "RigidBody",
     "RigidBox",
