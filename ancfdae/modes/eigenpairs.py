@@ -89,7 +89,8 @@ def with_zeros(small: Linearised, z: Array, X: Array, change: Array) -> tuple[Ar
 def undamped_part(small: Linearised, rigid: Array) -> Array:
     """Return the rigid motions that meet no damping, orthonormal in M.
 
-    Where D is symmetric those dissipate nothing but what strains that are left of others do.
+    With a symmetric D they are the rigid motions whose dissipated power is below its round-off: what
+    strains of round-off size would dissipate.
     """
     assert small.D is not None
     if small.symmetric and rigid.size:

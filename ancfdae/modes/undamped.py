@@ -190,7 +190,7 @@ def with_rigid(rigid: Array, z: Array, X: Array, change: Array) -> tuple[Array, 
 
 
 def _freed(z: Array, noise: Array, missing: Array) -> bool:
-    """Whether a load has all but freed these motions, so that round-off counts beside the others.
+    """Whether a load is so near its critical value that the `missing` modes vanish in round-off.
 
     Next to a critical load z passes through zero. Neighbouring z of beams without a load differ by
     a factor of 40 at most.

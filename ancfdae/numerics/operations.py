@@ -203,7 +203,7 @@ def _numbers(numbers: Any) -> Array:
 
 @final
 class Listed(Carried):
-    """An array of numbers whose operations are listed, those that jets have."""
+    """Stand-in for an array in a formula: it lists the operations on it. It takes those of a `Jet`."""
 
     def __init__(self, operations: Operations, at: Array) -> None:
         self._operations, self.at = operations, at

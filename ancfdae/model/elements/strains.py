@@ -241,7 +241,7 @@ class Region:
         return np.asarray(left.swapaxes(-1, -2) @ right)
 
     def _shape(self, offsets: Array) -> Array:
-        """Scaled shape functions, shape (n, n_xi, n_f, n_a)."""
+        """Return the weights of node vectors in positions of fibres, shape (n, n_xi, n_f, n_a)."""
         y, z = np.moveaxis(offsets[:, None], -1, 0)
         weights = shape_weights(self._d, Quantity.POSITION, self._xi[:, None], y, z)
         return weights

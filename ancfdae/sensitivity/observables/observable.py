@@ -46,8 +46,9 @@ class Named(Protocol):
 class States:
     """States of a system at a sequence of instants, as rows, real or complex.
 
-    `degree` is that of the polynomials between the instants (`TimeGrid`). Of a part of a run `past`
-    holds, by leaf, the values at its first instant of leaves that remember.
+    `degree` is the degree of the polynomials between the instants (`TimeGrid`). Some leaves, such
+    as angles counted over turns, remember earlier values: `past` holds their values at the first
+    instant of a part of a run, by leaf.
     """
 
     t: Array
@@ -171,7 +172,7 @@ class ObservablePartials:
     b: Array
 
     def total(self, q_b: Array | None, v_b: Array | None, lam_b: Array | None) -> Array:
-        """Return the derivatives along those of the states, shape (k, n_b); None is held."""
+        """Return total design derivatives, shape (k, n_b), from derivatives of the states; None is 0."""
         total = self.b
         for rows, x_b in ((self.q, q_b), (self.v, v_b), (self.lam, lam_b)):
             if rows is not None and x_b is not None:
