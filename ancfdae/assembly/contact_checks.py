@@ -133,7 +133,7 @@ class _LoadContacts:
     def __init__(self, load: MovingLoad, groups: Groups, scale: Array) -> None:
         self._load, self._groups, self._scale = load, groups, scale
         n = len(scale)
-        # Of the contacts that are open: their begin, sums of F and F^2, and impulse.
+        # Open contacts: their begin, sums of F and F^2, and impulse.
         self._begin, self._open = np.full(n, -np.inf), np.zeros((3, n))
         self._suspects = list[_Suspect]()
 

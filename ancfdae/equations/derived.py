@@ -155,7 +155,7 @@ def is_value(name: str) -> bool:
 
 
 class Derived:
-    """Values of a system with all that follows; attributes are those of the system.
+    """Values of a system and everything derived from them; it has the attributes of the system.
 
     In `time` it moves by its own size.
     """
@@ -247,7 +247,7 @@ def design_sizes(system: MechanicalSystem) -> Array:
 
 
 def coordinate_sizes(x: Array, weights: Array) -> Array:
-    """Size of every coordinate: its own, or where it vanishes that of the others."""
+    """Return sizes of the coordinates, (n_q,): their own, or where these vanish that of all."""
     common = (norm(x, weights) or 1.0) / np.sqrt(weights * len(x))
     largest = np.max(np.abs(x)) or 1.0
     return np.where(np.abs(x) > 1e-3 * largest, np.abs(x), np.minimum(common, largest))

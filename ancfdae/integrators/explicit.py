@@ -140,7 +140,7 @@ class Kept(NamedTuple):
 
 @final
 class Dop853:
-    """One step after the other, of lengths that keep their errors within tolerances.
+    """Steps of DOP853 whose lengths keep their errors within tolerances.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class Dop853:
     def march(
         self, tolerances: Tolerances, target: float, stop: float, kept: Kept
     ) -> tuple[int, int]:
-        """Take steps until one reaches the target or the stop, at most those there is room for.
+        """Take steps until one reaches the target or the stop, or until the arrays are full.
 
         Return why there are no more, zero where there may be, and how many were taken.
         """

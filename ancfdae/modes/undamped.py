@@ -184,7 +184,7 @@ def _asymmetric(small: Linearised, count: int, highest: bool) -> Eigenpairs:
 
 
 def with_rigid(rigid: Array, z: Array, X: Array, change: Array) -> tuple[Array, Array, Array]:
-    """Return values, shapes and changes of values with those of rigid motions in front."""
+    """Return values, shapes and changes of values, rigid motions first."""
     none = np.zeros(rigid.shape[1])
     return np.append(none, z), np.hstack([rigid, X]), np.append(none, change)
 

@@ -192,7 +192,7 @@ class Equilibrium(PrintedTable):
 
     @property
     def statistics(self) -> Statistics:
-        """Counters of the search; steps are those of the load."""
+        """Counters of the search; `steps` are steps of the load."""
         return self.solution.statistics
 
     def to_dataframe(self) -> Any:

@@ -365,7 +365,7 @@ def _path_end(
 
 
 def _polished(balance: Balance, end: SearchEnd) -> SearchEnd:
-    """Return an equilibrium with all its digits, or where it has come if it is none."""
+    """Return an equilibrium refined to round-off, or the state that the search reached."""
     exact = balance.polished(end.q, end.lam)
     if isinstance(exact, Unsolved):
         outcome = replace(end.outcome, verdict=exact.verdict, residual=exact.residual)

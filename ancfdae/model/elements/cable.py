@@ -371,7 +371,7 @@ class Cable(BeamElement):
 
 @final
 class _CableIntegrals(ElementIntegrals):
-    """A and m of unit moduli, times those of each element, and the flexural stiffness."""
+    """A and m of unit moduli, times the moduli of each element, and the flexural stiffness."""
 
     def __init__(self, batch: Batch) -> None:
         self._batch, self._moduli, self._units = batch, _moduli(batch), _integrals()

@@ -417,7 +417,7 @@ class Axis:
 
     @classmethod
     def of(cls, d: int, xi: Array) -> Axis:
-        """Return those of beams in d dimensions at places xi."""
+        """Return the coefficients of beams in d dimensions at places xi."""
         shape, second = (len(xi), 2 * d + 1), d
         a, a_xi = np.zeros(shape), np.zeros(shape)
         a[:, 0] = end_weight_xi(xi)
@@ -507,7 +507,7 @@ class Frames:
 
     @classmethod
     def of(cls, Y: Array, xi: Array) -> Frames:
-        """Return those of reference vectors (n, n_y, d), which depend on no parameter."""
+        """Return the frames of reference vectors Y, (n, n_y, d), at places xi."""
         d = Y.shape[-1]
         axis = Axis.of(d, xi)
         slopes = np.stack([c @ Y for c in axis.c[1:]], axis=-1)

@@ -151,7 +151,7 @@ class LeafGradient:
 
     @staticmethod
     def of(p: StatePartials) -> LeafGradient:
-        """Return partials in some columns as those of a leaf."""
+        """Return the gradient of a leaf from its partials in some columns."""
         v = Columns(p.columns, p.v) if np.any(p.v) else None
         return LeafGradient(q=Columns(p.columns, p.q), v=v, b=p.b)
 
@@ -172,7 +172,7 @@ class ObservablePartials:
     b: Array
 
     def total(self, q_b: Array | None, v_b: Array | None, lam_b: Array | None) -> Array:
-        """Return total design derivatives, shape (k, n_b), from derivatives of the states; None is 0."""
+        """Return total design derivatives, (k, n_b), from those of the states; None is zero."""
         total = self.b
         for rows, x_b in ((self.q, q_b), (self.v, v_b), (self.lam, lam_b)):
             if rows is not None and x_b is not None:

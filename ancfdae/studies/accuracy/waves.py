@@ -119,7 +119,7 @@ class Missed(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """What numbers may miss by waves.
+    """Errors of numbers by waves that steps do not resolve.
 
     `parts` is what a run misses by its numerical damping, `whole` is all that the waves which it
     does not resolve change.
