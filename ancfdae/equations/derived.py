@@ -227,7 +227,7 @@ class Related(Derived):
         return self._by_number(lambda e: self.system.constraint(t + e, *moved_on(motion, e)))
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
-        """Phi_q, or the partial of a time derivative of Phi."""
+        """Return Phi_q, or the partial in q of a time derivative of Phi, shape (nnz,)."""
         s, (q, *rates) = self.system, motion
         return self._by_coordinate(lambda x: s.constraint(t, x, *rates), q, s.constraint_pattern)
 

@@ -128,13 +128,13 @@ class Kept(NamedTuple):
 
     @staticmethod
     def room(count: int, used: Array, rows: int, n: int, m: int) -> "Kept":
-        """Return room for a number of steps."""
+        """Return empty arrays for `count` steps of n coordinates and m multipliers in rows."""
         shape = (count, len(used), rows)
         states = np.empty((count, len(used), 2, rows, n))
         return Kept(np.empty((count, 2)), states, np.empty((*shape, m)), used)
 
     def part(self, which: slice) -> "Kept":
-        """Return the part of some steps."""
+        """Return the arrays of some of the steps."""
         return Kept(self.spans[which], self.states[which], self.lam[which], self.used)
 
 

@@ -422,9 +422,9 @@ class InitialValueProblem:
 
 
 def vector_sizes(x: Array, d: int) -> Array:
-    """Return for every coordinate the root mean square of its vector; the last axis holds vectors.
+    """Return for every coordinate the root mean square of its vector of d components, as x.
 
-    They have d components.
+    The last axis of x holds coordinates vector by vector.
     """
     sizes = np.sqrt(np.mean(x.reshape(*x.shape[:-1], -1, d) ** 2, axis=-1))
     return np.repeat(sizes, d, axis=-1)

@@ -123,11 +123,11 @@ class IndexReduced(abc.ABC):
 
     @abc.abstractmethod
     def _blocks(self) -> list[tuple[Array, Array]]:
-        """Rows and columns of the blocks of J that a form adds to those that both have."""
+        """Return rows and columns of the blocks of J that only this form has."""
 
     @abc.abstractmethod
     def _entries(self, at: _Instant, c_j: float) -> list[Array]:
-        """Entries of these blocks."""
+        """Return the entries of the blocks of J that only this form has, as `_blocks` has them."""
 
     @final
     def tolerances(self, rtol: float) -> Array:

@@ -335,7 +335,7 @@ class BeamElement(abc.ABC):
     def spanning(self) -> tuple[Quantity, ...]:
         """The slopes that span a section; of a planar element without one its tangent.
 
-        A spatial one that lacks them is refused by `require`.
+        `require` refuses a spatial element that lacks them.
         """
         if self.d == 2 and Quantity.SLOPE_Y not in self.quantities:
             return (Quantity.SLOPE_X,)

@@ -121,7 +121,10 @@ def fibres(batch: Batch) -> Fibres:
 
 
 def _shared(batch: Batch, factors: Array, radii: Array) -> Array:
-    """Return the factors of shears, which leave a share to waves, of twist and of waves."""
+    """Return the stiffness factors of shears, twist and waves, shape (n, 5).
+
+    With assumed strains the part _SHARE of the shear stiffness acts on waves of the section.
+    """
     waves = np.ones((len(factors), 2), dtype=factors.dtype)
     if batch.kind.energy is not None and batch.kind.energy.assumed_strains:
         nu = batch.moduli[1]

@@ -386,7 +386,7 @@ def pace(system: MechanicalSystem, run: Solution) -> float | None:
 
 
 def _spectra(system: MechanicalSystem, run: Solution, *places: int) -> list[Array]:
-    """Return the eigenvalues about instants of a run, whose numbers are given; none if unknown."""
+    """Return the eigenvalues about the states `places` of a run; an empty list if unknown."""
     if system.n_q > _DENSE:
         return []
     rows = np.array(places)
