@@ -358,7 +358,7 @@ class AncfSystem(PlannedSystem):
         return np.sign(self._constraints.by_turn(self.start()[0].real[None], np.zeros(1))[0])
 
     def off_root(self, t: Array, q: Array) -> tuple[int, str] | None:
-        """Compare the signs of derivatives in prescribed angles with those at the start."""
+        """Compare the signs of derivatives in prescribed angles with their signs at the start."""
         if not self._constraints.turns or np.iscomplexobj(q) or np.iscomplexobj(self.b):
             return None
         off = self._constraints.by_turn(q, t) * self._sides < 0

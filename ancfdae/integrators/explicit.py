@@ -128,19 +128,19 @@ class Kept(NamedTuple):
 
     @staticmethod
     def room(count: int, used: Array, rows: int, n: int, m: int) -> "Kept":
-        """Return room for a number of steps."""
+        """Return empty arrays for `count` steps of n coordinates and m multipliers in rows."""
         shape = (count, len(used), rows)
         states = np.empty((count, len(used), 2, rows, n))
         return Kept(np.empty((count, 2)), states, np.empty((*shape, m)), used)
 
     def part(self, which: slice) -> "Kept":
-        """Return the part of some steps."""
+        """Return the arrays of some of the steps."""
         return Kept(self.spans[which], self.states[which], self.lam[which], self.used)
 
 
 @final
 class Dop853:
-    """One step after the other, of lengths that keep their errors within tolerances.
+    """Steps of DOP853 whose lengths keep their errors within tolerances.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class Dop853:
     def march(
         self, tolerances: Tolerances, target: float, stop: float, kept: Kept
     ) -> tuple[int, int]:
-        """Take steps until one reaches the target or the stop, at most those there is room for.
+        """Take steps until one reaches the target or the stop, or until the arrays are full.
 
         Return why there are no more, zero where there may be, and how many were taken.
         """

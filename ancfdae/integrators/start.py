@@ -60,7 +60,7 @@ States: TypeAlias = tuple[Array, Array, Array, Array]
 def completed(
     system: MechanicalSystem, factors: Factorization, t: float, q: Array, V: Array
 ) -> tuple[Array, Array, Array]:
-    """Return v, a and lam; `factors` are those of M and Phi_q at q."""
+    """Return v, a and lam; `factors` belong to the matrix of M and Phi_q at q."""
     v = V - solve(factors, np.zeros_like(V), system.constraint(t, q, V))[0]
     return v, *solve(factors, system.force(t, q, v), acceleration_side(system, t, q, v))
 
@@ -306,7 +306,7 @@ def _refuse_inconsistent_derivatives(
 
 @final
 class _Moves(NamedTuple):
-    """How a declared start is moved: q - q_start and sigma_q, v - v_start and sigma_v.
+    """Projection of a declared start: q - q_start and sigma_q, v - v_start and sigma_v.
 
     `moving` and `factors` are the factorised matrices of steps 1, differentiated, and 2.
     """
@@ -370,7 +370,7 @@ class AccelerationsAdjoint:
         self._second_rate = system.constraint_q(t, q, v, a)
 
     def pull_back(self, on_a: Array, on_lam: Array) -> tuple[Array, Array, Array]:
-        """Return the adjoint vectors of q, v and b from those of a and lam."""
+        """Return the adjoint vectors of q, v and b from the adjoint vectors of a and lam."""
         mu, zeta = solve_transposed(self._factors, on_a, on_lam)
         system, (t, q, v, a, lam) = self._system, self.state
         on_b = -system.pull_back(self._t, self._states, (mu[None], np.zeros_like(lam[None])))

@@ -74,7 +74,7 @@ class Carried(NDArrayOperatorsMixin, StandIn):
     @property
     @abc.abstractmethod
     def shape(self) -> tuple[int, ...]:
-        """Shape of the array that it stands for."""
+        """Shape of the array that this object stands for."""
 
     @abc.abstractmethod
     def sum(self, axis: int, keepdims: bool = False) -> Any:

@@ -53,7 +53,7 @@ class Callee(Protocol):
 
     @property
     def size(self) -> int:
-        """How many numbers it returns."""
+        """Number of results that the list returns."""
 
     def __call__(self, rows: Array, /) -> Array:
         """Return the values of rows of inputs, shape (k, size)."""
@@ -114,7 +114,7 @@ class Operations:
         return complex(real, imaginary) if imaginary else real
 
     def apply(self, function: Any, *numbers: int) -> int:
-        """Return the number of a result; what is known already is not listed again."""
+        """Return the number of a result; an operation that is in the list is not listed again."""
         return self.trace.apply(_CODES[function], numbers[0], numbers[-1])
 
     def call(self, function: Callee, numbers: Sequence[int]) -> Array:
@@ -203,7 +203,7 @@ def _numbers(numbers: Any) -> Array:
 
 @final
 class Listed(Carried):
-    """An array of numbers whose operations are listed, those that jets have."""
+    """Stand-in for an array in a formula that lists the operations on it, as a `Jet` has them."""
 
     def __init__(self, operations: Operations, at: Array) -> None:
         self._operations, self.at = operations, at

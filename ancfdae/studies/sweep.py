@@ -216,7 +216,7 @@ def _collect(
 @final
 @dataclass(frozen=True)
 class _Study:
-    """A model and what is computed of it, the same for all designs of a sweep.
+    """A model and the computation on it, the same for all designs of a sweep.
 
     A scene that `Evaluator` runs is assembled once in every process; its designs are numbers of
     this one structure. Copies in other processes have the same number.

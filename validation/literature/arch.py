@@ -60,7 +60,7 @@ def arch(report: Report, quick: bool) -> list[Requirement]:
     counts = (16, 32) if quick else (16, 32, 64)
     report.heading("Deep circular arch: limit load")
     report.text(_TEXT)
-    reference = _reference_limit(8 if quick else 22)
+    reference = _reference_limit(6 if quick else 22)
     report.text(
         f"Reference: P R²/(E I) = {reference.load:.6f} at a crown {reference.down:.4f} R down, "
         "with the extension and the shear of this arch."

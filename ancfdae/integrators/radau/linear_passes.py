@@ -236,7 +236,7 @@ def _linearised(kernel: StageKernel, run: Solution, h: Array, steps: slice) -> L
 
 
 def _chunks(system: MechanicalSystem, n: int, columns: int) -> Sequence[slice]:
-    """Divide n steps so that what is held at once stays within memory."""
+    """Divide n steps into chunks whose arrays stay within memory."""
     per_step = 3 * (8 * system.pattern.size + (8 + 6 * columns) * system.n_q)
     size = max(1, min(32, _CHUNK_NUMBERS // per_step))
     return [slice(k, min(k + size, n)) for k in range(0, n, size)]

@@ -72,7 +72,7 @@ class State(NamedTuple):
 
 @final
 class RadauStepper(OneStepMethod[State]):
-    """Takes the steps of a run, with derivatives where those of the start are given.
+    """Takes the steps of a run; differentiates them if derivatives of the start are given.
 
     Tolerances are those of positions and of velocities; none where nothing controls the error.
     """

@@ -157,7 +157,7 @@ class Beam(BeamBody):
         return replace(self, start=tuple(place), end=tuple(end.tolist()))
 
     def with_elements(self, count: int) -> Beam:
-        """Return the same beam with another number of elements, each like those in its place."""
+        """Return the same beam with another number of elements, with sections by place."""
         require_count(f"beam {self.name!r}, elements", count, _SOME, _MOST_ELEMENTS)
         ends = [k * self.element_count for k in range(count + 1)]
         places = [slice(a // count, -(-b // count)) for a, b in pairwise(ends)]

@@ -76,7 +76,7 @@ class AxisJoint(Joint):
 
     @property
     def by_slopes(self) -> bool:
-        """To ground the place of the point matters as well."""
+        """Whether there are two points: equations to ground depend on the point's place."""
         return self.other is not None
 
     def around(self, p: Array, reference: Array) -> Around:
@@ -280,7 +280,7 @@ class Universal(Joint):
 
     @property
     def by_slopes(self) -> bool:
-        """To ground the place of the point matters as well."""
+        """Whether there are two points: equations to ground depend on the point's place."""
         return self.other is not None
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:

@@ -163,7 +163,7 @@ def carrier_of(others: Sequence[SectionFrame]) -> Carrier:
 
 
 def square(carrier: Carrier, unless_it_holds: Array | None = None) -> tuple[RightAngle, ...]:
-    """Return the right angles of what carries directions: those in the section may be enough."""
+    """Return the right angles of sections that carry directions; angles within them may suffice."""
     if not isinstance(carrier, SectionFrame):
         return ()
     enough = unless_it_holds is not None and carrier.holds(unless_it_holds)

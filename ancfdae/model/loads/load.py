@@ -33,7 +33,7 @@ def require_damping(where: str, value: object) -> None:
 @final
 @dataclass(frozen=True)
 class Copies:
-    """How often a load stands in a scene: the same formula on other vectors and own numbers.
+    """Copies of a load: the same formula on other vectors, with numbers of each copy.
 
     Parameters
     ----------
