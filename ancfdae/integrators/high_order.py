@@ -93,7 +93,7 @@ class March(abc.ABC):
             while self._t < times[0]:
                 if self.steps == self._max_steps:
                     return Verdict.STEP_LIMIT
-                ends = self._steps(times[0])
+                ends = self._steps(times)
                 if isinstance(ends, Verdict):
                     return ends
                 for self._t in ends:
@@ -102,12 +102,15 @@ class March(abc.ABC):
             return self._states(times[: max(1, np.searchsorted(times, self._t, side="right"))])
 
     @abc.abstractmethod
-    def _steps(self, target: float) -> list[float] | Verdict:
-        """Take steps, the last one of which may pass the target; return their ends, or why not."""
+    def _steps(self, times: Array) -> list[float] | Verdict:
+        """Take steps, the last one of which may pass the first of ascending times.
+
+        Return their ends, or why there are none.
+        """
 
     @abc.abstractmethod
     def _states(self, times: Array) -> Array:
-        """Interpolate in the last step."""
+        """Return states at times behind, of which the first lies in the last step, or of some."""
 
     @abc.abstractmethod
     def finish(self) -> None:
