@@ -226,8 +226,9 @@ def refuse_redundant(system: MechanicalSystem, matrices: SaddlePoint, values: Ar
             "joints " + ", ".join(repr(name) for name in sorted(set(dependent))),
             "constraints must be independent",
             f"{redundant} redundant of {system.n_lam}",
-            "Remove a joint, or replace it by one that holds fewer directions; if this is a dead "
-            "point, where the mechanism could branch, start beside it.",
+            "Remove a joint, or replace it by one that holds fewer directions; "
+            "drop_redundant(scene) leaves out what other joints imply. If this is a dead point, "
+            "where the mechanism could branch, start beside it.",
         )
 
 

@@ -280,6 +280,9 @@ def _weighted() -> tuple[Array, Rule]:
 class _ExplicitMarch(March):
     """One run; states are rows q and q_b, then v and v_b, shape (2, 1 + n_b, n_q)."""
 
+    # A step is as good as several of a method of low order.
+    parts = (0.25, 0.5, 0.75, 1.0)
+
     def __init__(
         self, settings: DOP853, problem: InitialValueProblem, t_end: float, quadrature: Quadrature
     ) -> None:
@@ -333,7 +336,7 @@ class _ExplicitMarch(March):
         count = 1 if self._dense else self._max_steps - self.steps
         count = min(count, self._together - first) if self._wanted else count
         kept = self._kept.part(slice(first, first + count))
-        taken = self._march(times, kept)
+        self._failed, taken, self._recorded = self._march(times, kept)
         self.steps += taken
         if not taken:
             return _VERDICTS[self._failed]
@@ -345,14 +348,13 @@ class _ExplicitMarch(March):
         ends: list[float] = kept.spans[:taken, 1].tolist()
         return ends
 
-    def _march(self, times: Array, kept: Kept) -> int:
-        """Take steps towards some of the times; return how many, and keep what is reported."""
+    def _march(self, times: Array, kept: Kept) -> tuple[int, int, Array]:
+        """Take as many steps as there is room for towards some of the times, as `Dop853.march`."""
         method = self._method
         evaluations = method.evaluations
         found = method.march(self._tolerances, times[:_TIMES], self._stop, kept)
-        self._failed, taken, self._recorded = found
         self.residuals += method.evaluations - evaluations
-        return taken
+        return found
 
     def _dense_output(self) -> Between:
         before = self._method.evaluations
@@ -363,12 +365,14 @@ class _ExplicitMarch(March):
         return between
 
     def _states(self, times: Array) -> Array:
-        if not len(self._recorded):
-            self._march(times, self._kept.part(slice(0, 0)))
-        states, self._recorded = self._recorded, self._recorded[:0]
-        if not len(states):
-            raise SingularMatrix if self._failed == SINGULAR else NotFinite
+        failed, _, states = self._march(times, self._kept.part(slice(0, 0)))
+        if failed:
+            raise SingularMatrix if failed == SINGULAR else NotFinite
         return states
+
+    def _reported(self, times: Array) -> Array:
+        states, self._recorded = self._recorded, self._recorded[:0]
+        return states if len(states) else self._states(times)
 
     def finish(self) -> None:
         self._dense = False
