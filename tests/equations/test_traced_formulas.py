@@ -285,6 +285,13 @@ def test_lists_that_do_not_fit_are_refused(index):
         with pytest.raises(ValueError, match=r"number for each|too few axes"):
             list_values(fine, x)
     assert list_values(fine, np.zeros((0, 2))).shape == (0, 1)
+    # Inputs in parts: one row for all, and rows that must be equally many.
+    parts = np.array([1.0]), np.array([[2.0], [3.0]])
+    whole = list_values(fine, np.array([[1.0, 2.0], [1.0, 3.0]]))
+    assert np.array_equal(list_values(fine, *parts), whole)
+    for wrong in ((np.ones((3, 1)), parts[1]), (np.ones(1),), (np.ones((2, 1, 1)), parts[1])):
+        with pytest.raises(ValueError, match=r"same instants|for each input"):
+            list_values(fine, *wrong)
     assert list_values(pickle.loads(pickle.dumps(fine)), np.array([1.0, 2.0])) == 3.0
 
 

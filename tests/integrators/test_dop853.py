@@ -153,6 +153,39 @@ def test_one_step_passes_more_reported_times_than_are_reached_at_once():
     assert np.max(np.abs(slopes.a_b[:, 0, 0] - rates)) < 1e-5
 
 
+class Bob(FormulaSystem):
+    """A pendulum in Cartesian coordinates, of unit mass and length, released from the side."""
+
+    n_q, n_lam, design_names = 2, 1, ("gravity",)
+
+    def with_values(self, b):
+        return Bob(b)
+
+    def start(self):
+        return np.array([1.0, 0.0]), np.zeros(2)
+
+    def mass_matrix(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.array([0.0, -1.0]) * self.b[0]
+
+    def position_constraint(self, t, q):
+        return np.array([q @ q - 1])
+
+
+def test_each_reported_time_costs_a_projection_and_a_solution():
+    few, many = (simulate(Bob([9.81]), 1.0, DOP853(1e-8, intervals=n)) for n in (4, 8))
+    # The last time is the end of a step, where the state is on the constraints.
+    more = len(many.t) - len(few.t)
+    counts = [x.statistics.factorisations - x.statistics.residuals for x in (few, many)]
+    assert few.statistics.steps == many.statistics.steps
+    assert counts[1] - counts[0] == 2 * more
+    assert np.max(np.abs(np.sum(many.q**2, axis=1) - 1)) < 1e-14
+    energies = np.sum(many.v**2, axis=1) / 2 + 9.81 * many.q[:, 1]
+    assert np.max(np.abs(energies)) < 1e-6
+
+
 @pytest.mark.parametrize("vector", [1, 2])
 def test_errors_are_those_of_the_two_estimates(vector):
     t, end, place = 0.4, 0.55, np.array([5.0, -7.0])
