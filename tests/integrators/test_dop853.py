@@ -159,7 +159,7 @@ class Bob(FormulaSystem):
     n_q, n_lam, design_names = 2, 1, ("gravity",)
 
     def with_values(self, b):
-        return Bob(b)
+        return type(self)(b)
 
     def start(self):
         return np.array([1.0, 0.0]), np.zeros(2)
@@ -337,3 +337,20 @@ def test_which_constraints_are_constant():
         system = assemble(Scene([rod], joints, (0, -9.81), project_start=True), design)
         assert system.traits.linear_constraints
         assert system.traits.constant_constraints == constant
+        assert system.scleronomic == (drive not in joints)
+
+
+class Led(Bob):
+    """A pendulum whose point of suspension moves."""
+
+    def position_constraint(self, t, q):
+        x = q[0] - 0.1 * np.sin(3 * t) ** 2
+        return np.array([x * x + q[1] * q[1] - 1])
+
+
+@pytest.mark.parametrize(("kind", "scleronomic", "few"), [(Bob, True, True), (Led, False, False)])
+def test_runs_of_driven_formulas_report_more_times_for_gradients(kind, scleronomic, few):
+    # A driven motion is checked from one reported time to the next.
+    system, explicit = kind([9.81]), DOP853(1e-6)
+    assert system.scleronomic == scleronomic
+    assert (explicit.at_end(system, 1.0) != explicit) == few

@@ -244,6 +244,14 @@ def test_user_law_divides_by_whole_numbers_and_by_functions():
         assert np.allclose(halved.at(t, order), expected, rtol=1e-14)
 
 
+def test_rates_of_a_law_are_infinite_where_its_function_has_a_root():
+    law = UserLaw(np.sqrt)
+    assert law.at(np.array([0.0, 4.0])).tolist() == [0.0, 2.0]
+    rates = [law.at(np.array([0.0, 4.0]), order) for order in (1, 2, 3)]
+    assert [x[0] for x in np.abs(rates)] == 3 * [np.inf]
+    assert np.allclose([x[1] for x in rates], [1 / 4, -1 / 32, 3 / 256], rtol=1e-14)
+
+
 # ---------------------------------------------------------------- refusals
 
 
