@@ -141,6 +141,11 @@ class AncfSystem(PlannedSystem):
         t = np.linspace(0.0, t_end, SAMPLES + 1)
         return (*self.traits.breakpoints, *find_pulses(t, self.over_time(t, True)).stops)
 
+    @property
+    def scleronomic(self) -> bool:  # type: ignore[override]  # computed where it is asked for
+        """Whether no joint is driven."""
+        return not self._constraints.factors.driven
+
     @cached_property
     def has_loops(self) -> bool:  # type: ignore[override]  # computed where it is asked for
         """Whether joints close loops of bodies and ground."""

@@ -182,6 +182,8 @@ class MechanicalSystem(ComplexSteps):
     controllers: tuple[str, ...] = ()
     #: Whether joints may close loops; a tree of bodies keeps the rank of Phi_q.
     has_loops: bool = True
+    #: Whether Phi is known not to depend on time by itself.
+    scleronomic: bool = False
 
     @cached_property
     def pattern(self) -> SparsityPattern:
