@@ -12,26 +12,10 @@ from ancfdae.errors import MissingPackageError
 from ancfdae.extend import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.results import Solution
 from validation.scenes import pendulum_deflection
-
-__all__ = [
-    "MANY",
-    "Array",
-    "Errors",
-    "Run",
-    "balance",
-    "cheapest",
-    "common_rows",
-    "differentiated_run",
-    "errors",
-    "family",
-    "label",
-    "motion_errors",
-]
-
-Array = npt.NDArray[np.float64]
 
 #: Steps; more than any run of a report takes.
 MANY = 10_000_000

@@ -10,20 +10,6 @@ from ancfdae import HHT, AdaptiveSteps
 from ancfdae.errors import TargetNotReachedError
 from ancfdae.results import MeasuredSetting, WorkPrecision
 
-__all__ = [
-    "Gain",
-    "alpha",
-    "best_gain",
-    "cheapest_of",
-    "controlled",
-    "controlled_both",
-    "fixed",
-    "largest_ratio",
-    "seconds_for",
-    "settled",
-    "short_name",
-]
-
 ModelChoice = Callable[[MeasuredSetting], bool]
 
 

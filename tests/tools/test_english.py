@@ -76,7 +76,7 @@ AT_MOST: dict[str, int] = {
     "opens with what": 50,
     "as far as": 5,
     "is none": 68,
-    "that of, those of": 514,
+    "that of, those of": 513,
     "inversion": 1,
     "tells": 76,
     "all of them": 48,

@@ -7,10 +7,9 @@ from typing import Final, final
 import numpy as np
 from scipy.optimize import nnls
 
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel
-from validation.design.optimisation import Array, Optimisation
-
-__all__ = ["Case", "Comparison", "Response", "gradient_check", "optimality"]
+from validation.design.optimisation import Optimisation
 
 # Distances to a bound or a limit below which it counts as reached, relative; a limit of zero is
 # one on a logarithm.
@@ -91,11 +90,8 @@ class Case:
     Attributes
     ----------
     key : str
-        First word of the figures, and name of the plot.
-    title : str
-    question : str
-        What is optimised, under which constraints, and after whom; Markdown.
-    method : str
+        First word of the figures, name of the plot and of its words in `report.md`.
+    title, method : str
     variables : sequence of str
         One name with unit per variable.
     responses : sequence of Response
@@ -104,7 +100,6 @@ class Case:
     comparisons : sequence of Comparison
     panels : sequence of Panel
         Mechanism and optimum.
-    caption : str
     findings : str
         What is to be seen; Markdown.
     sizes : array, shape (n,), or None
@@ -113,14 +108,12 @@ class Case:
 
     key: str
     title: str
-    question: str
     method: str
     variables: Sequence[str]
     responses: Sequence[Response]
     found: Optimisation
     comparisons: Sequence[Comparison]
     panels: Sequence[Panel]
-    caption: str
     findings: str
     sizes: Array | None = None
 

@@ -9,11 +9,9 @@ import numpy.typing as npt
 from scipy.optimize import OptimizeResult, minimize
 
 from ancfdae.errors import UnfinishedRunError
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
 
-__all__ = ["Array", "Evaluation", "Once", "Optimisation", "constrained", "searched"]
-
-Array = npt.NDArray[np.float64]
 Evaluation = Callable[[Array], tuple[Array, Array]]
 
 

@@ -15,9 +15,8 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from ancfdae.extend import StateDirection, SystemProperties
-from validation.external.scleronomic import Array, Scleronomic
-
-__all__ = ["Rods", "cartesian_pendulum", "double_four_bar", "four_bar_minimal"]
+from ancfdae.numerics.arrays import Array
+from validation.external.scleronomic import Scleronomic
 
 
 @final
@@ -86,8 +85,7 @@ class Rods(Scleronomic):
 
     def force(self, t: float, q: Array, v: Array) -> Array:
         """Return the force Q, shape (n_q,)."""
-        Q: Array = self.b[1] * self._geometry.weight
-        return Q
+        return self.b[1] * self._geometry.weight
 
     def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
         """Return the derivative of the force along a direction: zero, since it is constant."""
@@ -100,8 +98,7 @@ class Rods(Scleronomic):
         d, *rates = self._along(motion[0]) + self._c, *map(self._along, motion[1:])
         if not rates:
             lengths = 1 + self._geometry.shares * (self.b[0] - 1)
-            Phi: Array = 0.5 * (_dot(d, d) - lengths**2)
-            return Phi
+            return 0.5 * (_dot(d, d) - lengths**2)
         rate: Array = _dot(d, rates[-1])
         if len(rates) == 2:
             rate = rate + _dot(rates[0], rates[0])
@@ -120,8 +117,7 @@ class Rods(Scleronomic):
 
     def _matrix(self, d: Array) -> Array:
         """Rows d_k^T P_k."""
-        rows: Array = (d[:, None, :] @ self._P)[:, 0, :]
-        return rows
+        return (d[:, None, :] @ self._P)[:, 0, :]
 
     def _gradient(self, d: Array) -> Array:
         return self._matrix(d).ravel()
@@ -129,8 +125,7 @@ class Rods(Scleronomic):
 
 def _dot(x: Array, y: Array) -> Array:
     """Products row by row."""
-    products: Array = np.sum(x * y, axis=1)
-    return products
+    return np.sum(x * y, axis=1)
 
 
 def cartesian_pendulum(

@@ -4,10 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ancfdae.extend import MechanicalSystem, SystemProperties
-
-__all__ = ["Array", "Scleronomic"]
-
-Array = npt.NDArray[np.float64]
+from ancfdae.numerics.arrays import Array
 
 
 class Scleronomic(MechanicalSystem):

@@ -1,7 +1,5 @@
 """Cases of damped mechanisms, whose fast modes decay within a step."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ancfdae import HHT, Beam, Clamp, Material, PointForce, Scene, simulate

@@ -1,14 +1,11 @@
 """One row of the report `extremes`: run a case, and say how it ended and how right it is."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import HHT, Scene, assemble, simulate
 from ancfdae.equations import MechanicalSystem, reaction
@@ -16,12 +13,9 @@ from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import AncfdaeError, StabilityWarning
 from ancfdae.extend import MaterialPoint
 from ancfdae.integrators.hht.equations import Coefficients
+from ancfdae.numerics.arrays import Array
 from ancfdae.results import Solution
 from validation.report import Report
-
-__all__ = ["HEADER", "Case", "Row", "add_table", "against_sixteenth", "measure"]
-
-Array = npt.NDArray[np.float64]
 
 HEADER = (
     "case",

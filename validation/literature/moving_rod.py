@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial.legendre import Legendre, leggauss
 from scipy.integrate import solve_ivp
 
-__all__ = ["HubRod"]
+from ancfdae.numerics.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Turning = Callable[[float], tuple[float, float, float]]
 
 
@@ -94,8 +92,7 @@ class HubRod:
             rtol=self.tolerance,
             atol=1e-3 * self.tolerance,
         )
-        tip: Array = np.array([basis.end @ run.y[:N], basis.end @ run.y[N : 2 * N]])
-        return tip
+        return np.array([basis.end @ run.y[:N], basis.end @ run.y[N : 2 * N]])
 
     def _inner(self, basis: "_Basis", u: Array) -> tuple[Array, Array]:
         """Return the elastic forces and their derivative."""

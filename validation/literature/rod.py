@@ -14,12 +14,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-__all__ = ["Array", "Rod", "derivatives", "solve", "tip_loaded"]
-
-Array = npt.NDArray[Any]
+from ancfdae.numerics.arrays import Array
 
 _TOLERANCE: Final = 1e-11
 _STEP: Final = 1e-30
@@ -74,8 +71,7 @@ class Rod:
             y_s[:, :1] = gamma[:, None] @ axes
             y_s[:, 1:4] = _cross(kappa[:, None] @ axes, axes)
             y_s[:, 4] = _cross(n, y_s[:, 0])
-            slope: Array = (self.length * y_s).ravel()
-            return slope
+            return (self.length * y_s).ravel()
 
         scale = np.ones((k, 5, 3))
         scale[:, 0] = abs(self.length)
@@ -88,14 +84,12 @@ class Rod:
             rtol=_TOLERANCE,
             atol=1e-2 * _TOLERANCE * scale.ravel(),
         )
-        end: Array = run.y[:, -1].reshape(k, 15)
-        return end
+        return run.y[:, -1].reshape(k, 15)
 
 
 def _cross(a: Array, b: Array) -> Array:
     """Return a x b; `numpy.cross` takes longer than the rest of the equations."""
-    c: Array = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
-    return c
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
 
 
 def solve(residual: Callable[[Array], Array], guess: Array) -> tuple[Array, Array]:

@@ -1,16 +1,22 @@
 """What all cases tabulate: convergence with the mesh, and derivatives found in two ways."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from ancfdae import (
+    Adjoint,
+    DesignVariable,
+    DirectDifferentiation,
+    Scene,
+    assemble,
+    equilibrium_gradient,
+)
+from ancfdae.extend import Observable
+from ancfdae.numerics.arrays import Array
 from validation.report import Report
-
-__all__ = ["convergence", "derivative_table", "relative"]
-
-Array = npt.NDArray[np.float64]
 
 # Errors below this have no order: they are those of the reference.
 _FLOOR: Final = 1e-9
@@ -19,8 +25,7 @@ _FLOOR: Final = 1e-9
 def relative(computed: npt.ArrayLike, exact: npt.ArrayLike) -> Array:
     """Return |found - exact| / |exact|."""
     e = np.asarray(exact, dtype=float)
-    apart: Array = np.abs(np.asarray(computed, dtype=float) - e) / np.abs(e)
-    return apart
+    return np.abs(np.asarray(computed, dtype=float) - e) / np.abs(e)
 
 
 def convergence(
@@ -91,6 +96,48 @@ def derivative_table(
         ],
     )
     return report.figure(f"{key}.derivatives.apart", max(apart))
+
+
+def logarithmic(
+    name: str, symbols: Iterable[str], computed: Array, exact: Array
+) -> list[tuple[str, str, float, float]]:
+    """Return rows of d ln(quantity)/d ln(parameter), one for each symbol of a parameter."""
+    pairs = zip(symbols, computed.tolist(), exact.tolist(), strict=True)
+    return [(f"ln {name}", f"ln {symbol}", *values) for symbol, *values in pairs]
+
+
+def compared_at_rest(
+    report: Report,
+    key: str,
+    scene: Scene,
+    quantities: Mapping[str, tuple[Observable, Array]],
+    design: Mapping[str, str | DesignVariable],
+    ways: tuple[str, str],
+) -> float:
+    """Add the table of d ln(quantity)/d ln(parameter) of a scene at rest; return what it differs.
+
+    Parameters
+    ----------
+    report, key, ways
+        As for `derivative_table`.
+    scene : Scene
+    quantities : mapping
+        By name, the observable and its exact derivatives, one for each variable.
+    design : mapping
+        Design variables by symbol; none may be zero.
+    """
+    system, rows, off = assemble(scene, list(design.values())), [], 0.0
+    for name, (observable, exact) in quantities.items():
+        direct, adjoint = (
+            equilibrium_gradient(system, observable, method=method)
+            for method in (DirectDifferentiation(), Adjoint())
+        )
+        off = max(off, float(np.max(relative(adjoint.gradient, direct.gradient))))
+        computed = direct.gradient * system.b.real / direct.value
+        rows += logarithmic(name, design, computed, exact)
+    worst = derivative_table(report, key, rows, ways)
+    report.say("adjoint", off=off)
+    return worst
 
 
 def _orders(counts: Sequence[int], errors: Array) -> Array:

@@ -30,8 +30,6 @@ from validation.design.coupler_path import hoeken
 from validation.design.two_link_arm import arm, torques
 from validation.design.whirling_beam import blade, spin_up
 
-__all__ = ["CASES", "Case"]
-
 _DAMPED: Final = Material(2700.0, 7e10, 0.33, damping_time=3e-4)
 # Stresses in units of this, so that no number is huge; Pa.
 _MEGA: Final = 1e6

@@ -8,8 +8,6 @@ from validation.pendulum.case import DESIGN, STEP, Extent
 from validation.report import Report
 from validation.scenes import pendulum
 
-__all__ = ["cost"]
-
 
 def cost(report: Report, extent: Extent) -> None:
     """Fill the section on the cost of derivatives relative to that of the motion."""
@@ -25,7 +23,7 @@ def cost(report: Report, extent: Extent) -> None:
         ratio = float(np.median(np.divide(along, alone)))
         report.figure(f"cost.{name}.ratio_three_variables", ratio)
         rows.append([name, plain.n_q, base, float(np.median(along)), ratio])
-    report.text("Wall time per step, medians of alternating runs in this process.")
+    report.say("cost")
     report.table(
         ["element", "coordinates", "dynamics [µs]", "with three variables [µs]", "ratio"], rows
     )

@@ -18,8 +18,6 @@ from validation.performance.mechanisms import rigid_slider_crank
 from validation.performance.row import Row
 from validation.scenes import crank_slider
 
-__all__ = ["measure"]
-
 _WORKERS = 2
 _DESIGNS = 100
 # Runs of a few milliseconds that go to a worker together: sending a packet costs 0.2 ms of

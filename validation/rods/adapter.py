@@ -31,8 +31,6 @@ from ancfdae import (
 )
 from ancfdae.sections import Circle
 
-__all__ = ["AncfSolver"]
-
 # Depth of a contact under a line load, over the radius of the rod, and the slip over the duration,
 # in radii, of a contact at its limit of friction; its restitution.
 _DEPTH, _SLIP = 1e-2, 0.2

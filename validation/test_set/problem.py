@@ -12,21 +12,16 @@ respect to design variables.
 """
 
 from abc import abstractmethod
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from ancfdae import Integral, Terminal
 from ancfdae.extend import FormulaSystem
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import custom
 from ancfdae.sensitivity.objectives import Objective
-
-__all__ = ["Array", "TestProblem"]
-
-# Real or complex.
-Array = npt.NDArray[Any]
 
 _STEP = 1e-40
 

@@ -40,6 +40,7 @@ from ancfdae import (
 )
 from ancfdae.extend import Integrator, Law
 from ancfdae.laws import ConstantAcceleration, Harmonic, RunUp, SmoothStep, UserLaw
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import (
     custom,
     kinetic_energy,
@@ -52,10 +53,7 @@ from ancfdae.observables import (
 from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import Observable
-from validation.external.scleronomic import Array
 from validation.tolerance.scenes import Case
-
-__all__ = ["FAMILIES", "Generated", "case"]
 
 _FALLING = (0.0, -9.81)
 # Objectives at instants read the polynomials between 200 of them: 64 leave 1e-3 of some gradients.
