@@ -76,6 +76,7 @@ from ancfdae.studies.ladder import choose_model
 from ancfdae.studies.mass_properties import mass_properties
 from ancfdae.studies.modes import campbell, modes, suggest_step
 from ancfdae.studies.observing import record_observables
+from ancfdae.studies.redundant import drop_redundant
 from ancfdae.studies.responses import Responses
 from ancfdae.studies.statics import CriticalValue, critical_load, equilibrium, equilibrium_gradient
 from ancfdae.studies.sweep import Evaluator, sweep
@@ -177,6 +178,7 @@ __all__ = [
     "critical_load",
     "differentiate",
     "distributed_variables",
+    "drop_redundant",
     "equilibrium",
     "equilibrium_gradient",
     "error_bars",

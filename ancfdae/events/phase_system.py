@@ -36,6 +36,7 @@ from ancfdae.equations import (
     StateDirection,
     planned,
 )
+from ancfdae.equations.contact_record import ContactRecord, MissedContact
 from ancfdae.equations.system import called_plan, constraint_q_along, residual_along
 from ancfdae.kernels import CalledPlan, ListPlan, Plan
 from ancfdae.numerics.arrays import STEP, Array
@@ -172,6 +173,15 @@ class PhaseSystem(LaterSystem):
         """Derivatives of t_0 and of sigma with respect to the design, (n_b,) each."""
         n, t_b = self._ahead, np.insert(self._start.t_b, self._ahead, 0.0)
         return t_b, np.eye(1, self.n_b, n)[0] / np.real(self._duration)
+
+    def contacts(self) -> ContactRecord | None:
+        """Return a record of the contacts of the system, in the time of the phase."""
+        own = self.base.contacts()
+        return None if own is None else _PhaseContacts(self, own)
+
+    def states_of(self, tau: Array, *states: Array) -> tuple[Array, ...]:
+        """Return time, q and v of the system from tau, q and w of the phase, rows."""
+        return self._times(tau), *states[:1], *(x.real for x in self._rates(*states[1:]))
 
     # -- values ------------------------------------------------------------------------------------
 
@@ -384,3 +394,22 @@ class PhaseSystem(LaterSystem):
 def _in_time(q: Array) -> StateDirection:
     """Return the direction of time with the state held."""
     return StateDirection(1.0, np.zeros_like(q), np.zeros_like(q))
+
+
+@final
+class _PhaseContacts(ContactRecord):
+    """The contacts of a phase, whose time begins at the start of the phase."""
+
+    def __init__(self, phase: PhaseSystem, own: ContactRecord) -> None:
+        self._phase, self._own = phase, own
+
+    def follow(self, t: Array, q: Array, v: Array) -> None:
+        """Look at the next states of the phase."""
+        self._own.follow(*self._phase.states_of(t, q, v))
+
+    def missed(self) -> MissedContact | None:
+        """Return the first contact that the steps of the phase miss."""
+        missed = self._own.missed()
+        if missed is None:
+            return None
+        return missed._replace(time=missed.time - self._phase.states_of(np.zeros(1))[0].item())

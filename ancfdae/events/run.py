@@ -462,7 +462,7 @@ class PhaseMarch:
     ) -> PhasedRun:
         ended = self._outcome(Verdict.FINISHED, phases, "")
         if outcome is not None:
-            time = phases[-1].t_0 + float(phases[-1].run.t[-1])
+            time = phases[-1].t_0 + phases[-1].run.outcome.time
             ended = replace(outcome, time=time, step=ended.step)
         return PhasedRun(before, tuple(phases), ended)
 
