@@ -105,12 +105,8 @@ def _small(report: Report, nu: float, counts: tuple[int, ...], quick: bool) -> N
             if row[1] == at
         ]
         panels.append(log_log(title, "elements [-]", "error of deflection [-]", series))
-    report.plot(
-        f"deflection-nu{nu:g}".replace(".", ""),
-        panels,
-        columns=2,
-        title=f"Tip deflection of a cantilever, h/L = 0.01, nu = {nu:g}",
-    )
+    digits = f"{nu:g}".replace(".", "")
+    report.plot("deflection-nu{digits}", panels, 2, digits=digits, nu=nu)
 
 
 def _claims(report: Report, n: int) -> None:

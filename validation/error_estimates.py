@@ -140,11 +140,8 @@ def _measured(case: _Case) -> _Pairs:
         of_q, of_q_b = _true(case.system, run, exact)
         motion.append((of_q, run.estimated_errors.motion))
         derivatives += list(zip(of_q_b, run.estimated_errors.derivatives, strict=True))
-    return _Pairs(case, *(_sensible(np.array(pairs).T) for pairs in (motion, derivatives)))
-
-
-def _sensible(pairs: Array) -> Array:
-    return pairs[:, pairs[0] < _LARGEST]
+    columns = (np.array(pairs).T for pairs in (motion, derivatives))
+    return _Pairs(case, *(x[:, x[0] < _LARGEST] for x in columns))
 
 
 def _settings(case: _Case) -> list[Integrator]:

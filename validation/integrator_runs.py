@@ -25,15 +25,7 @@ _FORMS = {IndexReduction.STABILISED_INDEX_2: "GGL", IndexReduction.INDEX_1: "ind
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run with sensitivities.
-
-    Attributes
-    ----------
-    integrator : Integrator
-    solution : Solution
-    seconds : float
-        Processor time, which other processes disturb less than elapsed time.
-    """
+    """A finished run with sensitivities, and its processor time."""
 
     integrator: Integrator
     solution: Solution
@@ -44,16 +36,9 @@ class Run:
 class Errors:
     """Largest differences to a reference at the common instants.
 
-    Attributes
-    ----------
-    deflection : float
-        In metres.
-    states : float
-        Of any coordinate: positions in m, slopes without unit.
-    multipliers : float
-        Relative to the largest multiplier.
-    sensitivities : array, shape (n_b,)
-        Of the deflection, times the variable; m.
+    The deflection is in m; states are positions in m and slopes without unit. Multipliers are
+    relative to the largest one; sensitivities of the deflection, shape (n_b,), are multiplied by
+    the variable; m.
     """
 
     deflection: float

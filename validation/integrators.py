@@ -214,7 +214,9 @@ def _convergence(report: Report, found: Sequence[tuple[Run, Errors]], reference:
     report.table(["step [s]", *names], rows)
     _steps_needed(report, np.array(steps), relative)
     report.say("convergence.notes")
-    _claim(report, steps[0], relative[0])
+    wrong = ", ".join(f"{s}: {e:.2g}" for s, e in zip(_SYMBOLS, relative[0, 1:], strict=True))
+    verdict = np.max(relative[0]) < 0.05
+    report.judge("claim", verdict, step=steps[0], relative=relative[0], wrong=wrong)
     distance = float(np.max(np.abs(orders[-1] - 2)))
     report.require("order", distance)
 
@@ -248,11 +250,6 @@ def _step_needed(steps: Array, column: Array, target: float) -> tuple[float, boo
         return float(steps[first]), False
     exponent = np.floor(np.log2(steps[-1] * np.sqrt(target / column[-1])))
     return float(2.0**exponent), True
-
-
-def _claim(report: Report, step: float, relative: Array) -> None:
-    wrong = ", ".join(f"{s}: {e:.2g}" for s, e in zip(_SYMBOLS, relative[1:], strict=True))
-    report.judge("claim", np.max(relative) < 0.05, step=step, relative=relative, wrong=wrong)
 
 
 # ---------------------------------------------------------------- work and precision

@@ -245,19 +245,9 @@ def _show(
     ]
     anchor = float(np.max(table[-1, 4:]))
     guide = Series("order 2", steps, anchor * (np.array(steps) / steps[-1]) ** 2, dashed=True)
-    report.plot(
-        f"crank-slider-{extent.name}",
-        [
-            log_log(
-                "Relative error of Ψ and of its sensitivities",
-                "step of HHT-I3 [s]",
-                "relative error [-]",
-                [*series, guide],
-            )
-        ],
-        title=f"Crank-slider up to t = {extent.t_end:g} s, HHT-I3",
-        caption="Rod (2): against SUNDIALS; crank (1) against DOP853.",
-    )
+    axes = "step of HHT-I3 [s]", "relative error [-]"
+    panel = log_log("Relative error of Ψ and of its sensitivities", *axes, [*series, guide])
+    report.plot("crank-slider-{extent.name}", [panel], extent=extent)
     return orders
 
 

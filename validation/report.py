@@ -128,18 +128,21 @@ class Report:
         columns: int = 1,
         title: str = "",
         caption: str = "",
+        **values: object,
     ) -> None:
         """Add a plot, written as name.svg (embedded) and name.png.
 
-        Title and caption come from the report's Markdown file if it names the plot.
+        Title and caption come from the report's Markdown file if it names the plot; places in all
+        three are filled with the values.
 
         Raises
         ------
         InvalidInputError
             If the name is taken or cannot be a file name, or if `plotting.draw` refuses the panels.
         """
+        words = self._prose.plots.get(name, (title, caption))
+        name, title, caption = (x.format(**values) for x in (name, *words))
         _check_name("Report.plot", name, name in self._plots)
-        title, caption = self._prose.plots.get(name, (title, caption))
         self._plots[name] = plotting.draw(panels, columns, title)
         self._body.append(f"![{title or panels[0].title}]({name}.svg)")
         if caption:

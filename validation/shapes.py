@@ -48,7 +48,7 @@ def fill(report: Report, quick: bool) -> None:
     rows = []
     for title, error in cases.items():
         errors = [error(n) for n in counts]
-        rows.append([title, *map(_number, errors)])
+        rows.append([title, *("none found" if np.isnan(x) else f"{x:.1e}" for x in errors)])
         short = title.split(" critical")[0].split(",")[0].replace(" ", "-")
         for n, value in zip(counts, errors, strict=True):
             if not np.isnan(value):
@@ -58,10 +58,6 @@ def fill(report: Report, quick: bool) -> None:
     strains = (-0.02, -0.01, 0.01, 0.02)
     changes = [f"{(arc_stiffness(32, strain) - 1) / strain:.3f}" for strain in strains]
     report.table(["axial strain", *map(str, strains)], [["change over the strain", *changes]])
-
-
-def _number(error: float) -> str:
-    return "none found" if np.isnan(error) else f"{error:.1e}"
 
 
 def helix(a_turn: int) -> float:

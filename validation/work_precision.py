@@ -89,10 +89,6 @@ def _choice(report: Report, found: Sequence[Measured]) -> None:
     report.say("answer")
 
 
-def _named(found: Sequence[Measured], name: str) -> Measured | None:
-    return next((each for each in found if each.case.name == name), None)
-
-
 def _within(table: WorkPrecision, seconds: float) -> MeasuredSetting | None:
     """Return the HHT setting with the least error of the gradient in some processor time."""
     rows = [
@@ -105,7 +101,7 @@ def _within(table: WorkPrecision, seconds: float) -> MeasuredSetting | None:
 
 def _pointwise(report: Report, found: Sequence[Measured]) -> None:
     """Compare second and high order on the soft, undamped pendulum."""
-    soft = _named(found, "soft")
+    soft = next((each for each in found if each.case.name == "soft"), None)
     if soft is None:
         return
     texts, factors = [], []
@@ -175,14 +171,7 @@ def _scene(report: Report, each: Measured) -> None:
     panels.append(_panel("Error of the states", first, "states"))
     for kind, table in zip(OBJECTIVES, each.tables, strict=True):
         panels.append(_panel(f"Error of the {kind} gradient", table, "gradient"))
-    report.plot(
-        each.case.name,
-        panels,
-        columns=3,
-        title=f"Error against processor time: {each.case.title}",
-        caption="From left to right smaller steps or tolerances. Errors relative to the reference; "
-        "what is above 10 is cut off.",
-    )
+    report.plot("{case.name}", panels, 3, case=each.case)
     header = ["integrator", "setting", "CPU [s]", "states", "multipliers", "drift", "energy"]
     header += [f"{what} {kind}" for kind in OBJECTIVES for what in ("objective", "gradient")]
     rows: list[list[object]] = []

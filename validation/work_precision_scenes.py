@@ -19,7 +19,6 @@ from ancfdae import (
 )
 from ancfdae.errors import StabilityWarning
 from ancfdae.extend import Integrator, MaterialPoint, MechanicalSystem
-from ancfdae.numerics.arrays import Array
 from ancfdae.observables import custom, position
 from ancfdae.results import WorkPrecision
 from ancfdae.sensitivity.objectives import Objective
@@ -96,14 +95,9 @@ def measured(case: Case, quick: bool) -> Measured:
 
 
 def newton_tolerances(rtols: Sequence[float], quick: bool) -> tuple[str, list[WorkPrecision]]:
-    """Measure the controlled step with a loose tolerance of Newton's method and with the default.
+    """Measure the controlled step with a loose tolerance of Newton's method and the default.
 
-    Returns
-    -------
-    str
-        The scene.
-    list of WorkPrecision
-        One for each tolerance; the loose one, rtol/1000, first.
+    Return the scene in words, and one table for each tolerance; the loose one, rtol/1000, first.
     """
     case = _pendulum("newton", 2e11, 1e-3, 2.0**-6 if quick else 1.0, Settings(range(1), rtols))
     reference = HHT(rtol=1e-4 if quick else 1e-6, newton_tolerance=1e-12)
@@ -191,10 +185,7 @@ def _crank(t_end: float, settings: Settings) -> Case:
 
 def _slider(t_end: float, settings: Settings) -> Case:
     """Return the slider-crank of SUNDIALS; stiffness and damping of its spring are its design."""
-    objectives = kinetic_energy_integral(), Terminal(custom(_crank_angle, "crank angle"))
+    angle = custom(lambda t, q, v, lam, b: q[:, 0], "crank angle")
+    objectives = kinetic_energy_integral(), Terminal(angle)
     title, exact = f"Slider-crank of SUNDIALS, {t_end:g} s", DOP853(1e-10, max_steps=MANY)
     return Case("slider-crank", title, SliderCrank(), t_end, objectives, settings, exact)
-
-
-def _crank_angle(t: Array, q: Array, v: Array, lam: Array, b: Array) -> Array:
-    return q[:, 0]

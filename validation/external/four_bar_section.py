@@ -161,14 +161,7 @@ def _plot(report: Report, each: _Run) -> None:
         Panel("Point B₀", "time t [s]", "x [m]", point),
         Panel("Distance from a singular position", *axes, near, y_scale="log"),
     ]
-    report.plot(
-        "four-bar",
-        panels,
-        columns=2,
-        title=f"Double four-bar, HHT, {setting(each.integrator)}",
-        caption="Two of five constraints become dependent twice per turn; multipliers do not "
-        "converge there, while positions pass.",
-    )
+    report.plot("four-bar", panels, 2, setting=setting(each.integrator))
 
 
 def _sensitivities(

@@ -22,26 +22,11 @@ from validation.external.scleronomic import Scleronomic
 @final
 @dataclass(frozen=True)
 class Geometry:
-    """What of a system of rods no design variable changes.
+    """Numbers of a system of rods that no design variable changes.
 
-    Attributes
-    ----------
-    mass_matrix : array, shape (n_q, n_q)
-    ends : array, shape (n_lam, 2, n_q)
-        P_k.
-    offsets : array, shape (n_lam, 2)
-        c_k.
-    shares : array, shape (n_lam,)
-        Lengths are l_k = 1 + shares_k (L - 1): one for a rod of length L, zero for length 1.
-    weight : array, shape (n_q,)
-        Force at g = 1.
-    rest : array, shape (n_q,)
-    along : array, shape (n_q,)
-        The start is q = rest + L along.
-    across : array, shape (n_q,)
-        It moves with v = L across.
-    names : tuple of str
-        Of the rods.
+    `ends` are P_k, shape (n_lam, 2, n_q), and `offsets` c_k, shape (n_lam, 2). Lengths of rods are
+    l_k = 1 + shares_k (L - 1): a share is one for a rod of length L, zero for length 1. `weight`
+    is the force at g = 1. The start is q = rest + L along, v = L across. Names are of the rods.
     """
 
     mass_matrix: Array
@@ -186,21 +171,8 @@ def four_bar_minimal(times: Array, b: npt.ArrayLike = (1.0, 9.81)) -> tuple[Arra
     """Return point B_0 of the double four-bar from its only degree of freedom.
 
     With phi from the upright position, phi'' = s sin phi and s = 3.5 g/(3 L), nothing is singular;
-    the variational equations come along.
-
-    Parameters
-    ----------
-    times : array, shape (k,)
-        Rising, from zero.
-    b : array_like
-        L and g.
-
-    Returns
-    -------
-    states : array, shape (k, 4)
-        x, y and their rates.
-    states_b : array, shape (k, 4, 2)
-        Their derivatives in L and g.
+    the variational equations come along. Times, shape (k,), rise from zero; b holds L and g. Return
+    x, y and their rates, shape (k, 4), and their derivatives in L and g, shape (k, 4, 2).
     """
     L, g = np.asarray(b, dtype=float)
     s = 3.5 * g / (3 * L)

@@ -52,18 +52,10 @@ _METHODS: Final[Mapping[str, GradientMethod]] = {
 
 @dataclass(frozen=True)
 class Attempt:
-    """A run or a gradient.
+    """A run or a gradient, and its processor time.
 
-    Attributes
-    ----------
-    note : str
-        `FINISHED`, or why there is no result.
-    seconds : float
-        Processor time.
-    solution : Solution or None
-        What was computed, also if the run ended early.
-    value : array or None
-        Objective and its gradient, where one was asked for and computed.
+    The note is `FINISHED`, or why there is no result. The solution is kept if the run ended early;
+    the value is the objective with its gradient, where one was asked for and computed.
     """
 
     note: str
@@ -86,15 +78,7 @@ class Attempt:
 class Problem:
     """A system with an objective whose value and gradient are known.
 
-    Attributes
-    ----------
-    name : str
-        For the keys of figures.
-    system : MechanicalSystem
-    objective : Objective
-    t_end : float
-    exact : array, shape (1 + n_b,)
-        Objective, then its gradient.
+    The name is for keys of figures; `exact` holds the objective and its gradient, shape (1 + n_b,).
     """
 
     name: str

@@ -22,17 +22,9 @@ _PART = 2.0  # s, of a run of 100 s; one point of a curve
 class Long:
     """A run and its balance.
 
-    Attributes
-    ----------
-    label : str
-    alpha : float
-    run : Solution
-    energy : array
-        Change of the total energy, relative to what a fall to the lowest point sets free.
-    drift : float
-        Largest violation of the constraints in lengths of the pendulum.
-    warning : str
-        What was warned about.
+    `energy` is the change of the total energy relative to the energy that a fall to the lowest
+    point sets free; `drift` is the largest violation of the constraints in lengths of the
+    pendulum.
     """
 
     label: str

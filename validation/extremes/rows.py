@@ -45,21 +45,11 @@ _CRASHES = (ArithmeticError, AttributeError, LookupError, MemoryError, RuntimeEr
 
 @dataclass(frozen=True)
 class Case:
-    """What is run.
+    """A run that becomes a row of a table.
 
-    Parameters
-    ----------
-    label : str
-        First cell of the row.
-    make : callable
-        Returns the scene or the system; may be refused.
-    step : float
-    steps : int
-    alpha : float
-    error : callable, optional
-        Error of the finished run against a reference; free of units.
-    in_time : bool
-        Whether it is the error of the steps, which the run must then show in its estimate.
+    `make` returns the scene or the system and may be refused. `error` of the finished run against
+    a reference is free of units. `in_time` says that it is the error of the steps, which the run
+    must then show in its estimate.
     """
 
     label: str
@@ -73,18 +63,10 @@ class Case:
 
 @dataclass(frozen=True)
 class Row:
-    """What was found.
+    """The findings of a case; a number is None where there is nothing to measure.
 
-    Attributes
-    ----------
-    case : Case
-    message : str
-        How the run ended, or with which message it was refused.
-    clean : bool
-        Whether the ending is one that the package promises.
-    solution : Solution or None
-    error, estimated, equations, constraints, condition, iterations : float or None
-        None where there is nothing to measure.
+    The message says how the run ended or why it was refused; `clean` is whether the package
+    promises such an end.
     """
 
     case: Case

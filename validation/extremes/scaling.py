@@ -31,7 +31,8 @@ def scaling(report: Report, quick: bool) -> float:
             table, others = [], 0
             for k in exponents:
                 scaled, count = _dimensionless(rod, Units(**{unit: 10.0**k}), steps)
-                table.append([_difference(x, y) for x, y in zip(scaled, base, strict=True)])
+                pairs = zip(scaled, base, strict=True)
+                table.append([np.max(np.abs(x - y)) / np.max(np.abs(y)) for x, y in pairs])
                 others += count != iterations
             errors = np.array(table)
             worst = max(worst, float(np.max(errors)))
@@ -77,7 +78,3 @@ def _dimensionless(rod: Rod, units: Units, steps: int) -> tuple[list[Array], int
         sensitivities,
     ]
     return parts, run.statistics.iterations
-
-
-def _difference(x: Array, y: Array) -> float:
-    return float(np.max(np.abs(x - y)) / np.max(np.abs(y)))

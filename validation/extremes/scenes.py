@@ -82,15 +82,9 @@ class Rod:
 class Crank:
     """A planar crank-slider; SI.
 
-    Parameters
-    ----------
-    angle : float
-        Of the crank at the start. The slider stands on the x axis at the far or, with `folded`,
-        at the near side.
-    spin : float
-        Of crank and rod at the start, as one body; zero unless stretched out.
-    turned : float
-        Angle by which the whole mechanism is turned about the bearing.
+    `angle` is the angle of the crank at the start; the slider stands on the x axis at the far or,
+    with `folded`, at the near side. `spin` turns crank and rod as one body, zero unless stretched
+    out. `turned` is the angle by which the whole mechanism is turned about the bearing.
     """
 
     crank: float = 0.9

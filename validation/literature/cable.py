@@ -94,18 +94,14 @@ def _scene(n: int, load: float) -> Scene:
     """Return two cables pinned together; a flat section has next to no bending stiffness."""
     h = 1e-3
     section, material = Rectangle(h, _A / h), Material(_WEIGHT / (_A * _G), _E, 0.0)
-    x, y = _apex()
+    # Where the parts meet while both are straight and unloaded.
+    x = (_SPAN**2 + _L1**2 - _L2**2) / (2 * _SPAN)
+    y = -float(np.sqrt(_L1**2 - x**2))
     left = Beam("left", (0, 0), (x, y), n, section, material, element=CABLE_2D)
     right = Beam("right", (x, y), (_SPAN, 0), n, section, material, element=CABLE_2D)
     joints = [Pin(left.at_start), Pin(left.at_end, right.at_start), Pin(right.at_end)]
     loads = [PointForce(left.at_end, (0, -load), name="load")]
     return Scene([left, right], joints, (0, -_G), loads=loads)
-
-
-def _apex() -> tuple[float, float]:
-    """Return where the parts meet while both are straight and unloaded."""
-    x = (_SPAN**2 + _L1**2 - _L2**2) / (2 * _SPAN)
-    return x, -float(np.sqrt(_L1**2 - x**2))
 
 
 def _elements(n: int, load: float) -> Array:

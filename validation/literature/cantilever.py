@@ -53,8 +53,7 @@ def cantilever(report: Report, quick: bool) -> None:
     apart = _derivatives(report, counts[long])
     title = "Largest error of the tip"
     panel = log_log(title, "elements [-]", "relative error [-]", series)
-    caption = "Against the exact rod."
-    report.plot("cantilever", [panel], caption=caption)
+    report.plot("cantilever", [panel])
     report.judge("cantilever", error < 6e-3, tip=tips[0.3][-1], n=counts[-1])
     report.require("cantilever.published", error)
     report.require("cantilever.exact", plain)

@@ -23,15 +23,9 @@ Turning = Callable[[float], tuple[float, float, float]]
 class HubRod:
     """A uniform rod clamped to a hub at the origin.
 
-    Attributes
-    ----------
-    length, stretch, shear, bend : float
-        L, EA, GA with its shear factor, EI.
-    mass, turning_mass : float
-        Per length: rho A and rho I.
-    degree : int
-    tolerance : float
-        Of Radau; below 1e-7 Newton's iteration meets the round-off of the axial stiffness.
+    Stiffnesses are EA, GA with its shear factor, and EI; masses per length are rho A and rho I.
+    Below a tolerance of 1e-7 Newton's iteration of Radau meets the round-off of the axial
+    stiffness.
     """
 
     length: float
@@ -46,12 +40,8 @@ class HubRod:
     def tip(self, turning: Turning, times: Array) -> Array:
         """Return the displacement of the tip in the frame of the hub, shape (2, k).
 
-        Parameters
-        ----------
-        turning : callable
-            psi, psi' and psi'' at a time.
-        times : array, shape (k,)
-            Rising, from zero, where the rod is at rest.
+        `turning` returns psi, psi' and psi'' at a time. The k times rise from zero, where the
+        rod is at rest.
         """
         N, basis = self.degree, self._basis()
         inertia = np.repeat([self.mass, self.mass, self.turning_mass], N)

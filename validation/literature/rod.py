@@ -28,15 +28,8 @@ _LAST: Final = np.array([2, 0, 1])
 class Rod:
     """A uniform rod.
 
-    Attributes
-    ----------
-    length : float
-    stretch : array, shape (3,)
-        EA and the two shear stiffnesses.
-    bend : array, shape (3,)
-        GJ, then the bending stiffnesses about d_2 and d_3.
-    curvature : array, shape (3,)
-        kappa_0 in the axes of the section.
+    `stretch` is EA and the two shear stiffnesses, `bend` GJ and the bending stiffnesses about
+    d_2 and d_3, `curvature` kappa_0 in the axes of the section; each of shape (3,).
     """
 
     length: Any
@@ -45,19 +38,10 @@ class Rod:
     curvature: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     def march(self, start: Array, n: Array, part: float = 1.0) -> Array:
-        """Integrate from one end over a part of the length.
+        """Integrate from one end over a part of the length, for k rods at once.
 
-        Parameters
-        ----------
-        start : array, shape (k, 15)
-            r, d_1, d_2, d_3 and m, for k rods at once.
-        n : array, shape (k, 3)
-            Force that the rest of the rod exerts on the section.
-        part : float
-
-        Returns
-        -------
-        array, shape (k, 15)
+        A state is r, d_1, d_2, d_3 and m, shape (k, 15); n is the force that the rest of the rod
+        exerts on the section, shape (k, 3).
         """
         k = len(start)
         along, bent = np.array([1.0, 0.0, 0.0]), np.array(self.curvature)
@@ -93,19 +77,9 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def solve(residual: Callable[[Array], Array], guess: Array) -> tuple[Array, Array]:
-    """Solve residual(z) = 0 by Newton's method.
+    """Solve residual(z) = 0 by Newton's method; return z and the derivative of the residual.
 
-    Parameters
-    ----------
-    residual : callable
-        Takes k candidates at once, shape (k, n), and returns shape (k, n).
-    guess : array, shape (n,)
-
-    Returns
-    -------
-    z : array, shape (n,)
-    J : array, shape (n, n)
-        Derivative of the residual there.
+    The residual takes k candidates at once, shape (k, n), and returns shape (k, n).
     """
     z = np.array(guess, dtype=float)
     n = len(z)
@@ -127,20 +101,10 @@ def solve(residual: Callable[[Array], Array], guess: Array) -> tuple[Array, Arra
 def derivatives(
     quantity: Callable[[Array, Array], tuple[Array, Array]], z: Array, b: Array
 ) -> tuple[Array, Array]:
-    """Return quantities of a solution and their total derivatives in parameters.
+    """Return quantities of a solution, shape (m,), and their total derivatives, shape (m, n_b).
 
-    Parameters
-    ----------
-    quantity : callable
-        ``quantity(z, b)`` returns the residual, shape (n,), and the quantities, shape (m,).
-    z : array, shape (n,)
-        Solution at b.
-    b : array, shape (n_b,)
-
-    Returns
-    -------
-    x : array, shape (m,)
-    x_b : array, shape (m, n_b)
+    ``quantity(z, b)`` returns the residual, shape (n,), and the quantities; z is the solution
+    at the parameters b.
     """
 
     def columns(of_z: Array, of_b: Array) -> tuple[Array, Array]:
@@ -160,25 +124,11 @@ def derivatives(
 def tip_loaded(
     rod: Rod, force: Array, axes: Array | None = None, steps: int = 1
 ) -> tuple[Array, Array, Array]:
-    """Clamp a rod at its start and pull its end by a dead force.
+    """Clamp a rod at its start and pull its end by a dead force, in load steps.
 
-    Parameters
-    ----------
-    rod : Rod
-    force : array, shape (3,)
-    axes : array, shape (3, 3), optional
-        d_1, d_2, d_3 at the clamp, as rows; by default those of the frame.
-    steps : int
-        Load steps.
-
-    Returns
-    -------
-    end : array, shape (15,)
-        State of the loaded end.
-    moment : array, shape (3,)
-        At the clamp.
-    J : array, shape (3, 3)
-        Derivative of the moment at the end in that at the clamp; singular at bifurcations.
+    The axes d_1, d_2, d_3 at the clamp are rows, by default those of the frame. Return the
+    state of the loaded end, shape (15,), the moment at the clamp, and the derivative of the
+    moment at the end in it, shape (3, 3), which is singular at bifurcations.
     """
     moment, J = np.zeros(3), np.eye(3)
     for load in np.linspace(0, 1, steps + 1)[1:]:

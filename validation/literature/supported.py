@@ -30,7 +30,8 @@ def supported(report: Report, quick: bool) -> None:
     report.say("supported.published", apart=np.max(relative(exact, _PUBLISHED)))
     computed = [np.append(_planar(n)[0], _torsion(n)) for n in counts]
     errors = convergence(report, "supported", _NAMES, counts, computed, exact)
-    poisson = _reference_poisson()
+    nu = 0.3
+    poisson = reference(np.array([_L, _H, _E, _RHO]), nu, 10 * (1 + nu) / (12 + 11 * nu))[:4]
     off = float(np.max(relative(poisson, _PUBLISHED_POISSON)))
     report.say("supported.poisson", off=off)
     locked_free = [_planar(n, nu=0.3)[0] for n in counts]
@@ -68,12 +69,6 @@ def reference(b: Array, nu: float = 0.0, factor: float = 1.0) -> Array:
         bending.append(np.sqrt(c / (half + np.sqrt(half**2 - a * c))))
     axial, torsion = np.pi / (2 * L) * np.sqrt(E / rho), np.pi / L * np.sqrt(G / rho)
     return np.array([*bending, axial, torsion])
-
-
-def _reference_poisson() -> Array:
-    nu = 0.3
-    b = np.array([_L, _H, _E, _RHO])
-    return reference(b, nu, 10 * (1 + nu) / (12 + 11 * nu))[:4]
 
 
 def _planar(n: int, design: Sequence[str] = (), nu: float = 0.0) -> tuple[Array, Any]:

@@ -38,22 +38,9 @@ def convergence(
 ) -> Array:
     """Add the table of values by number of elements, errors and observed orders.
 
-    Parameters
-    ----------
-    report : Report
-    key : str
-        First word of the figures.
-    names : sequence of str
-        Of the quantities; m of them.
-    counts : sequence of int
-        Numbers of elements, rising; k of them.
-    values : array_like, shape (k, m)
-    exact : array_like, shape (m,)
-
-    Returns
-    -------
-    array, shape (k, m)
-        Relative errors.
+    The key is the first word of the figures. There are k rising numbers of elements, m names of
+    quantities, values of shape (k, m) and exact values of shape (m,). Return relative errors, shape
+    (k, m).
     """
     computed, e = np.asarray(values, dtype=float), np.asarray(exact, dtype=float)
     errors = relative(computed, e)
@@ -75,17 +62,10 @@ def convergence(
 def derivative_table(
     report: Report, key: str, rows: Sequence[tuple[str, str, float, float]], ways: tuple[str, str]
 ) -> float:
-    """Add the table of derivatives found in two ways; return the largest relative difference.
+    """Add derivatives found in two ways; return the largest relative difference.
 
-    Parameters
-    ----------
-    report : Report
-    key : str
-        First word of the figure.
-    rows : sequence of (str, str, float, float)
-        Quantity, parameter, and the derivative in both ways.
-    ways : (str, str)
-        What they are.
+    A row names the quantity and the parameter and holds the derivative in both ways, which `ways`
+    names; the key is the first word of the figure.
     """
     apart = [float(relative(computed, exact)) for _, _, computed, exact in rows]
     report.table(
@@ -114,17 +94,10 @@ def compared_at_rest(
     design: Mapping[str, str | DesignVariable],
     ways: tuple[str, str],
 ) -> float:
-    """Add the table of d ln(quantity)/d ln(parameter) of a scene at rest; return what it differs.
+    """Add d ln(quantity)/d ln(parameter) of a scene at rest; return the largest difference.
 
-    Parameters
-    ----------
-    report, key, ways
-        As for `derivative_table`.
-    scene : Scene
-    quantities : mapping
-        By name, the observable and its exact derivatives, one for each variable.
-    design : mapping
-        Design variables by symbol; none may be zero.
+    Quantities have, by name, an observable and its exact derivatives, one for each design variable.
+    The design variables have symbols; none may be zero. Key and ways are as for `derivative_table`.
     """
     system, rows, off = assemble(scene, list(design.values())), [], 0.0
     for name, (observable, exact) in quantities.items():

@@ -70,7 +70,7 @@ def run(report: Report, quick: bool) -> None:
             surprises += _surprises(case, name, ladder, truth)
             panels.append(_panel(name, ladder, truth))
         _chosen(report, [each for each in answers if each.case is case])
-        report.plot(case.key, panels, min(2, len(panels)), case.title, _CAPTION)
+        report.plot("{case.key}", panels, min(2, len(panels)), case=case)
     _told_wrong(report, surprises)
     _verdict(report, answers)
     report.say("limits")
@@ -222,9 +222,3 @@ def _verdict(report: Report, answers: Sequence[_Answer]) -> None:
         missed=missed,
     )
     report.judge("cost", median <= 2, median=median, worst=worst)
-
-
-_CAPTION = (
-    "The best runs of every model, over its meshes and steps; errors against the richest model "
-    "with twice its elements and half its step."
-)

@@ -29,7 +29,7 @@ def run(report: Report, quick: bool) -> None:
     require_peers()
     before = os.getloadavg()
     report.say("method", version=importlib.metadata.version("exudyn"), packages=_packages())
-    _motion(report, _quick_pairs() if quick else _pairs(), 32 if quick else 512, 1 if quick else 5)
+    _motion(report, _pairs(quick), 32 if quick else 512, 1 if quick else 5)
     trees.fill(report, (2,) if quick else (5, 10, 20), 1 if quick else 5)
     nets = [(3, 4), (4, 4)] if quick else [(8, 128), (16, 128), (32, 128), (60, 64)]
     loops.fill(report, nets, (2, 3) if quick else (4, 8, 16, 31), 1 if quick else 3)
@@ -50,11 +50,9 @@ def _packages() -> str:
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
 
 
-def _quick_pairs() -> list[Pair]:
-    return [Chain(1, revolute=False), RigidSlider(), FlexibleSlider(4), CablePendulum(4)]
-
-
-def _pairs() -> list[Pair]:
+def _pairs(quick: bool) -> list[Pair]:
+    if quick:
+        return [Chain(1, revolute=False), RigidSlider(), FlexibleSlider(4), CablePendulum(4)]
     return [
         Chain(1, revolute=False),
         Chain(1, revolute=True),

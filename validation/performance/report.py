@@ -65,9 +65,8 @@ def _subject(report: Report, title: str, rows: list[Row], one: Row) -> None:
         found = f"{row.value:.3g} {row.unit}".removesuffix(" -")
         if banded is not None:
             report.figure(_name(f"{title}.{row.what}.banded_lu"), banded)
-        table.append(
-            (row.what, found, "-" if banded is None else f"{banded:.3g}", row.asked, _told(row))
-        )
+        told = "-" if row.asked == "-" else "yes" if reached(row) else "no"
+        table.append((row.what, found, "-" if banded is None else f"{banded:.3g}", row.asked, told))
         if row.asked != "-":
             report.claim(row.what, row.asked, found, reached(row))
     report.table(("figure", "found", "banded LUs", "asked", "reached"), table)
@@ -91,12 +90,6 @@ def reached(row: Row) -> bool:
     """Tell whether a figure is what is asked of it: a bound below or above, or a size."""
     bound = float(re.findall(r"[\d.]+", row.asked)[0])
     return row.value >= bound if row.asked.startswith("at least") else row.value <= bound
-
-
-def _told(row: Row) -> str:
-    if row.asked == "-":
-        return "-"
-    return "yes" if reached(row) else "no"
 
 
 def _name(text: str) -> str:

@@ -101,7 +101,7 @@ def run(report: Report, quick: bool) -> None:
     for case in cases:
         report.heading(f"{case.system.title[0].upper()}{case.system.title[1:]}")
         best = _ladder(report, case, rtols, 1 if quick else 3)
-        _two_ways(report, case, best)
+        report.judge("two-ways", best <= _EQUAL, case=case, equal=_EQUAL, best=best)
         _methods(report, case.shorter(1e-8 if quick else 1e-12), 1e-3 if quick else 1e-6)
     report.say("limits")
 
@@ -183,10 +183,6 @@ def _cells(case: _Case, attempt: Attempt) -> list[object]:
         return ["-", "-", f"{attempt.seconds:.2f}", attempt.note]
     errors = case.errors(attempt.value)
     return [*(f"{x:.1e}" for x in errors), f"{attempt.seconds:.2f}", attempt.note]
-
-
-def _two_ways(report: Report, case: _Case, best: float) -> None:
-    report.judge("two-ways", best <= _EQUAL, case=case, equal=_EQUAL, best=best)
 
 
 def _methods(report: Report, case: _Case, rtol: float) -> None:

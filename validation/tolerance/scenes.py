@@ -141,17 +141,10 @@ def _four_bar(material: Material, name: str, t_end: float, reference: Integrator
     scene = Scene([coupler], joints, _FALLING, bodies=[crank, rocker])
     design = ("coupler.height", "coupler.density")
     times = [0.5 * t_end, 0.75 * t_end, t_end]
-    middle = position(coupler.at(0.5), 1)
+    middle, torque = position(coupler.at(0.5), 1), Integral(driver_torque("motor") ** 2)
     return [
         _case(f"{name}, middle", scene, design, AtTimes(middle**2, times), t_end, reference),
-        _case(
-            f"{name}, torque",
-            scene,
-            design,
-            Integral(driver_torque("motor") ** 2),
-            t_end,
-            reference,
-        ),
+        _case(f"{name}, torque", scene, design, torque, t_end, reference),
     ]
 
 
