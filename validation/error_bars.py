@@ -116,25 +116,13 @@ def _pendulums(quick: bool) -> list[_Case]:
 
 
 def _measured(case: _Case, quick: bool) -> list[_Found]:
-    exact = gradient(
-        case.model,
-        case.objective,
-        case.t_end,
-        case.reference,
-        design=case.design,
-        method=DirectDifferentiation(),
-    )
+    asked = case.model, case.objective, case.t_end
+    method = DirectDifferentiation()
+    exact = gradient(*asked, case.reference, design=case.design, method=method)
     rows = []
     for integrator in case.settings:
         for levels in (2,) if quick or integrator.order is None else (2, 3):
-            bars = error_bars(
-                case.model,
-                case.objective,
-                case.t_end,
-                integrator,
-                design=case.design,
-                levels=levels,
-            )
+            bars = error_bars(*asked, integrator, design=case.design, levels=levels)
             rows.append(_row(case, integrator, levels, bars, exact.value, exact.gradient))
     return rows
 
@@ -161,16 +149,19 @@ def _row(
     )
 
 
+def _joined(rows: Sequence[_Found]) -> tuple[Array, Array, Array]:
+    """Return errors, bars and errors of extrapolated numbers of all rows."""
+    error, bar, better = zip(*((row.error, row.bar, row.better) for row in rows), strict=True)
+    return np.concatenate(error), np.concatenate(bar), np.concatenate(better)
+
+
 def _table(report: Report, found: Sequence[_Found]) -> None:
     report.heading("How often the bars hold")
     rows: list[list[object]] = []
     for kind in dict.fromkeys(row.kind for row in found):
         for case in dict.fromkeys(row.case for row in found if row.kind == kind):
             mine = [row for row in found if row.kind == kind and row.case == case]
-            error, bar, better = (
-                np.concatenate([getattr(row, name) for row in mine])
-                for name in ("error", "bar", "better")
-            )
+            error, bar, better = _joined(mine)
             held, width = np.mean(error <= bar), np.median(bar / error)
             rows.append(
                 [
@@ -195,8 +186,7 @@ def _pictures(report: Report, found: Sequence[_Found]) -> None:
     series = []
     for kind in kinds:
         mine = [row for row in found if row.kind == kind]
-        error = np.concatenate([row.error for row in mine])
-        bar = np.concatenate([row.bar for row in mine])
+        error, bar, _ = _joined(mine)
         good = (error > 0) & (bar > 0)
         series.append(dots(kind, error[good], bar[good]))
     ends = np.array([1e-13, 1.0])
@@ -212,7 +202,7 @@ def _verdict(report: Report, found: Sequence[_Found]) -> None:
         mine = [row for row in found if row.kind.endswith(levels) and row.kind.startswith("HHT")]
         if not mine:
             continue
-        error, bar = (np.concatenate([getattr(row, x) for row in mine]) for x in ("error", "bar"))
+        error, bar, _ = _joined(mine)
         held = report.figure(f"held.hht.{levels[0]}", float(np.mean(error <= bar)))
         worst = report.figure(f"worst.hht.{levels[0]}", float(np.max(error / bar)))
         lines.append(
@@ -220,7 +210,7 @@ def _verdict(report: Report, found: Sequence[_Found]) -> None:
             f"{worst:.2g} times its bar."
         )
     mine = [row for row in found if not row.kind.startswith("HHT")]
-    error, bar = (np.concatenate([getattr(row, x) for row in mine]) for x in ("error", "bar"))
+    error, bar, _ = _joined(mine)
     held = report.figure("held.tolerance", float(np.mean(error <= bar)))
     lines.append(f"Runs refined by tolerance: {100 * held:.0f} % of {len(error)} bars hold.")
     report.text("\n".join(f"- {line}" for line in lines))

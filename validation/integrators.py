@@ -89,9 +89,6 @@ def _settings(extent: _Extent) -> list[Integrator]:
     return [*found, *(DOP853(rtol, n, max_steps=MANY) for rtol in extent.tolerances)]
 
 
-# ---------------------------------------------------------------- work table
-
-
 def _work_table(
     report: Report,
     system: AncfSystem,
@@ -140,9 +137,6 @@ def _keep(report: Report, scene: str, integrator: Integrator, values: dict[str, 
         report.figure(key.replace(" s.", ".").replace(" ", "_").replace("^", ""), value)
 
 
-# ---------------------------------------------------------------- agreement
-
-
 def _agreement(report: Report, runs: Sequence[Run], reference: Run, extent: _Extent) -> None:
     """Compare the most accurate runs with each other at all instants."""
     report.heading("Do the integrators of high order agree?")
@@ -186,9 +180,6 @@ def _at_all_instants(done: Run) -> tuple[Array, Array]:
     assert sensitivities is not None
     y_b = done.solution.derivative(pendulum_deflection) * sensitivities.values
     return pendulum_deflection(done.solution).real, y_b
-
-
-# ---------------------------------------------------------------- HHT
 
 
 def _convergence(report: Report, found: Sequence[tuple[Run, Errors]], reference: Run) -> None:
@@ -250,9 +241,6 @@ def _step_needed(steps: Array, column: Array, target: float) -> tuple[float, boo
         return float(steps[first]), False
     exponent = np.floor(np.log2(steps[-1] * np.sqrt(target / column[-1])))
     return float(2.0**exponent), True
-
-
-# ---------------------------------------------------------------- work and precision
 
 
 def _work_precision(report: Report, found: Sequence[tuple[Run, Errors]]) -> None:

@@ -99,9 +99,6 @@ def run(report: Report, quick: bool) -> None:
         report.require("crank-slider.agreement", apart, names=names, t_end=part.t_end)
 
 
-# ---------------------------------------------------------------- early motion
-
-
 def _early(report: Report, system: AncfSystem, extent: _Extent) -> None:
     """States and sensitivities of the slider's position by all integrators."""
     n, rtol = 4, extent.early_rtol
@@ -159,9 +156,6 @@ def _slider(solution: Solution, system: AncfSystem, spacing: float) -> tuple[Arr
     rows = common_rows(solution, spacing)
     x_b = solution.derivative(read)[rows] * system.b
     return read(solution).real[rows], x_b
-
-
-# ---------------------------------------------------------------- the objective
 
 
 @dataclass(frozen=True)

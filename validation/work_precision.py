@@ -54,9 +54,6 @@ def run(report: Report, quick: bool) -> None:
     report.say("limits")
 
 
-# ---------------------------------------------------------------- which to choose
-
-
 def _choice(report: Report, found: Sequence[Measured]) -> None:
     rows: list[list[object]] = []
     for each in found:
@@ -141,9 +138,6 @@ def _stiff(report: Report, found: Sequence[Measured]) -> None:
         report.judge("stiff", verdict if any(wins) else Agreement.DISAGREES, texts="; ".join(texts))
 
 
-# ---------------------------------------------------------------- hht_alpha
-
-
 def _alphas(report: Report, found: Sequence[Measured]) -> None:
     rows: list[list[object]] = []
     for each in found:
@@ -159,9 +153,6 @@ def _alphas(report: Report, found: Sequence[Measured]) -> None:
     report.say("alpha")
     report.table(["scene", "gradient", *(f"{x:g}" for x in ALPHAS)], rows)
     report.say("alpha.notes")
-
-
-# ---------------------------------------------------------------- scenes
 
 
 def _scene(report: Report, each: Measured) -> None:

@@ -54,9 +54,6 @@ def arch(report: Report, quick: bool) -> None:
     report.require("arch.derivatives", apart)
 
 
-# -- the elements --------------------------------------------------------------------------------
-
-
 def _scene(n: int, down: float) -> Scene:
     angle = np.pi / 2 + _SPAN / 2 - _SPAN * np.linspace(0, 1, n + 1)
     c, s = np.cos(angle), np.sin(angle)
@@ -110,9 +107,6 @@ def _turning_point(growth: Callable[[float], float]) -> float:
     while growth(high) * growth(low) > 0:
         low, high = high, high + 0.02
     return float(brentq(growth, low, high, xtol=1e-8))
-
-
-# -- the reference -------------------------------------------------------------------------------
 
 
 def _path(z: Array, down: Any, E: Any, h: Any, R: Any) -> tuple[Array, Array]:

@@ -45,9 +45,6 @@ def cable(report: Report, quick: bool) -> None:
     report.require("cable.derivatives", apart)
 
 
-# -- the elastic catenary ------------------------------------------------------------------------
-
-
 def _part(H: Any, V: Any, length: float, b: Array, hooke: bool) -> Array:
     """Return how far a part leads, from the tension (H, V) at its start.
 
@@ -85,9 +82,6 @@ def _displacement(b: Array, hooke: bool) -> tuple[Array, float]:
     bare = b * [1, 1, 0]
     before, after = (_places(_tension(x, hooke), x, hooke)[0] for x in (bare, b))
     return (after - before)[::-1], float(-before[1])
-
-
-# -- the elements --------------------------------------------------------------------------------
 
 
 def _scene(n: int, load: float) -> Scene:

@@ -144,9 +144,6 @@ def _log(rng: _Random, low: float, high: float) -> float:
     return float(10.0 ** rng.uniform(low, high))
 
 
-# -- rigid bodies ------------------------------------------------------------------------------
-
-
 def _box(name: str, at: Sequence[float], length: float = 0.1) -> RigidBody:
     sizes = (length, *[0.1] * 2)
     return RigidBody(name, tuple(at), shape=RigidBox(*sizes), density=1000.0)
@@ -269,9 +266,6 @@ def _friction(rng: _Random) -> _Draft:
     return _Draft(
         scene, ("s.stiffness", "r.coulomb"), t_end, a.at(0), [kinetic_energy("a")], straight=True
     )
-
-
-# -- flexible bodies ---------------------------------------------------------------------------
 
 
 def _rod(rng: _Random) -> _Draft:
