@@ -207,7 +207,7 @@ def _convergence(report: Report, found: Sequence[tuple[Run, Errors]], reference:
     report.say("convergence.notes")
     wrong = ", ".join(f"{s}: {e:.2g}" for s, e in zip(_SYMBOLS, relative[0, 1:], strict=True))
     verdict = np.max(relative[0]) < 0.05
-    report.judge("claim", verdict, step=steps[0], relative=relative[0], wrong=wrong)
+    report.judge("one-step", verdict, step=steps[0], relative=relative[0], wrong=wrong)
     distance = float(np.max(np.abs(orders[-1] - 2)))
     report.require("order", distance)
 

@@ -73,7 +73,7 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "opens with what": 50,
+    "opens with what": 47,
     "as far as": 5,
     "is none": 68,
     "that of, those of": 513,

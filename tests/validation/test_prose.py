@@ -1,6 +1,7 @@
 """The words of each report stand in a Markdown file, and each of its entries is used."""
 
 import ast
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from string import Formatter
@@ -106,6 +107,18 @@ def test_every_entry_of_every_report_is_used() -> None:
         if key not in used
     ]
     assert not unused
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.rglob("*.md")), ids=lambda file: file.parent.name)
+def test_every_key_stands_once(file: Path) -> None:
+    keys, table = list[object](), ""
+    for line in file.read_text().splitlines():
+        if line.startswith("<!-- "):
+            table = line.split()[1]
+            keys.append(table)
+        elif line.startswith("| ") and table in ("claims", "requirements", "plots"):
+            keys.append((table, line.split(" | ")[0]))
+    assert [key for key, times in Counter(keys).items() if times > 1] == []
 
 
 def places(texts: list[str]) -> set[str]:
