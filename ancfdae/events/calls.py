@@ -82,7 +82,10 @@ class EventRun:
         if isinstance(integrator, SteppedIntegrator) and isinstance(
             integrator.steps, PrescribedSteps
         ):
-            rule, repair = "must choose steps itself in a run with events", "Give step or rtol."
+            rule, repair = (
+                "must choose steps itself with events, or t_end in the design",
+                "Give step.",
+            )
             raise InvalidInputError("integrator.steps", rule, repr(integrator.steps), repair)
         known = {_OWN: ModeSystem(_OWN, system, require_events(events))}
         require_kind("modes", modes or {}, (Mapping,), 'For example {"closed": Mode(scene)}.')
@@ -174,7 +177,7 @@ class EventRun:
         self, run: PhasedRun, objectives: Sequence[Objective]
     ) -> list[tuple[float, Array]]:
         if not isinstance(self.integrator, SteppedIntegrator):
-            rule = "needs HHT or Radau in a run with events"
+            rule = "needs HHT or Radau with events, or with t_end in the design"
             repair = "Take one of them, or DirectDifferentiation()."
             raise InvalidInputError("Adjoint", rule, repr(self.integrator), repair)
         results = []

@@ -487,6 +487,10 @@ class _PhaseContacts(ContactRecord):
         """Look at the next states of the phase."""
         self._own.follow(*self._phase.states_of(t, q, v))
 
+    def passes(self, t: Array, q: Array, v: Array) -> bool:
+        """Whether surfaces touch between two time points of the phase."""
+        return self._own.passes(*self._phase.states_of(t, q, v))
+
     def missed(self) -> MissedContact | None:
         """Return the first contact that the steps of the phase miss."""
         missed = self._own.missed()
