@@ -3,7 +3,7 @@
 from ancfdae.assembly.saved import load_event_solution, load_solution
 from ancfdae.assembly.system import assemble
 from ancfdae.equations.conformance import check_system
-from ancfdae.events.kinds import EndEvent, Impact, Mode, Switch
+from ancfdae.events.kinds import EndEvent, Impact, ImpactLaw, Mode, RestModes, Switch
 from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.radau.method import Radau
@@ -79,6 +79,7 @@ from ancfdae.studies.ladder import choose_model
 from ancfdae.studies.mass_properties import mass_properties
 from ancfdae.studies.modes import campbell, modes, suggest_step
 from ancfdae.studies.observing import record_observables
+from ancfdae.studies.redundant import drop_redundant
 from ancfdae.studies.responses import Responses
 from ancfdae.studies.statics import CriticalValue, critical_load, equilibrium, equilibrium_gradient
 from ancfdae.studies.sweep import Evaluator, sweep
@@ -127,6 +128,7 @@ __all__ = [
     "FollowerForce",
     "FrequencyMisfit",
     "Impact",
+    "ImpactLaw",
     "IndexReduction",
     "InitialVelocity",
     "Integral",
@@ -149,6 +151,7 @@ __all__ = [
     "Pulley",
     "Radau",
     "Responses",
+    "RestModes",
     "Revolute",
     "RigidBody",
     "RigidBox",
@@ -184,6 +187,7 @@ __all__ = [
     "critical_load",
     "differentiate",
     "distributed_variables",
+    "drop_redundant",
     "equilibrium",
     "equilibrium_gradient",
     "error_bars",

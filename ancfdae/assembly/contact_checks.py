@@ -1,124 +1,210 @@
-"""Contacts that the steps of a run pass over, or that a load does not list.
+"""Contacts that the steps of a run do not resolve, or that a load does not list.
 
-Between two time points the motion follows the cubic through positions and velocities at both. The
-impulse of a load over this path is compared with the trapezoidal rule on its ends. A run
-resolves a contact if their differences are a small part of the impulse of the contact. Where a step
-jumps over a contact, or enters and leaves it within few steps, they are of its size.
+The forces of a load of contact are looked at on each body and each node of a beam by itself, in the
+norm of W^(-1/2), W the weights of the coordinates, so that impulses are changes of W^(1/2) v. A
+contact is a row of time points with a force F_k on one of them. It is resolved if
+
+    n = (sum of F_k)^2 / (sum of F_k^2)
+
+is `_FEWEST` at least: the number of time points over which its impulse is spread. Contacts that a
+step passes over between two time points are searched for by `passed_contacts`. A contact counts if
+its impulse is `_SMALL` at least of the largest momentum, or impulse of a contact, that the body or
+node has in the run.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final, final
+from collections.abc import Sequence
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from ancfdae.assembly.left_out_pairs import LeftOutPairs
 from ancfdae.assembly.load_forces import MovingLoad
 from ancfdae.assembly.naming import SceneNaming
-from ancfdae.errors.outcomes import MissedContact
+from ancfdae.assembly.numbering import Numbering
+from ancfdae.assembly.passed_contacts import Passed, passed_contacts
+from ancfdae.equations.contact_record import ContactRecord, MissedContact
 from ancfdae.model.loads.pair_contact import PairContact
 from ancfdae.model.parts import Elements
 from ancfdae.numerics.arrays import Array
 
-# Differences over the impulse of a contact from which on it is not resolved, and fewest steps of a
-# contact: below, the speed after impacts of a ball was off by up to 5 % with HHT and Radau.
-_UNRESOLVED: Final = 0.2
-_FEWEST: Final = 4
-# Contacts with less than this part of the largest impulse do not count.
+# Time points over which an impulse must be spread: the speed after a free impact is then wrong by
+# 5 % at most, by HHT and Radau (docs/theory/19-contact.md).
+_FEWEST: Final = 6.0
+# Contacts with less than this part of the momentum of a body do not count.
 _SMALL: Final = 0.01
-# Parts of a step on the path: with a force at one of its ends, and without one.
-_TOUCHING, _FREE = 4, 16
+# Part of its duration over which the impulse of a free impact is spread, undamped and with m = 1.5.
+_SPREAD: Final = 0.8
 # Numbers of states that are looked at together.
-_ROOM: Final = 2**21
+_ROOM: Final = 2**20
+
+
+class Groups(NamedTuple):
+    """Bodies and nodes of beams: the first coordinate of each, roots of weights, and names."""
+
+    starts: Array
+    root: Array
+    names: tuple[str, ...]
+
+    @staticmethod
+    def of(numbering: Numbering, weights: Array) -> Groups:
+        """Return the groups of a scene; states of controllers are one more."""
+        starts, d = numbering.positions * numbering.d, numbering.d
+        names = [body.name for body in numbering.bodies for _ in body.positions]
+        if len(numbering.masses):
+            starts = np.append(starts, numbering.n_q - d * len(numbering.masses))
+            names.append("controllers")
+        return Groups(starts, np.sqrt(weights), tuple(names))
+
+    def momenta(self, v: Array) -> Array:
+        """Return the sizes of W^(1/2) v of each group, (k, n_q) to (k, n)."""
+        return self._sizes(v * self.root)
+
+    def forces(self, Q: Array) -> Array:
+        """Return the sizes of W^(-1/2) Q of each group, (k, n_q) to (k, n)."""
+        return self._sizes(Q / self.root)
+
+    def _sizes(self, x: Array) -> Array:
+        return np.sqrt(np.add.reduceat(x * x, self.starts, axis=-1))
+
+
+class _Suspect(NamedTuple):
+    """A contact that is not resolved if its impulse counts, with the group that it acts on."""
+
+    begin: float
+    impulse: float
+    group: int
+    words: str
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class ContactCheck:
-    """Checks the path of a run against the contacts of one load."""
+class RunContacts(ContactRecord):
+    """The contacts of one run, by all loads of a scene that touch."""
 
-    load: MovingLoad
-    naming: SceneNaming
-    weights: Array
-    elements: Elements
+    def __init__(
+        self,
+        loads: Sequence[MovingLoad],
+        naming: SceneNaming,
+        elements: Elements,
+        groups: Groups,
+    ) -> None:
+        self._groups, self._scale = groups, np.zeros(len(groups.starts))
+        self._loads = [_LoadContacts(load, groups, self._scale) for load in loads]
+        pairs = [x.item.load for x in loads]
+        self._pairs = [
+            LeftOutPairs(load, naming, elements)
+            for load in pairs
+            if isinstance(load, PairContact) and load.reach is not None
+        ]
+        self._last: tuple[Array, Array, Array] | None = None
 
-    def missed(self, t: Array, q: Array, v: Array) -> MissedContact | None:
+    def follow(self, t: Array, q: Array, v: Array) -> None:
+        """Look at the next states of the run; states that were looked at are left out."""
+        states = t, q.real, v.real
+        if self._last is not None:
+            new = t > self._last[0]
+            states = tuple(  # type: ignore[assignment]
+                np.concatenate([x, y[new]]) for x, y in zip(self._last, states, strict=True)
+            )
+        size = max(1, _ROOM // q.shape[1])
+        begin = self._last is None
+        for k in range(0, max(len(states[0]) - 1, 1), size):
+            some = tuple(x[k : k + size + 1] for x in states)
+            self._look(some, begin and k == 0)  # type: ignore[arg-type]
+        self._last = tuple(x[-1:].copy() for x in states)  # type: ignore[assignment]
+
+    def _look(self, states: tuple[Array, Array, Array], begin: bool) -> None:
+        largest = self._groups.momenta(states[2]).max(axis=0)
+        np.maximum(self._scale, largest, out=self._scale)
+        for load in self._loads:
+            load.follow(states, begin)
+        for pairs in self._pairs:
+            pairs.follow(*states)
+
+    def missed(self) -> MissedContact | None:
         """Return the first contact that the run misses, None if it misses none."""
-        found = [self._unresolved(t, q, v), self._not_listed(q)]
-        return min((x for x in found if x is not None), default=None, key=lambda x: x.place)
+        found = [*(x.missed() for x in self._loads), *(x.missed() for x in self._pairs)]
+        return min((x for x in found if x is not None), default=None, key=lambda x: x.time)
 
-    def _unresolved(self, t: Array, q: Array, v: Array) -> MissedContact | None:
-        """Return the first contact whose impulse is not found by the trapezoidal rule."""
-        h = np.diff(t)
-        if not len(h):
-            return None
-        Q = self.load.force(q, v, t) / np.sqrt(self.weights)
-        touching = np.any(Q != 0, axis=1)
-        touching = touching[:-1] | touching[1:]
-        impulse, off = np.zeros(len(h)), np.zeros(len(h))
-        for parts, steps in ((_TOUCHING, touching), (_FREE, ~touching)):
-            size = max(1, _ROOM // (parts * q.shape[1]))
-            chosen = np.flatnonzero(steps & (h > 0))
-            for k in np.split(chosen, range(size, len(chosen), size)):
-                along, ends = self._along(parts, k, (t, q, v), Q)
-                impulse[k], off[k] = h[k] * along, h[k] * ends
-        return self._first(impulse, off, t, np.any(Q[[0, -1]] != 0, axis=1))
 
-    def _along(
-        self, parts: int, k: Array, states: tuple[Array, Array, Array], Q: Array
-    ) -> tuple[Array, Array]:
-        """Return the mean size of the force over steps k, and how far their ends are from it."""
+@final
+class _LoadContacts:
+    """The contacts of one load, on each group; `scale` is the largest momentum or impulse."""
+
+    def __init__(self, load: MovingLoad, groups: Groups, scale: Array) -> None:
+        self._load, self._groups, self._scale = load, groups, scale
+        n = len(scale)
+        # Of the contacts that are open: their begin, sums of F and F^2, impulse, and time points.
+        self._begin, self._open = np.full(n, -np.inf), np.zeros((4, n))
+        self._suspects = list[_Suspect]()
+
+    def follow(self, states: tuple[Array, Array, Array], begin: bool) -> None:
+        """Look at states that follow each other, the first of which was looked at before."""
         t, q, v = states
-        total, size = (Q[k] + Q[k + 1]) / (2 * parts), np.zeros(len(k))
-        size += (np.linalg.norm(Q[k], axis=1) + np.linalg.norm(Q[k + 1], axis=1)) / (2 * parts)
-        h = (t[k + 1] - t[k])[:, None]
-        for s in np.arange(1, parts) / parts:
-            rise = q[k + 1] - q[k]
-            bend, twist = 3 * rise - h * (2 * v[k] + v[k + 1]), h * (v[k] + v[k + 1]) - 2 * rise
-            place = q[k] + s * (h * v[k] + s * (bend + s * twist))
-            speed = v[k] + s * (2 * bend + 3 * s * twist) / h
-            force = self.load.force(place, speed, t[k] + s * h[:, 0]) / np.sqrt(self.weights)
-            total, size = total + force / parts, size + np.linalg.norm(force, axis=1) / parts
-        return size, np.linalg.norm(total - (Q[k] + Q[k + 1]) / 2, axis=1)
+        F = self._groups.forces(self._load.force(q, v, t).real)
+        for group in np.flatnonzero(np.any(F != 0, axis=0)).tolist():
+            self._rows(group, t, F[:, group], begin)
+        for each in passed_contacts(self._load, self._groups, states, F):
+            self._add_passed(each)
 
-    def _first(self, impulse: Array, off: Array, t: Array, at_ends: Array) -> MissedContact | None:
-        """Return the first of the contacts, steps with impulses in a row, that is not resolved.
+    def _rows(self, group: int, t: Array, F: Array, begin: bool) -> None:
+        """Add the forces on a group to its contacts, and judge those that end."""
+        rows = np.stack([F[1:], F[1:] ** 2, np.diff(t) * (F[:-1] + F[1:]) / 2, F[1:] != 0])
+        if begin and F[0]:
+            self._open[:, group] = F[0], F[0] ** 2, 0.0, 1.0
+        ends = np.flatnonzero((F[1:] == 0) & (F[:-1] != 0))
+        first = 0
+        for end in ends.tolist():
+            self._open[:, group] += rows[:, first : end + 1].sum(axis=1)
+            if F[first] == 0:
+                at = first + int(np.argmax(F[first + 1 :] != 0))
+                self._begin[group] = t[at]
+            self._close(group, float(t[end + 1]))
+            first = end + 1
+        self._open[:, group] += rows[:, first:].sum(axis=1)
+        if F[-1] and F[first] == 0:
+            self._begin[group] = t[first + int(np.argmax(F[first + 1 :] != 0))]
+        impulse = self._open[2, group]
+        self._scale[group] = max(self._scale[group], impulse)
 
-        `at_ends` says whether the run begins and ends with a force.
-        """
-        acting = np.concatenate([[False], impulse > 0, [False]])
-        begins, ends = np.flatnonzero(np.diff(acting)).reshape(-1, 2).T
-        if not len(begins):
-            return None
-        sums = [np.concatenate([[0.0], np.cumsum(x)]) for x in (impulse, off)]
-        whole, wrong = (x[ends] - x[begins] for x in sums)
-        # A contact in which the run begins or ends may be longer than that.
-        cut = (at_ends[0] & (begins == 0)) | (at_ends[1] & (ends == len(impulse)))
-        short = (ends - begins < _FEWEST) & ~cut
-        bad = (short | (wrong > _UNRESOLVED * whole)) & (whole > _SMALL * whole.max())
-        if not bad.any():
-            return None
-        first = int(np.argmax(bad))
-        begin, end = int(begins[first]), int(ends[first])
-        step = (t[end] - t[begin]) / (end - begin)
-        advice = (
-            f"The contact of load {self.load.item.load.name!r} from t = {t[begin]:.6g} s on takes "
-            f"{end - begin} steps of {step:.3g} s. Take steps of a tenth of its duration, error "
-            "control as in HHT(rtol=1e-4), or a softer contact."
-        )
-        return MissedContact(begin, advice)
+    def _close(self, group: int, end: float) -> None:
+        """Judge a contact that ended; one in which the run begins may be longer than that."""
+        begin, (total, squares, impulse, points) = float(self._begin[group]), self._open[:, group]
+        self._scale[group] = max(self._scale[group], impulse)
+        spread = total**2 / squares
+        if begin > -np.inf and spread < _FEWEST and self._counts(group, impulse):
+            lasts = end - begin
+            words = (
+                f"lasts {lasts:.3g} s, and its impulse is spread over {spread:.2g} time points for "
+                f"{_FEWEST:g} at least. {_remedy(lasts * min(spread / (points + 1), _SPREAD))}"
+            )
+            self._suspects.append(_Suspect(begin, impulse, group, words))
+        self._open[:, group] = 0.0
 
-    def _not_listed(self, q: Array) -> MissedContact | None:
-        """Return the first time point at which a pair touches that `reach` leaves out."""
-        load = self.load.item.load
-        if not isinstance(load, PairContact) or load.reach is None:
+    def _add_passed(self, found: Passed) -> None:
+        for group in np.flatnonzero(self._counts(slice(None), found.impulses)).tolist():
+            lasts = found.end - found.begin
+            words = f"lasts {lasts:.3g} s, between two time points. {_remedy(_SPREAD * lasts)}"
+            self._suspects.append(_Suspect(found.begin, float(found.impulses[group]), group, words))
+
+    def _counts(self, group: int | slice, impulse: Array | float) -> Array:
+        return np.asarray(impulse > _SMALL * self._scale[group])
+
+    def missed(self) -> MissedContact | None:
+        """Return the first contact that is not resolved and counts."""
+        bad = [x for x in self._suspects if self._counts(x.group, x.impulse)]
+        if not bad:
             return None
-        names = (*load.whole_beams, *load.whole_bodies)
-        places = [self.naming.nodes(q.real, name)[:, :, 0] for name in names]
-        listed = set(map(tuple, load.pairs(self.elements).tolist()))
-        for k in range(len(q)):
-            touching = load.within([x[k] for x in places], 0.0)
-            if not listed.issuperset(map(tuple, touching.tolist())):
-                advice = f"Raise `reach` of load {load.name!r}, {load.reach:.6g}, or leave it out."
-                return MissedContact(k, advice)
-        return None
+        first = min(bad, key=lambda x: x.begin)
+        name, body = self._load.item.load.name, self._groups.names[first.group]
+        words = f"The contact of load {name!r} with {body!r} from t = {first.begin:.6g} s on"
+        return MissedContact(first.begin, f"{words} {first.words}")
+
+
+def _remedy(spread: float) -> str:
+    """Say what helps a contact whose impulse is spread over this time, s."""
+    return (
+        f"Take steps of {spread / 8:.2g} s in HHT or {spread / 4:.2g} s in Radau, error control as "
+        "in HHT(rtol=1e-4), or a softer contact."
+    )

@@ -104,7 +104,8 @@ class JointStructure:
         firsts = begin.tolist()
         for item, shape, first, last in zip(inputs, shapes, firsts, firsts[1:], strict=False):
             name, row = item.joint.name, first[3]
-            layouts.append(JointLayout(name, row, last[3] - row, item.joint.holds_position))
+            holds = item.joint.holds_position and min(item.dropped, default=vectors.d) >= vectors.d
+            layouts.append(JointLayout(name, row, last[3] - row, holds))
             pairs = zip(columns, ahead, strict=True)
             places = np.concatenate([at[x + first[k] : x + last[k]] for k, x in pairs])
             where = slice(first[0], last[0]), slice(first[4], last[4])

@@ -14,6 +14,7 @@ import numpy as np
 from ancfdae.assembly.naming import SceneNaming, Vectors
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.kernels import LoadPlan, load_forces, load_forces_along, load_tangents
+from ancfdae.model.loads.contact import ContactLoad
 from ancfdae.model.loads.load import Copies, Load
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.operations import Listed, Operations
@@ -75,6 +76,26 @@ class LoadInput:
             return F
         n = len(self.reference) - len(self.masses)
         return F * np.concatenate([np.ones(n), self.masses])[:, None]
+
+    def by_copies(self, U: Array) -> Array:
+        """Return vectors of all copies, (k, n_vectors, d), as (k, n_copies, n, d)."""
+        return U.reshape(len(U), len(self.own), *self.reference.shape)
+
+    def signals_of_copies(self, t: Array) -> Array:
+        """Return signals and own numbers of each copy at times t, (k, n_copies, n)."""
+        signals, shape = self.factors(t, 0)[:, None, 1:], (len(t), len(self.own))
+        rows = (np.broadcast_to(x, (*shape, x.shape[-1])) for x in (signals, self.own))
+        return np.real(np.concatenate(list(rows), axis=-1))
+
+    def depth(self, U: Array, signals: Array) -> Array:
+        """Return depths of contacts of copies, (k, n_copies), negative where there are none."""
+        assert isinstance(self.load, ContactLoad)
+        return np.real(self.load.depth(U, signals, self.p, self.reference)[..., 0, 0])
+
+    def closing(self, U: Array, M: Array, signals: Array) -> Array:
+        """Return bounds of the changes of depths by movements, (k, n_copies)."""
+        assert isinstance(self.load, ContactLoad)
+        return np.real(self.load.closing(U, M, signals, self.p, self.reference)[..., 0, 0])
 
     @property
     def couplings(self) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from ancfdae.assembly.beam_sections import BeamSections
-from ancfdae.assembly.contact_checks import ContactCheck
+from ancfdae.assembly.contact_checks import Groups, RunContacts
 from ancfdae.assembly.energies import Energies, Works
 from ancfdae.assembly.folds import Folds, first_mirrored
 from ancfdae.assembly.load_forces import LoadInput
@@ -24,10 +24,10 @@ from ancfdae.equations import (
     StateDirection,
     SystemProperties,
 )
+from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.system import States
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.outcomes import MissedContact
 from ancfdae.errors.text import listed
 from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
@@ -326,12 +326,13 @@ class AncfSystem(PlannedSystem):
         """Beams strained beyond what their elements are made for, with the strain of a fibre."""
         return self._folds.strained(q)
 
-    def missed_contact(self, t: Array, q: Array, v: Array) -> MissedContact | None:
-        """First contact of loads that the steps of a run, rows of q and v, do not resolve."""
-        parts = self.naming, self.weights, self._scene.elements
-        checks = (ContactCheck(load, *parts) for load in self._loads.touching())
-        found = [check.missed(t, q.real, v.real) for check in checks]
-        return min((x for x in found if x is not None), default=None, key=lambda x: x.place)
+    def contacts(self) -> ContactRecord | None:
+        """Record of the contacts of one run, by all loads that touch; None without any."""
+        loads = self._loads.touching()
+        if not loads:
+            return None
+        groups = Groups.of(self._numbering, self.weights)
+        return RunContacts(loads, self.naming, self._scene.elements, groups)
 
     def constraint(self, t: float, *motion: Array) -> Array:
         """Constraints Phi or a time derivative, shape (n_lam,), by the number of rates given."""

@@ -123,6 +123,7 @@ _UNDETERMINED = frozenset(
         "breakpoints",
         "centred",
         "coarse",
+        "contacts",
         "folded",
         "mirrored",
         "off_root",
@@ -130,7 +131,6 @@ _UNDETERMINED = frozenset(
         "over_time",
         "require_derivatives_at",
         "strained",
-        "missed_contact",
         "stress_force",
         "turn_rate",
     }

@@ -43,10 +43,10 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations.complex_steps import ComplexSteps
+from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.naming import Naming
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.errors.outcomes import MissedContact
 from ancfdae.errors.text import listed
 from ancfdae.kernels import CalledPlan, ListPlan, OperationList, Plan
 from ancfdae.numerics.arrays import Array
@@ -333,8 +333,8 @@ class MechanicalSystem(ComplexSteps):
         """Return the parts strained beyond the range of their laws at q, each with its strain."""
         return {}
 
-    def missed_contact(self, t: Array, q: Array, v: Array) -> MissedContact | None:
-        """Return the first contact that the steps of a run do not resolve; q and v are rows."""
+    def contacts(self) -> ContactRecord | None:
+        """Return a new record of the contacts of one run; None for a system that has none."""
         return None
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, NamedTuple, Protocol, TypeVar, final
+from typing import Any, Protocol, TypeVar, final
 
 from ancfdae.errors.kinds import AncfdaeError
 
@@ -36,14 +36,6 @@ class PassFailed(AncfdaeError):
     def __init__(self, verdict: Verdict) -> None:
         super().__init__(verdict.value)
         self.verdict = verdict
-
-
-@final
-class MissedContact(NamedTuple):
-    """The time point from which on a run is not to be trusted, with advice."""
-
-    place: int
-    advice: str
 
 
 @final

@@ -14,11 +14,13 @@ from typing import ClassVar, Self, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.contact_record import MissedContact
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.checks import require_array, require_count
 from ancfdae.errors.kinds import InvalidInputError, SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.integrators.integrator import Integrand, QuadratureIntegrator, require_rtol
+from ancfdae.integrators.missed_contacts import refused
 from ancfdae.integrators.pace import Pace
 from ancfdae.integrators.prescribed_motion import Watch, is_driven, lock
 from ancfdae.integrators.problem import InitialValueProblem
@@ -32,6 +34,8 @@ from ancfdae.numerics.time_grid import TimeGrid, next_end
 
 # Steps of which a run warns: DOP853 takes 20 s for them in a small system (5,000 a second).
 _MANY = 100_000
+# Time points at which contacts are looked at together.
+_TOGETHER = 256
 # Intervals of a run where none are asked for, and of one of which the end alone is read.
 INTERVALS, _FEW = 64, 4
 # Stops that are printed one by one.
@@ -60,9 +64,12 @@ class NotFinite(Exception):
 class March(abc.ABC):
     """One run of a solver, step by step, in a context; it counts as `Statistics` do.
 
-    `residual` is the size of the last finite scaled residual, zero where a step leaves none; it is
+    Contacts are followed at `parts` of each step, the last one its end. `residual` is the size of
+    the last finite scaled residual, zero where a step leaves none; it is
     kept, for after an interrupt or a failure the equations must not be called once more.
     """
+
+    parts: ClassVar[tuple[float, ...]] = (1.0,)
 
     def __init__(
         self,
@@ -75,6 +82,9 @@ class March(abc.ABC):
         self.residual, self._t, self._t_end, self._max_steps = 0.0, 0.0, t_end, max_steps
         self._pace, self._context = pace(t_end), context
         self.stops: tuple[float, ...] = problem.system.breakpoints(t_end)
+        # States after steps are followed where there are contacts; output times may be far apart.
+        self.contacts = problem.system.contacts()
+        self._path = [(0.0, problem.initial.q, problem.initial.v)] if self.contacts else []
 
     @property
     def _stop(self) -> float:
@@ -93,13 +103,32 @@ class March(abc.ABC):
             while self._t < times[0]:
                 if self.steps == self._max_steps:
                     return Verdict.STEP_LIMIT
-                ends = self._steps(times[0])
+                before, target = self._t, float(times[0])
+                ends = self._steps(np.nextafter(before, target) if self.contacts else target)
                 if isinstance(ends, Verdict):
                     return ends
                 for self._t in ends:
                     if self._pace.stalls(self._t):
                         return Verdict.ERROR_TEST
+                if self.contacts and self._t > before:
+                    within = before + (self._t - before) * np.array(self.parts)
+                    states = self._states(np.append(within[:-1], self._t))
+                    self._path += zip(within.tolist(), *states[:, :, 0].swapaxes(0, 1), strict=True)
+                    self._look_at_contacts(_TOGETHER)
             return self._states(times[: max(1, np.searchsorted(times, self._t, side="right"))])
+
+    @final
+    def _look_at_contacts(self, least: int) -> None:
+        """Follow the states after the last steps, if they are enough."""
+        if self.contacts and len(self._path) >= least:
+            self.contacts.follow(*(np.array(x) for x in zip(*self._path, strict=True)))
+            self._path = []
+
+    @final
+    def missed(self) -> MissedContact | None:
+        """Return the first contact of a finished run that its steps pass over."""
+        self._look_at_contacts(1)
+        return self.contacts.missed() if self.contacts else None
 
     @abc.abstractmethod
     def _steps(self, target: float) -> list[float] | Verdict:
@@ -204,7 +233,7 @@ class HighOrder(QuadratureIntegrator):
             raise InvalidInputError(type(self).__name__, rule, got, "Only HHT takes complex steps.")
         with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
             problem = InitialValueProblem.of(system, t_end)
-            problem = problem.differentiated() if sensitivities else problem
+            problem = problem.differentiated(True) if sensitivities else problem
         problem.require_finite()
         grid = TimeGrid.lobatto(t_end, self.intervals or INTERVALS)
         recorder = SolutionRecorder(system, len(grid.t), grid.degree, sensitivities)
@@ -248,7 +277,8 @@ class HighOrder(QuadratureIntegrator):
             last = recorder.last(1)
             remedy = lock(system, float(last.t[0]), last.q[0], t_end)
         outcome = RunOutcome(verdict, recorder.time, recorder.accepted, size, advice=remedy)
-        return recorder.solution(outcome)
+        missed = march.missed() if march is not None and outcome.success else None
+        return refused(recorder.solution(outcome), missed)
 
 
 def _record(

@@ -378,9 +378,11 @@ class InitialValueProblem:
         """Accelerations and multipliers of states."""
         return accelerations(self.system, self.matrices)
 
-    def differentiated(self) -> Self:
-        """Add the design derivatives of the start."""
-        derivative = start_sensitivity(self.system, self.matrices, self.initial)
+    def differentiated(self, for_accelerations: bool = False) -> Self:
+        """Add the design derivatives of the start; lists `for_accelerations` of a run serve it."""
+        solver = self.accelerations if for_accelerations else None
+        rows = solver.rows if isinstance(solver, ListedAccelerations) else None
+        derivative = start_sensitivity(self.system, self.matrices, self.initial, rows)
         return replace(self, derivative=derivative)
 
     def require_finite(self) -> None:

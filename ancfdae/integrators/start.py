@@ -29,6 +29,7 @@ stand, so they are exact for projected starts too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, TypeAlias, final
@@ -41,6 +42,7 @@ from ancfdae.equations.saddle_points import (
     held_pull_back,
     held_q,
     held_total,
+    held_totals,
     refuse_redundant,
     solve,
     solve_transposed,
@@ -86,7 +88,8 @@ class Completion:
     ) -> Completion:
         """Linearise accelerations and multipliers at states."""
         traits, held_q, rates = system.traits, None, None
-        if not (traits.constant_mass and traits.linear_constraints):
+        constant = traits.constant_mass and traits.linear_constraints
+        if not constant and any(x.any() for x in moved):
             held_q = system.linearise(t, states[0], None, *moved).f_q
         if not traits.constant_constraints:
             q, v, a, _ = states
@@ -106,30 +109,13 @@ class Completion:
                 sides[1, k] = system.constraint_total(s, (q[k], v[k], a[k]))
         return held, system.design_partials(t, q, v, a, lam).f_b, sides
 
-    def total(self, factors: Factorization, q_b: Array, V_b: Array) -> tuple[Array, Array, Array]:
-        """Return v_b, a_b and lam_b of one state from q_b and V_b, by the factors of M and Phi_q.
-
-        The kernel completes the stages of runs (`stage_passes.h`).
-        """
-        system, local, (held_b, f_b, sides) = self.system, self.local, self.partials
-        K, B = system.pattern.dot, system.constraint_pattern.dot
-        right, side, side_a = system.mass_times(self.states[0][0], V_b) - held_b[0], *sides[:, 0]
-        if self.held_q is not None:
-            right = right - K(self.held_q[0], q_b)
-        if self.rates is not None:
-            side = side + B(self.rates[0][0], q_b)
-        v_b = solve(factors, right, -side)[0]
-        right = f_b[0] + K(local.f_q[0], q_b)
-        if local.f_v is not None:
-            right = right + K(local.f_v[0], v_b)
-        if self.rates is not None:
-            side_a = side_a + B(self.rates[1][0], q_b) + 2 * B(self.rates[0][0], v_b)
-        return v_b, *solve(factors, -right, -side_a)
-
     def back(
         self, factors: Factorization, on_q: Array, on_v: Array, on_a: Array, on_lam: Array
     ) -> tuple[Array, ...]:
-        """Transpose of `total`: return covectors on q and V, and four that `pull_back` takes."""
+        """Transpose of the derivatives of one state: return covectors on q and V, and four more.
+
+        `pull_back` takes these.
+        """
         system, local = self.system, self.local
         K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
         w, y = solve_transposed(factors, on_a, on_lam)
@@ -238,33 +224,58 @@ def at_rest(v: Array, side: Array) -> bool:
 
 
 def start_sensitivity(
-    system: MechanicalSystem, matrices: SaddlePoint, state: InitialState
+    system: MechanicalSystem,
+    matrices: SaddlePoint,
+    state: InitialState,
+    rows: Callable[[float, Array, Array], Array] | None = None,
 ) -> InitialSensitivity:
-    """Differentiate `consistent_start` in the design variables."""
-    t, q, _, _, lam = state
+    """Differentiate `consistent_start` in the design variables.
+
+    `rows` returns (a, lam) above its design derivatives, from q and v above theirs (`Accelerations`
+    of a run that evaluates them anyway); by default they are solved for here.
+    """
+    t, q, v, a, lam = state
+    moves = _Moves.of(system, matrices, state)
+    q_b, v_b = _motion_sensitivity(system, state, moves)
+    states = np.vstack([q, q_b.T]), np.vstack([v, v_b.T])
+    if rows is not None:
+        x_b = rows(t, *states)[1:].T
+        return InitialSensitivity(q_b, v_b, x_b[: system.n_q], x_b[system.n_q :])
+    force, side = held_totals(system, t, *states, np.concatenate([a, lam]))
+    right = system.force_and_total(t, *states)[1:] - force
+    side_b = np.zeros((len(lam), system.n_b)) if side is None else -side.T
+    return InitialSensitivity(q_b, v_b, *solve(moves.factors, right.T, side_b))
+
+
+def _motion_sensitivity(
+    system: MechanicalSystem, state: InitialState, moves: _Moves
+) -> tuple[Array, Array]:
+    """Differentiate q and v of `consistent_start` in the design variables, (n_q, n_b) each."""
+    t, q, v, _, lam = state
     q_start, _ = system.start()
     q_sb, v_sb = system.start_b()
-    sigma_q, moving, factors, completion = _projections(system, matrices, state)
-
+    held = np.zeros_like(q_sb)
     # 1. (M (q - q_start) + Phi_q^T sigma_q)_total = 0, M at q_start; sigma_q held on the right.
-    none, still = np.zeros_like(lam), np.zeros_like(q)
     right = system.mass_times(q_start, q_sb)
-    right = right - held_total(system, t, q_start, q - q_start, none, q_sb)
-    right = right - held_total(system, t, q, still, sigma_q, np.zeros_like(q_sb))
-    q_b, _ = solve(moving, right, -system.constraint_total(t, (q,)))
-    # 2. and 3.
-    derivatives = InitialSensitivity(q_b, *completion.total(factors, q_b, v_sb))
+    right = right - held_total(system, t, q_start, moves.dq, 0 * lam, q_sb)
+    right = right - held_total(system, t, q, 0 * q, moves.sigma_q, held)
+    q_b, _ = solve(moves.moving, right, -system.constraint_total(t, (q,)))
+    # 2. (M (v - v_start) + Phi_q^T sigma_v)_total = 0 likewise.
+    right = system.mass_times(q, v_sb) - held_total(system, t, q, moves.dv, moves.sigma_v, q_b)
+    side = np.zeros((len(lam), system.n_b))
+    if not system.traits.constant_constraints:
+        side = -system.constraint_total(t, (q, v), (q_b, held))
+    v_b, _ = solve(moves.factors, right, side)
     if type(system).start_pull_back is MechanicalSystem.start_pull_back:
-        _refuse_inconsistent_derivatives(system, state, q_sb, v_sb, derivatives)
-    return derivatives
+        _refuse_inconsistent_derivatives(system, state, (q_sb, v_sb), (q_b, v_b))
+    return q_b, v_b
 
 
 def _refuse_inconsistent_derivatives(
     system: MechanicalSystem,
     state: InitialState,
-    q_b: Array,
-    v_b: Array,
-    projected: InitialSensitivity,
+    declared: tuple[Array, Array],
+    projected: tuple[Array, Array],
 ) -> None:
     """Refuse a start that satisfies its constraints at this design only.
 
@@ -278,13 +289,11 @@ def _refuse_inconsistent_derivatives(
     w, b = system.weights, np.where(system.b.real == 0, 1.0, np.abs(system.b.real))
     place = norm(state.q, w)
     speed = max(norm(state.v, w), float(np.sqrt(place * norm(state.a, w))))
-    for what, declared, moved, size in (
-        ("positions", q_b, projected.q_b, place),
-        ("velocities", v_b, projected.v_b, speed),
-    ):
+    whats, sizes = ("positions", "velocities"), (place, speed)
+    for what, x_b, moved, size in zip(whats, declared, projected, sizes, strict=True):
         for j, name in enumerate(system.design_names):
-            gap = norm(moved[:, j] - declared[:, j], w)
-            larger = max(norm(declared[:, j], w), norm(moved[:, j], w))
+            gap = norm(moved[:, j] - x_b[:, j], w)
+            larger = max(norm(x_b[:, j], w), norm(moved[:, j], w))
             if gap > _SAME_RATE * larger + _CONSISTENT * size / b[j]:
                 raise InconsistentStartError(
                     f"start, design variable {name!r}",
@@ -295,20 +304,33 @@ def _refuse_inconsistent_derivatives(
                 )
 
 
-def _projections(
-    system: MechanicalSystem, matrices: SaddlePoint, state: InitialState
-) -> tuple[Array, Factorization, Factorization, Completion]:
-    """Return sigma_q with the matrix of 1, and 2 and 3 with theirs."""
-    q_start, v_start = system.start()
-    sigma_q = _project_position(system, matrices, q_start, state.t)[1]
-    moving = _factor_position(system, matrices, q_start, state.q, sigma_q, state.t)
-    factors, dv = _factor_mass(system, matrices, state.q, state.t), state.v - v_start
-    right = -system.mass_times(state.q, dv)
-    sigma_v = solve(factors, right, np.zeros(system.n_lam))[1]
-    t, *states = (np.asarray(x)[None] for x in state)
-    q, v, a, lam = states
-    moved = dv[None], sigma_v[None]
-    return sigma_q, moving, factors, Completion.of(system, t, (q, v, a, lam), moved)
+@final
+class _Moves(NamedTuple):
+    """How a declared start is moved: q - q_start and sigma_q, v - v_start and sigma_v.
+
+    `moving` and `factors` are the factorised matrices of steps 1, differentiated, and 2.
+    """
+
+    dq: Array
+    sigma_q: Array
+    dv: Array
+    sigma_v: Array
+    moving: Factorization
+    factors: Factorization
+
+    @staticmethod
+    def of(system: MechanicalSystem, matrices: SaddlePoint, state: InitialState) -> _Moves:
+        """Return how the declared start of a system is moved to its consistent start."""
+        q_start, v_start = system.start()
+        t, q, dq, dv = state.t, state.q, state.q - q_start, state.v - v_start
+        sigma_q = _project_position(system, matrices, q_start, t)[1]
+        sigma_v, moving = np.zeros(system.n_lam), None
+        if sigma_q.any() or (dq.any() and not system.traits.constant_mass):
+            moving = _factor_position(system, matrices, q_start, q, sigma_q, t)
+        factors = _factor_mass(system, matrices, q, t)
+        if dv.any():
+            sigma_v = solve(factors, -system.mass_times(q, dv), sigma_v)[1]
+        return _Moves(dq, sigma_q, dv, sigma_v, moving or factors, factors)
 
 
 class Covectors(NamedTuple):
@@ -379,22 +401,24 @@ def pull_back_start(
     The transpose of `start_sensitivity`, in reverse order: one transposed solve for each of 3, 2
     and 1, independent of the number of design variables.
     """
+    moves = _Moves.of(system, matrices, state)
     if type(system).start_pull_back is MechanicalSystem.start_pull_back:
         # The transpose below takes as many complex steps.
-        start_sensitivity(system, matrices, state)
-    t, q, _, _, lam = state
-    q_start, _ = system.start()
-    sigma_q, moving, factors, completion = _projections(system, matrices, state)
-    K, none = system.pattern.dot_transposed, np.zeros_like(lam)
-    on_q, on_v_start, *covectors = completion.back(factors, on.q, on.v, on.a, on.lam)
+        _motion_sensitivity(system, state, moves)
+    t, q, *others = state
+    q_start, none = system.start()[0], np.zeros(system.n_lam)
+    states = q[None], others[0][None], others[1][None], others[2][None]
+    moved = moves.dv[None], moves.sigma_v[None]
+    completion = Completion.of(system, np.array([t]), states, moved)
+    on_q, on_v_start, *covectors = completion.back(moves.factors, on.q, on.v, on.a, on.lam)
     on_b = on.b + completion.pull_back(*(x[None] for x in covectors))
 
-    m, z = solve_transposed(moving, on_q, none)
-    moved = q - q_start
-    on_q_start = system.mass_times(q_start, m) - K(held_q(system, t, q_start, moved, none), m)
+    m, z = solve_transposed(moves.moving, on_q, none)
+    K = system.pattern.dot_transposed(held_q(system, t, q_start, moves.dq, none), m)
     on_b = on_b - z @ system.constraint_total(t, (q,))
-    on_b = on_b - held_pull_back(system, t, q_start, moved, none, m)
-    on_b = on_b - held_pull_back(system, t, q, np.zeros_like(q), sigma_q, m)
+    on_b = on_b - held_pull_back(system, t, q_start, moves.dq, none, m)
+    on_b = on_b - held_pull_back(system, t, q, 0 * q, moves.sigma_q, m)
+    on_q_start = system.mass_times(q_start, m) - K
     gradient: Array = on_b + system.start_pull_back(on_q_start, on_v_start)
     return gradient
 

@@ -15,6 +15,7 @@ from ancfdae.errors.checks import require_count, require_positive
 from ancfdae.errors.kinds import InvalidInputError, StabilityWarning
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import AdjointIntegrator
+from ancfdae.integrators.missed_contacts import with_contacts
 from ancfdae.integrators.problem import InitialValueProblem, Scales
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.step_control import (
@@ -191,14 +192,16 @@ class SteppedIntegrator(AdjointIntegrator):
 
         def run(sizes_b: Array) -> Solution:
             recorder = SolutionRecorder(system, rows, self.degree, along, after)
-            stepper = self._stepper(problem, t_end, sizes_b, recorder)
+            stepper, contacts = self._stepper(problem, t_end, sizes_b, recorder), system.contacts()
             if after is None:
                 begun = steps.controller(t_end, stepper)
-                return march(stepper, begun, recorder, t_end, progress)[0]
-            controller, taken = steps.controller(t_end, stepper, after.control), self.sizes(after)
-            state = self._state_after(after)
-            reached = Reached(len(taken), float(after.t[-1]), float(taken[-1]), state)
-            return march(stepper, controller, recorder, t_end, progress, reached)[0]
+                done = march(stepper, begun, recorder, t_end, progress)[0]
+            else:
+                controller = steps.controller(t_end, stepper, after.control)
+                taken, state = self.sizes(after), self._state_after(after)
+                reached = Reached(len(taken), float(after.t[-1]), float(taken[-1]), state)
+                done = march(stepper, controller, recorder, t_end, progress, reached)[0]
+            return with_contacts(done, contacts) if contacts else done
 
         if not along:
             solution = run(np.zeros(0))

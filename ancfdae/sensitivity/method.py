@@ -361,11 +361,6 @@ class Run:
         """Return a run with advice; refuse one without the derivatives that were asked for."""
         if not run.outcome.success:
             return self._advised(run)
-        missed = self.system.missed_contact(run.t, run.q, run.v)
-        if missed is not None:
-            at, verdict = missed.place, Verdict.MISSED_CONTACT
-            outcome = replace(run.outcome, verdict=verdict, time=float(run.t[at]), step=at)
-            return replace(run, outcome=replace(outcome, advice=missed.advice))
         if sensitivities and run.sensitivities is None:
             raise InvalidInputError(
                 f"integrator {type(self.integrator).__name__}",

@@ -35,6 +35,7 @@ from ancfdae.integrators.hht.equations import (
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import HHTStepper
 from ancfdae.integrators.integrator import DefectIntegrator, PartwiseIntegrator, RunInParts, Seeds
+from ancfdae.integrators.missed_contacts import with_contacts
 from ancfdae.integrators.problem import InitialValueProblem, Scales
 from ancfdae.integrators.recorder import SolutionRecorder
 from ancfdae.integrators.start import Covectors, pull_back_start
@@ -54,7 +55,7 @@ class Replay(RunInParts):
     ) -> None:
         self._problem, self._steps, self.t, self._newton = problem, steps, t, newton
         self._first = RecurrenceStart.of(problem, steps.of(1))
-        self.taken = 0
+        self.taken, self._contacts = 0, problem.system.contacts()
 
     def start(self) -> Node:
         """Return the node of the start."""
@@ -69,8 +70,10 @@ class Replay(RunInParts):
         plan = StepPlan(h[:last], self.t[1 : last + 1])
         run, reached = march(stepper, plan, recorder, float(self.t[last]), False, begun)
         self.taken += reached.n - first
-        outcome = replace(run.outcome, step=reached.n)
-        return replace(run, outcome=outcome), reached.now[0]
+        run = replace(run, outcome=replace(run.outcome, step=reached.n))
+        if self._contacts:
+            run = with_contacts(run, self._contacts, last == len(self.t) - 1)
+        return run, reached.now[0]
 
     def pull_back(
         self, run: Solution, node: Node, first: int, seeds: Seeds, on: Array

@@ -16,6 +16,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import PartwiseIntegrator, RunInParts, Seeds
+from ancfdae.integrators.missed_contacts import with_contacts
 from ancfdae.integrators.problem import InitialValueProblem
 from ancfdae.integrators.radau import linear_passes
 from ancfdae.integrators.radau.stages import PLACES
@@ -40,7 +41,7 @@ class RadauReplay(RunInParts):
         self._problem, self._h, self._ends, self._newton = problem, h, ends, newton
         stages = ends[:-1, None] + h[:, None] * PLACES[:2, 0]
         self.t = np.append(ends[0], np.column_stack([stages, ends[1:]]).ravel())
-        self.taken = 0
+        self.taken, self._contacts = 0, problem.system.contacts()
 
     def start(self) -> State:
         """Return the consistent start of the run that is repeated."""
@@ -57,7 +58,10 @@ class RadauReplay(RunInParts):
         stepper = self._stepper(recorder)
         run, reached = march(stepper, plan, recorder, float(self._ends[end]), False, begun)
         self.taken += reached.n - begin
-        return replace(run, outcome=replace(run.outcome, step=reached.n)), reached.now
+        run = replace(run, outcome=replace(run.outcome, step=reached.n))
+        if self._contacts:
+            run = with_contacts(run, self._contacts, last == len(self.t) - 1)
+        return run, reached.now
 
     def pull_back(
         self, run: Solution, node: State, first: int, seeds: Seeds, on: Array

@@ -29,8 +29,14 @@ from ancfdae.model.loads.load import LAW_FIELD, Copies, Load
 from ancfdae.model.loads.obstacles import Carrier, Obstacle, require_obstacle
 from ancfdae.model.parts import Elements, LineVector, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import concatenate, positive
+from ancfdae.numerics.jets import concatenate, dot, positive
 from ancfdae.numerics.time_grid import box_rule
+
+
+def longest(M: Array) -> Array:
+    """Return the largest sizes of movements, (m, ..., n, d) to (..., n, 1)."""
+    return np.asarray(np.sqrt((M * M).sum(axis=-1, keepdims=True).max(axis=0)))
+
 
 #: Design fields of the force, in the order that `ContactLoad.pressed` takes them.
 FORCE_FIELDS = (
@@ -81,6 +87,20 @@ class ContactLoad(Load, abc.ABC):
         if point.fraction is None:
             return quantities
         return tuple(x for x in quantities[1:] if x in elements.at(point).quantities)
+
+    @abc.abstractmethod
+    def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
+        """Return how deep surfaces lie in each other, (..., 1, 1), negative where they are apart.
+
+        Arguments are arrays as of `force_at`. There is no force where it is negative.
+        """
+
+    @abc.abstractmethod
+    def closing(self, U: Array, M: Array, signals: Array, p: Array, U_o: Array) -> Array:
+        """Return a bound of the change of `depth` along a path from U on, (..., 1, 1).
+
+        M, (m, ..., n_vectors, d), are movements: vectors move at rates between these of them.
+        """
 
     def pressed(self, p: Sequence[Any], depth: Any, n: Any, w: Any) -> Any:
         """Return the force on the first body from depth, normal n and relative velocity w.
@@ -134,22 +154,40 @@ class ObstacleContact(ContactLoad, abc.ABC):
             return ()
         return tuple((self.other, quantity) for quantity in tuple(Quantity)[: d + 1])
 
-    def touched(self, U: Any, p: Array, U_o: Array) -> tuple[Any, Any, int]:
-        """Return depth and normal of the contact, and the number of vectors of the first body."""
-        (d, own), values = (U_o.shape[1], len(U_o)), self.split(p)
-        own -= 0 if self.other is None else d + 1
+    def _own(self, U_o: Array) -> int:
+        """Return the number of vectors of the first body; the vectors of the carrier follow."""
+        return len(U_o) - (0 if self.other is None else U_o.shape[1] + 1)
+
+    def _apart(self, U: Any, p: Array, U_o: Array) -> tuple[Any, Any]:
+        """Return the depth of the contact, negative where there is none, and its normal."""
+        own, values = self._own(U_o), self.split(p)
         at, rows = U[..., own:, :], U_o[own:]
         carrier = Carrier(at[..., :1, :], at[..., 1:, :], rows[:1], rows[1:])
         distance, n = self.obstacle.surface(U[..., :1, :], carrier, values[0])
-        return positive((0.0 if values[2] is None else values[2]) - distance), n, own
+        return (0.0 if values[2] is None else values[2]) - distance, n
+
+    def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
+        """Return the depth of the point, or of the sphere around it, in the obstacle."""
+        return np.asarray(self._apart(U, p, U_o)[0])
+
+    def closing(self, U: Array, M: Array, signals: Array, p: Array, U_o: Array) -> Array:
+        """Return the way of the point in the axes of the carrier."""
+        if self.other is None:
+            return longest(M[..., :1, :])
+        own = self._own(U_o)
+        o = slice(own, own + 1)
+        way, arm = longest(M[..., :1, :] - M[..., o, :]), U[..., :1, :] - U[..., o, :]
+        turn = np.sqrt((longest(M[..., own + 1 :, :]) ** 2).sum(axis=-2, keepdims=True))
+        return np.asarray(way + (np.sqrt(dot(arm, arm)) + way) * turn)
 
     def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
         """Return the depth: without one there is no force."""
-        return (self.touched(U, p, U_o)[0],)
+        return (positive(self._apart(U, p, U_o)[0]),)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """Return N n + T on the first body, at its surface, and the opposite on the carrier."""
-        depth, n, own = self.touched(U, p, U_o)
+        (depth, n), own = self._apart(U, p, U_o), self._own(U_o)
+        depth = positive(depth)
         _, *values, _ = self.split(p)
         arm = (0.0 if values[1] is None else -values[1]) * n
         parts, w = moving_with(U[..., :own, :], V[..., :own, :], arm)

@@ -18,7 +18,7 @@ from ancfdae.errors.checks import (
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity
 from ancfdae.model.design import require_numbers
-from ancfdae.model.loads.contact import FORCE_FIELDS, ContactLoad
+from ancfdae.model.loads.contact import FORCE_FIELDS, ContactLoad, longest
 from ancfdae.model.loads.contact_law import moving_with, on_body
 from ancfdae.model.loads.load import LAW_FIELD, Copies
 from ancfdae.model.loads.obstacles import CENTRE
@@ -31,6 +31,8 @@ from ancfdae.numerics.time_grid import box_rule
 _ITERATIONS, _BEYOND = 6, 0.3
 # Half of the zone in which contact passes from an element to the next one, over their lengths.
 _ZONE = 0.1
+# Largest weight of a slope, over the length of the element, where the closest point may lie.
+_SLOPES = 0.51
 
 
 def _apart(e: Any, size: Any) -> tuple[Any, Any]:
@@ -167,18 +169,29 @@ class SphereContacts(PairContact):
         return Copies(np.zeros((len(pairs), 0)), parameters=first.start + pairs)
 
     def _touched(self, U: Any, signals: Any, n: int) -> tuple[Any, Any]:
+        """Return the depth, negative where a pair is apart, and the normal."""
         radii = signals[..., -2:-1, None], signals[..., -1:, None]
         l, normal = _apart(U[..., :1, :] - U[..., n : n + 1, :], radii[0] + radii[1])
-        return positive(radii[0] + radii[1] - l), normal
+        return radii[0] + radii[1] - l, normal
+
+    def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
+        """Return the depth of the spheres of a pair in each other."""
+        return np.asarray(self._touched(U, signals, len(U_o) // 2)[0])
+
+    def closing(self, U: Array, M: Array, signals: Array, p: Array, U_o: Array) -> Array:
+        """Return the way of one centre relative to the other one."""
+        n = len(U_o) // 2
+        return longest(M[..., :1, :] - M[..., n : n + 1, :])
 
     def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
         """Return the depth: without one there is no force."""
-        return (self._touched(U, signals, len(U_o) // 2)[0],)
+        return (positive(self._touched(U, signals, len(U_o) // 2)[0]),)
 
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
         """Return N n + T at the surface of the first body, and the opposite on the second."""
         n = len(U_o) // 2
         depth, normal = self._touched(U, signals, n)
+        depth = positive(depth)
         stiffness, restitution, impact_speed, friction, slip_speed, _, _ = self.split(p)
         arm = -signals[..., -2:-1, None] * normal
         parts, w = moving_with(U[..., :n, :], V[..., :n, :], arm)
@@ -293,9 +306,15 @@ class BeamPairContact(PairContact):
         return U[..., :own, :], U[..., own : own + 4, :], U[..., own + 4 :, :]
 
     def _near(self, U: Any, signals: Any, p: Array) -> Any:
-        """Return a number that is 0 where the point is too far from the element to touch it.
+        """Return a number that is 0 where the point is too far from the element to touch it."""
+        size, e = self._ball(U, signals, p)
+        return positive(size * size - dot(e, e))
 
-        The cubic lies within a ball around the middle of its ends that holds its Bezier points.
+    def _ball(self, U: Any, signals: Any, p: Array) -> tuple[Any, Any]:
+        """Return the radius of a ball that holds the element, and the place of the point in it.
+
+        The ball is around the middle of the ends and holds the Bezier points of the cubic. Both
+        radii are added.
         """
         values, l = self.split(p), signals[..., 3:4, None]
         point, X, _ = self._split(U)
@@ -304,11 +323,26 @@ class BeamPairContact(PairContact):
             dot(slopes, slopes).sum(axis=-2, keepdims=True)
         )
         e = point[..., :1, :] - X[..., :1, :] - half
-        size = size + values[1] + values[6]
-        return positive(size * size - dot(e, e))
+        return size + values[1] + values[6], e
+
+    def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
+        """Return the depth of the point in the element, of points far away in its ball."""
+        size, e = self._ball(U, signals, p)
+        depth = np.asarray(size - np.sqrt(dot(e, e)))
+        near = depth[..., 0, 0] > 0
+        signals = np.broadcast_to(signals, (*near.shape, signals.shape[-1]))
+        depth[near] = self._touched(U[near], signals[near], p)[0]
+        return depth
+
+    def closing(self, U: Array, M: Array, signals: Array, p: Array, U_o: Array) -> Array:
+        """Return the way of the point relative to both ends, and what slopes add beside them."""
+        point, X, _ = self._split(M)
+        ways, slopes = longest(point[..., :1, :] - X[..., :2, :]), longest(X[..., 2:, :])
+        beside = _SLOPES * signals[..., 3:4, None] * slopes.sum(axis=-2, keepdims=True)
+        return np.asarray(ways.max(axis=-2, keepdims=True) + beside)
 
     def _touched(self, U: Any, signals: Any, p: Array) -> tuple[Any, Any, Any, Any]:
-        """Return depth and normal, xi of the closest point, and the share of the element."""
+        """Return depth, negative if apart, normal, xi of the closest point, and its share."""
         values, l = self.split(p), signals[..., 3:4, None]
         point, X, _ = self._split(U)
         c, size, chord = point[..., :1, :], values[1] + values[6], X[..., 1:2, :] - X[..., :1, :]
@@ -327,16 +361,17 @@ class BeamPairContact(PairContact):
         # Beyond its ends a beam is round.
         xi = xi + first * positive(-xi) - last * positive(xi - 1)
         distance, n = _apart(c - _weighted(_hermite(xi, l)[0], X), size)
-        return positive(size - distance), n, xi, share
+        return size - distance, n, xi, share
 
     def gates(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
         """Return whether the point is near, and the depth: without one there is no force."""
         near = self._near(U, signals, p)
-        return near, self._touched(U, signals, p)[0]
+        return near, positive(self._touched(U, signals, p)[0])
 
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
         """Return N n + T on the point and the opposite on the element, times a length."""
         depth, n, xi, share = self._touched(U, signals, p)
+        depth = positive(depth)
         *values, _, _ = self.split(p)
         (point, X, axes), (rates, X_1, axes_1) = self._split(U), self._split(V)
         weights = _hermite(xi, signals[..., 3:4, None])[0]

@@ -1,0 +1,33 @@
+"""The one place where a finished run is refused for contacts that its steps do not resolve."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ancfdae.equations.contact_record import ContactRecord, MissedContact
+from ancfdae.equations.solution import Solution
+from ancfdae.errors.outcomes import Verdict
+
+
+def with_contacts(run: Solution, contacts: ContactRecord, whole: bool = True) -> Solution:
+    """Return a run, with another outcome if it misses a contact.
+
+    The record follows the states of the run, which may be a part of a longer one. Contacts are
+    judged where the run is `whole`, or its last part.
+    """
+    if not run.outcome.success:
+        return run
+    contacts.follow(run.t, run.q, run.v)
+    return refused(run, contacts.missed() if whole else None)
+
+
+def refused(run: Solution, missed: MissedContact | None) -> Solution:
+    """Return a run with the outcome that it missed a contact, the run itself without one."""
+    if missed is None:
+        return run
+    step = max(int(np.searchsorted(run.t, missed.time, side="right")) - 1, 0) // run.degree
+    verdict, advice = Verdict.MISSED_CONTACT, missed.advice
+    outcome = replace(run.outcome, verdict=verdict, time=missed.time, step=step, advice=advice)
+    return replace(run, outcome=outcome)
