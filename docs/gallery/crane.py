@@ -10,7 +10,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ancfdae import (
-    HHT, Prismatic, Pulley, Responses, RigidBody, Rope, Scene, Terminal, TranslationDriver, simulate,
+    HHT, Prismatic, Pulley, Responses, RigidBody, Rope, Scene, Terminal, TranslationDriver,
+    simulate,
 )
 from ancfdae.laws import BSpline
 from ancfdae.observables import position, velocity
