@@ -48,7 +48,7 @@ class JointWork:
         self.rows = slice(first_row, first_row + moving)
 
     def value(self, t: Array, q: Array, lam: Array) -> Array:
-        """Return lam . Phi_t or lam . Phi_x, shape (k,); lam has those of all joints."""
+        """Return lam . Phi_t or lam . Phi_x, shape (k,); lam has the multipliers of all joints."""
         return self._constraints.works(q, lam[:, self.rows], t)
 
     def partials(self, t: Array, q: Array, lam: Array) -> tuple[Array, Array, Array]:

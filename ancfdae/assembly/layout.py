@@ -63,7 +63,7 @@ class BodyLayout:
         return ends
 
     def of_ends(self, nodes: Array) -> Array:
-        """Return the vectors of the body from those of nodes or of both ends of elements."""
+        """Return the body's vectors, shape (count, d), from those of nodes or ends of elements."""
         X = nodes if nodes.ndim == 4 else np.stack([nodes[:-1], nodes[1:]], axis=1)
         vectors = np.zeros((self.count, X.shape[-1]), dtype=X.dtype)
         vectors[self.ends - self.first_vector] = X.reshape(*self.ends.shape, -1)
@@ -79,7 +79,7 @@ class RigidNodes:
     slopes: tuple[tuple[tuple[float, ...], ...], ...]
 
     def weights(self, lengths: Array, n_s: int) -> Array:
-        """Return W: node vectors as combinations of those of the body, (n + 1, n_s, d + 1)."""
+        """Return W: node vectors as combinations of the body's vectors, (n + 1, n_s, d + 1)."""
         chords, slopes = np.asarray(self.chords), np.asarray(self.slopes)
         n, d = chords.shape
         W = np.zeros((n + 1, n_s, d + 1), dtype=np.result_type(lengths, float))

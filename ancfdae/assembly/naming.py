@@ -121,7 +121,7 @@ class SceneNaming(Naming):
     def _weights(
         self, beam: BeamLayout, element: int, quantity: Quantity, place: tuple[Any, Any, Any]
     ) -> tuple[Array, Array]:
-        """Return the weights of a vector at (xi, y, z) of an element, and those by lengths."""
+        """Return weights of a vector at (xi, y, z) of an element, and of their part by lengths."""
         w, p = beam.element.vector_weights(quantity, *place)
         at = beam.first_element + element
         l = self.lengths[at]
@@ -344,7 +344,7 @@ class Vectors:
         return column[i[order]], column[j[order]]
 
     def is_like(self, other: Vectors) -> bool:
-        """Whether L has its entries where that of the other has them."""
+        """Whether the matrices L of both have their entries in the same places."""
         places = (self.first, other.first), (self.column, other.column)
         return all(np.array_equal(x, y) for x, y in places)
 

@@ -291,7 +291,7 @@ class Numbers:
         b: Array,
         numbering: Numbering | None = None,
     ) -> Numbers:
-        """Return the numbers of a scene, with the structure that they share with those to come.
+        """Return the numbers of a scene, with the structure that other designs will share.
 
         The numbering has masses of states; by default they follow from the mechanism.
         """

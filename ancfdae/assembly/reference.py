@@ -116,7 +116,7 @@ class Reference:
         return np.concatenate(parts)
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
-        """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""
+        """Return the vectors of a body, (count, d), from vectors of nodes or ends of elements."""
         return self._naming.layout.body(body.name).of_ends(nodes)
 
     def _positions(self, body: BeamBody | RigidBody) -> Array:
@@ -161,7 +161,7 @@ class Reference:
         return vector.weights @ other[vector.vectors - first]
 
     def _placed(self, body: BeamBody | RigidBody) -> tuple[Array, Array]:
-        """Return the numbers of a body from those of its placement on, and their derivatives."""
+        """Return the numbers of a body, beginning with its placement, and their derivatives."""
         first = body.design_places[1] if isinstance(body, RigidBody) else 0
         numbers, numbers_b = self._mapping.numbers(body.name, self._b)
         return numbers[first:], numbers_b[first:]

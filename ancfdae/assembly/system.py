@@ -141,6 +141,11 @@ class AncfSystem(PlannedSystem):
         t = np.linspace(0.0, t_end, SAMPLES + 1)
         return (*self.traits.breakpoints, *find_pulses(t, self.over_time(t, True)).stops)
 
+    @property
+    def scleronomic(self) -> bool:  # type: ignore[override]  # computed where it is asked for
+        """Whether no joint is driven."""
+        return not self._constraints.factors.driven
+
     @cached_property
     def has_loops(self) -> bool:  # type: ignore[override]  # computed where it is asked for
         """Whether joints close loops of bodies and ground."""
@@ -358,7 +363,7 @@ class AncfSystem(PlannedSystem):
         return np.sign(self._constraints.by_turn(self.start()[0].real[None], np.zeros(1))[0])
 
     def off_root(self, t: Array, q: Array) -> tuple[int, str] | None:
-        """Compare the signs of derivatives in prescribed angles with those at the start."""
+        """Compare the signs of derivatives in prescribed angles with their signs at the start."""
         if not self._constraints.turns or np.iscomplexobj(q) or np.iscomplexobj(self.b):
             return None
         off = self._constraints.by_turn(q, t) * self._sides < 0

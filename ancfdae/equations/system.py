@@ -182,6 +182,8 @@ class MechanicalSystem(ComplexSteps):
     controllers: tuple[str, ...] = ()
     #: Whether joints may close loops; a tree of bodies keeps the rank of Phi_q.
     has_loops: bool = True
+    #: Whether Phi is known not to depend on time by itself.
+    scleronomic: bool = False
 
     @cached_property
     def pattern(self) -> SparsityPattern:
@@ -364,7 +366,7 @@ class MechanicalSystem(ComplexSteps):
         return None
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
-        """Return the first of k states that is mirrored, folded or crushed, and in words what is.
+        """Return the index of the first mirrored, folded or crushed state, and what is, in words.
 
         q has the shape (k, n_q). A body is mirrored where its orientation differs from that in the
         first state, folded where it is bent back on itself, and crushed where its law gives way.

@@ -242,6 +242,8 @@ def half_a_turn_off(system: MechanicalSystem, begin: float, t: Array, q: Array) 
 
 def is_driven(system: MechanicalSystem, t: Array, q: Array) -> bool:
     """Tell whether the constraints at one place change with time alone, from the first instant."""
+    if system.scleronomic:
+        return False
     first, *others = t.tolist()
     at_rest = system.constraint(first, q)
     return any(np.any(system.constraint(later, q) != at_rest) for later in others)

@@ -377,6 +377,6 @@ def reference_place(point: MaterialPoint, member: _Member) -> Array:
 
 
 def on_ground(part: _Any, member: _Member) -> _Any:
-    """Return a part with its ground written where it was left out."""
+    """Return a part whose place on the ground is given: by default where its point stands."""
     point = part.stands_at
     return part if point is None else part.on_ground(reference_place(point, member).tolist())

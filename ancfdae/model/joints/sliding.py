@@ -22,7 +22,7 @@ from ancfdae.model.design import design_numbers
 from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.model.parts import Elements, LineVector, Sign, StateVector, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import positive
+from ancfdae.numerics.vector_formulas import positive
 
 # Places along an element whose positions give its cubic, the end apart.
 _THIRDS = (0.0, 1 / 3, 2 / 3)

@@ -27,7 +27,7 @@ from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.model.loads.sections import rate_of, section_of, travel, turn, unit_axes
 from ancfdae.model.parts import Elements, StateVector, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import concatenate
+from ancfdae.numerics.vector_formulas import concatenate
 
 
 class ControlAxis(abc.ABC):

@@ -1,10 +1,9 @@
 """Base class of loads: forces on vectors of points as functions of these vectors.
 
 A load names vectors U_i of material points and gives the generalised force F_i
-that works on each, delta W = sum_i F_i . delta U_i, in operations that carry
-time derivatives along (`numerics.jets`), so that its rate follows. A law of time
-multiplies it. The assembler writes its operations down, and lifts it to Q = L^T F with tangents and
-design derivatives.
+that works on each, delta W = sum_i F_i . delta U_i, in operations that are listed
+(`numerics.operations`), so that its derivatives follow. A law of time multiplies it. The assembler
+lifts it to Q = L^T F with tangents and design derivatives.
 """
 
 import abc
@@ -33,7 +32,7 @@ def require_damping(where: str, value: object) -> None:
 @final
 @dataclass(frozen=True)
 class Copies:
-    """How often a load stands in a scene: the same formula on other vectors and own numbers.
+    """Copies of a load: the same formula on other vectors, with numbers of each copy.
 
     Parameters
     ----------
@@ -117,9 +116,9 @@ class Load(Part):
         """Return the generalised forces on the vectors without the law, (..., n_vectors, d).
 
         U and V, of the same shape, are the vectors and their time derivatives: complex arrays
-        with any leading axes (instants, perturbations), or jets of them, whose jet is returned. p
-        has the values of `parameters`, as `split` takes them, and U_o, (n_vectors, d), the vectors
-        in the reference configuration.
+        with any leading axes (instants, perturbations), or `Carried` ones, of which one is
+        returned. p has the values of `parameters`, as `split` takes them, and U_o, (n_vectors, d),
+        the vectors in the reference configuration.
         """
 
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:

@@ -30,7 +30,7 @@ from ancfdae.model.loads.load import LAW_FIELD, Load, require_damping
 from ancfdae.model.loads.sections import QUARTER_TURN
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import angle, concatenate, cross, dot, positive
+from ancfdae.numerics.vector_formulas import angle, concatenate, cross, dot, positive
 
 #: A point of a body, or a place on the ground.
 Place: TypeAlias = MaterialPoint | Sequence[float]
