@@ -39,6 +39,7 @@ from ancfdae.model.joints.point_joints import (
     Spherical,
     Weld,
 )
+from ancfdae.model.joints.sliding import SlidingJoint
 from ancfdae.model.loads.actuators import DCMotor, FirstOrderLag
 from ancfdae.model.loads.contact import BeamContact, Contact
 from ancfdae.model.loads.controller import PID
@@ -53,6 +54,8 @@ from ancfdae.model.loads.forces import (
 from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
 from ancfdae.model.loads.obstacles import Cylinder, Plane, Sphere
 from ancfdae.model.loads.pair_contact import BeamPairContact, SphereContacts
+from ancfdae.model.loads.rope import Pulley, Rope
+from ancfdae.model.loads.sliding_friction import SlidingFriction
 from ancfdae.model.loads.springs import Bushing, SpringDamper
 from ancfdae.model.material import Material
 from ancfdae.model.point_mass import PointMass
@@ -145,6 +148,7 @@ __all__ = [
     "PointOnLine",
     "PrescribedSteps",
     "Prismatic",
+    "Pulley",
     "Radau",
     "Responses",
     "RestModes",
@@ -153,11 +157,14 @@ __all__ = [
     "RigidBox",
     "RigidCylinder",
     "RigidSphere",
+    "Rope",
     "RotatingFrame",
     "RotationDriver",
     "RotationalFriction",
     "SaintVenantKirchhoff",
     "Scene",
+    "SlidingFriction",
+    "SlidingJoint",
     "SmoothMaximum",
     "SmoothUpperBound",
     "Sphere",

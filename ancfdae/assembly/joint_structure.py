@@ -130,7 +130,7 @@ class JointStructure:
         return [slot.coefficients(slot.item) for slot in self.slots]
 
     def with_numbers(self, inputs: Sequence[JointInput], vectors: Vectors) -> JointStructure | None:
-        """Return the same forms with other numbers, None where those do not fit them."""
+        """Return the same forms with other numbers; None if a number does not fit its form."""
         pairs = zip(self.slots, inputs, strict=True)
         slots = tuple(replace(slot, item=item) for slot, item in pairs)
         if not (vectors.is_like(self.vectors) and all(slot.fits for slot in slots)):

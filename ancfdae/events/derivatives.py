@@ -278,7 +278,7 @@ def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> tuple[Arra
 
 
 def _before(jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
-    """Pull covectors back through a jump; those on the design come beside."""
+    """Return the adjoint vectors before a jump, and the gradient's part in it, (n_b,)."""
     n, gradient = jump.mode.system.n_q, np.zeros(jump.mode.system.n_b)
     for strike in reversed(jump.strikes):
         moved, _ = strike.along(Directions.all_of(strike.mode.system))

@@ -135,7 +135,7 @@ def _leaf_in_time(system: MechanicalSystem, leaf: Leaf, states: States) -> Array
         return np.zeros(len(states.t))
     if leaf.names_time:
         return np.imag(value(1j * STEP)) / STEP
-    size = float(np.max(np.abs(states.t))) or 1.0
+    size = float(np.max(np.abs(states.t), initial=0.0)) or 1.0
     if np.array_equal(value(1e-3 * size), value(0.0)):
         return np.zeros(len(states.t))
     return scaled_derivative(value)
@@ -207,7 +207,8 @@ def rows_along(
     now = rows(0 * t_b, 0 * q_b)
     span = float(np.max(np.abs(q), initial=0.0)) or 1.0
     moved = (rows(x * span * step_t, x * span * step_q) for x in (0.01, -0.1, 0.3))
-    if any(np.max(np.abs(x - now)) > _SAME * np.max(np.abs(now)) for x in moved):
+    size = np.max(np.abs(now), initial=0.0)
+    if any(np.max(np.abs(x - now), initial=0.0) > _SAME * size for x in moved):
         found = scaled_derivative(lambda x: rows(x * step_t, x * step_q))
         total += found * np.where(sizes > 0, sizes, 0.0)[:, None]
     for i in range(system.n_b):

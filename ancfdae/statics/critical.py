@@ -240,7 +240,7 @@ def _first_critical(
 
 
 def _lost_in_words(place: _Place) -> str:
-    """Say what is known of a loss beyond a place at which Newton's method found no point."""
+    """Describe a loss of stiffness beyond a place at which Newton's method found no point."""
     if place.follows:
         return f"equilibria are unstable, or not to be followed, beyond {place.p:g}. {_FLUTTER}"
     where = f"stiffness is lost beyond {place.p:g}"

@@ -123,9 +123,9 @@ class Tangent:
     def _exactly(self, value: Callable[[Array], Array]) -> Array:
         """Return a function of q at the equilibrium corrected for the round-off of q.
 
-        Coordinates round to eps |q|, which leaves the axial force eps EA: (L/h)^2 times what bends
-        a beam. The correction that q is too coarse for is taken magnified, by a central difference;
-        forces of beams are cubic in q.
+        Coordinates round to eps |q|, which leaves an axial force eps EA: (L/h)^2 times the forces
+        that bend a beam. The last correction of Newton's method is smaller than q can hold: it is
+        magnified, and its effect taken by a central difference. Forces of beams are cubic in q.
         """
         step = _MAGNIFIED * self._beyond
         slope = (value(self._q + step) - value(self._q - step)) / (2 * _MAGNIFIED)
@@ -192,7 +192,7 @@ class Equilibrium(PrintedTable):
 
     @property
     def statistics(self) -> Statistics:
-        """Counters of the search; steps are those of the load."""
+        """Counters of the search; `steps` are steps of the load."""
         return self.solution.statistics
 
     def to_dataframe(self) -> Any:
