@@ -29,7 +29,7 @@ from ancfdae.events.objectives import (
     value_of,
 )
 from ancfdae.events.perturbed import at_complex
-from ancfdae.events.run import Jump, PhasedRun, PhaseMarch
+from ancfdae.events.run import Beginning, Jump, PhasedRun, PhaseMarch
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.step_control import PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
@@ -115,10 +115,10 @@ class EventRun:
         return (*self.system.design_names, *((END,) if self.free_end else ()))
 
     @in_one_thread
-    def phased(self) -> PhasedRun:
-        """Integrate all phases."""
+    def phased(self, begins: Beginning | None = None) -> PhasedRun:
+        """Integrate all phases, from the start or from where an earlier run ended."""
         march = PhaseMarch(self.modes, self.t_end, self.integrator)
-        return march.run(self.modes[_OWN], self.progress)
+        return march.run(self.modes[_OWN], self.progress, begins)
 
     def at(self, b: Array) -> EventRun:
         """Return the same run at other design values."""
