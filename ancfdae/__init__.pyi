@@ -3,7 +3,7 @@
 from ancfdae.assembly.saved import load_event_solution, load_solution
 from ancfdae.assembly.system import assemble
 from ancfdae.equations.conformance import check_system
-from ancfdae.events.kinds import EndEvent, Impact, Mode, Switch
+from ancfdae.events.kinds import EndEvent, Impact, ImpactLaw, Mode, RestModes, Switch
 from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.radau.method import Radau
@@ -39,6 +39,7 @@ from ancfdae.model.joints.point_joints import (
     Spherical,
     Weld,
 )
+from ancfdae.model.joints.sliding import SlidingJoint
 from ancfdae.model.loads.actuators import DCMotor, FirstOrderLag
 from ancfdae.model.loads.contact import BeamContact, Contact
 from ancfdae.model.loads.controller import PID
@@ -53,6 +54,8 @@ from ancfdae.model.loads.forces import (
 from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
 from ancfdae.model.loads.obstacles import Cylinder, Plane, Sphere
 from ancfdae.model.loads.pair_contact import BeamPairContact, SphereContacts
+from ancfdae.model.loads.rope import Pulley, Rope
+from ancfdae.model.loads.sliding_friction import SlidingFriction
 from ancfdae.model.loads.springs import Bushing, SpringDamper
 from ancfdae.model.material import Material
 from ancfdae.model.point_mass import PointMass
@@ -125,6 +128,7 @@ __all__ = [
     "FollowerForce",
     "FrequencyMisfit",
     "Impact",
+    "ImpactLaw",
     "IndexReduction",
     "InitialVelocity",
     "Integral",
@@ -144,18 +148,23 @@ __all__ = [
     "PointOnLine",
     "PrescribedSteps",
     "Prismatic",
+    "Pulley",
     "Radau",
     "Responses",
+    "RestModes",
     "Revolute",
     "RigidBody",
     "RigidBox",
     "RigidCylinder",
     "RigidSphere",
+    "Rope",
     "RotatingFrame",
     "RotationDriver",
     "RotationalFriction",
     "SaintVenantKirchhoff",
     "Scene",
+    "SlidingFriction",
+    "SlidingJoint",
     "SmoothMaximum",
     "SmoothUpperBound",
     "Sphere",

@@ -31,9 +31,11 @@ from ancfdae.numerics.arrays import Array
 
 # Time points over which an impulse must be spread: the speed after a free impact is then wrong by
 # 5 % at most, by HHT and Radau (docs/theory/19-contact.md).
-_FEWEST: Final = 5.0
+_FEWEST: Final = 6.0
 # Contacts with less than this part of the momentum of a body do not count.
 _SMALL: Final = 0.01
+# Part of its duration over which the impulse of a free impact is spread, undamped and with m = 1.5.
+_SPREAD: Final = 0.8
 # Numbers of states that are looked at together.
 _ROOM: Final = 2**20
 
@@ -133,8 +135,8 @@ class _LoadContacts:
     def __init__(self, load: MovingLoad, groups: Groups, scale: Array) -> None:
         self._load, self._groups, self._scale = load, groups, scale
         n = len(scale)
-        # Open contacts: their begin, sums of F and F^2, and impulse.
-        self._begin, self._open = np.full(n, -np.inf), np.zeros((3, n))
+        # Open contacts: their begin, sums of F and F^2, impulse, and time points.
+        self._begin, self._open = np.full(n, -np.inf), np.zeros((4, n))
         self._suspects = list[_Suspect]()
 
     def follow(self, states: tuple[Array, Array, Array], begin: bool) -> None:
@@ -148,9 +150,9 @@ class _LoadContacts:
 
     def _rows(self, group: int, t: Array, F: Array, begin: bool) -> None:
         """Add the forces on a group to its contacts, and judge those that end."""
-        rows = np.stack([F[1:], F[1:] ** 2, np.diff(t) * (F[:-1] + F[1:]) / 2])
+        rows = np.stack([F[1:], F[1:] ** 2, np.diff(t) * (F[:-1] + F[1:]) / 2, F[1:] != 0])
         if begin and F[0]:
-            self._open[:2, group] = F[0], F[0] ** 2
+            self._open[:, group] = F[0], F[0] ** 2, 0.0, 1.0
         ends = np.flatnonzero((F[1:] == 0) & (F[:-1] != 0))
         first = 0
         for end in ends.tolist():
@@ -168,13 +170,14 @@ class _LoadContacts:
 
     def _close(self, group: int, end: float) -> None:
         """Judge a contact that ended; one in which the run begins may be longer than that."""
-        begin, (total, squares, impulse) = float(self._begin[group]), self._open[:, group]
+        begin, (total, squares, impulse, points) = float(self._begin[group]), self._open[:, group]
         self._scale[group] = max(self._scale[group], impulse)
         spread = total**2 / squares
         if begin > -np.inf and spread < _FEWEST and self._counts(group, impulse):
+            lasts = end - begin
             words = (
-                f"lasts {end - begin:.3g} s, and its impulse is spread over {spread:.2g} time "
-                f"points for {_FEWEST:g} at least. {_remedy(end - begin)}"
+                f"lasts {lasts:.3g} s, and its impulse is spread over {spread:.2g} time points for "
+                f"{_FEWEST:g} at least. {_remedy(lasts * min(spread / (points + 1), _SPREAD))}"
             )
             self._suspects.append(_Suspect(begin, impulse, group, words))
         self._open[:, group] = 0.0
@@ -182,7 +185,7 @@ class _LoadContacts:
     def _add_passed(self, found: Passed) -> None:
         for group in np.flatnonzero(self._counts(slice(None), found.impulses)).tolist():
             lasts = found.end - found.begin
-            words = f"lasts {lasts:.3g} s, between two time points. {_remedy(lasts)}"
+            words = f"lasts {lasts:.3g} s, between two time points. {_remedy(_SPREAD * lasts)}"
             self._suspects.append(_Suspect(found.begin, float(found.impulses[group]), group, words))
 
     def _counts(self, group: int | slice, impulse: Array | float) -> Array:
@@ -199,8 +202,9 @@ class _LoadContacts:
         return MissedContact(first.begin, f"{words} {first.words}")
 
 
-def _remedy(lasts: float) -> str:
+def _remedy(spread: float) -> str:
+    """Say what helps a contact whose impulse is spread over this time, s."""
     return (
-        f"Take steps of {lasts / 10:.2g} s in HHT or {lasts / 5:.2g} s in Radau, error control as "
+        f"Take steps of {spread / 8:.2g} s in HHT or {spread / 4:.2g} s in Radau, error control as "
         "in HHT(rtol=1e-4), or a softer contact."
     )

@@ -127,6 +127,7 @@ _UNDETERMINED = frozenset(
         "folded",
         "mirrored",
         "off_root",
+        "off_route",
         "over_time",
         "require_derivatives_at",
         "strained",

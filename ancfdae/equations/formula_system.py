@@ -122,6 +122,7 @@ class FormulaSystem(ListedSystem):
         if self._formulas is not handed:
             self._require_declared()
         self.called_functions = tuple(self._formulas.called)
+        self.scleronomic = self._formulas.scleronomic
         self.traits = self._found()
         # In place of the method of the same name, which is the formula.
         vars(self)["force"] = self._force
@@ -402,6 +403,12 @@ class FormulaSystem(ListedSystem):
         B, K = (_csr(pattern) for pattern in (self.constraint_pattern, self.pattern))
         weights = self.weights, 1 / self.weights
         return ListPlan(self._formulas.march(velocity), self.b, *weights, B, K, velocity)
+
+    def start_b(self) -> tuple[Array, Array]:
+        """Return the partials of `start`; shapes (n_q, n_b)."""
+        if self._formulas.moving_start:
+            return super().start_b()
+        return np.zeros((self.n_q, self.n_b)), np.zeros((self.n_q, self.n_b))
 
     def mass(self, q: Array) -> Array:
         """Return the entries of M on its pattern, shape (nnz,)."""

@@ -22,8 +22,9 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.equations.solution_parts import Sensitivities
 from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.events.contact_rows import gap_partials
 from ancfdae.events.functions import Partials, along_run, at_end
-from ancfdae.events.impact import Directions, gap_partials
+from ancfdae.events.impact import Directions
 from ancfdae.events.kinds import Event
 from ancfdae.events.objectives import PhasePartials
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem

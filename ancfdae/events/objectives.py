@@ -29,8 +29,6 @@ from ancfdae.sensitivity.observables.observable import Observable, States, remem
 
 # A time within this part of the run after the end of a phase lies at that end.
 _SAME = 1e-12
-# Steps are interpolated through this number of time points.
-_NEAR = 4
 
 
 @final
@@ -198,7 +196,7 @@ class _Reduced:
             grid, (start, D) = self._phases[k].grid, spans[k]
             share = (time - start) / D
             place = min(max(float(np.real(share)), 0.0), 1.0) * grid.t[-1]
-            around = _around(grid, place)
+            around = grid.around(place)
             shares, slopes = _lagrange(grid.t[around], place)
             weights[k][around] += shares + 1j * np.imag(share) * grid.t[-1] * slopes
         if any(np.any(w.imag) for w in weights):
@@ -254,21 +252,6 @@ class _Reduced:
                 shares = np.concatenate(self._shares(objective, [(t, D) for t, D in moved]))
                 total[k, which] = slope(np.imag(shares) / STEP)
         return total
-
-
-def _around(grid: TimeGrid, time: float) -> slice:
-    """Return the time points through whose values a polynomial interpolates at a time.
-
-    Those of the panel; of steps, whose straight lines would leave derivatives with respect to the
-    time to first order, four around it.
-    """
-    count, degree = len(grid.t), grid.degree
-    step = max(int(np.searchsorted(grid.t, time)) - 1, 0)
-    if degree == 1:
-        first = min(max(step - 1, 0), max(count - _NEAR, 0))
-        return slice(first, min(first + _NEAR, count))
-    left = step - step % degree
-    return slice(left, min(left + degree + 1, count))
 
 
 def _lagrange(nodes: Array, time: float) -> tuple[Array, Array]:

@@ -11,13 +11,13 @@ from ancfdae.equations.solution import Solution
 from ancfdae.errors.outcomes import Verdict
 
 
-def with_contacts(run: Solution, contacts: ContactRecord | None, whole: bool = True) -> Solution:
+def with_contacts(run: Solution, contacts: ContactRecord, whole: bool = True) -> Solution:
     """Return a run, with another outcome if it misses a contact.
 
     The record follows the states of the run, which may be a part of a longer one. Contacts are
     judged where the run is `whole`, or its last part.
     """
-    if contacts is None or not run.outcome.success:
+    if not run.outcome.success:
         return run
     contacts.follow(run.t, run.q, run.v)
     return refused(run, contacts.missed() if whole else None)

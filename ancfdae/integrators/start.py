@@ -1,19 +1,5 @@
 """Consistent starts: velocities on their constraints, accelerations, multipliers, derivatives.
 
-States completed: velocities on their constraints, then accelerations and multipliers.
-
-Of positions q on the constraints and velocities V that may miss theirs,
-
-    M (v - V) + Phi_q^T sigma = 0,   Phi_q v = nu(q),
-    M a + Phi_q^T lam = Q(q, v),     Phi_q a = gamma(q, v).
-
-With Phi' = Phi_q v - nu, Phi'' = Phi_q a - gamma, f for M a + Phi_q^T lam - Q, f_0 for
-M (v - V) + Phi_q^T sigma with v - V and sigma held, and (Phi')_q = Phi_q', (Phi'')_v = 2 Phi_q',
-
-    M v_b + Phi_q^T sigma_b = M V_b - f_0,q q_b - f_0,b,         Phi_q v_b = -(Phi'_q q_b + Phi'_b)
-    M a_b + Phi_q^T lam_b = -(f_q q_b + f_v v_b + f_b),
-    Phi_q a_b = -(Phi''_q q_b + 2 Phi'_q v_b + Phi''_b).
-
 Steps of a start:
 
 1. Positions: the nearest configuration on the constraints in the norm of M,
@@ -30,13 +16,11 @@ stand, so they are exact for projected starts too.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import Linearisation, MechanicalSystem, reaction
+from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.saddle_points import (
     acceleration_side,
     held_pull_back,
@@ -52,100 +36,6 @@ from ancfdae.errors.kinds import InconsistentStartError, InvalidInputError, Sing
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-
-# q, v, a and lam of k instants, as rows.
-States: TypeAlias = tuple[Array, Array, Array, Array]
-
-
-def completed(
-    system: MechanicalSystem, factors: Factorization, t: float, q: Array, V: Array
-) -> tuple[Array, Array, Array]:
-    """Return v, a and lam; `factors` belong to the matrix of M and Phi_q at q."""
-    v = V - solve(factors, np.zeros_like(V), system.constraint(t, q, V))[0]
-    return v, *solve(factors, system.force(t, q, v), acceleration_side(system, t, q, v))
-
-
-@final
-@dataclass(frozen=True)
-class Completion:
-    """k completed states, linearised.
-
-    `moved` holds v - V and sigma. `rates` are Phi'_q and Phi''_q, `held_q` is f_0,q; both None
-    where they vanish.
-    """
-
-    system: MechanicalSystem
-    t: Array
-    states: States
-    moved: tuple[Array, Array]
-    local: Linearisation
-    held_q: Array | None
-    rates: tuple[Array, Array] | None
-
-    @staticmethod
-    def of(
-        system: MechanicalSystem, t: Array, states: States, moved: tuple[Array, Array]
-    ) -> Completion:
-        """Linearise accelerations and multipliers at states."""
-        traits, held_q, rates = system.traits, None, None
-        constant = traits.constant_mass and traits.linear_constraints
-        if not constant and any(x.any() for x in moved):
-            held_q = system.linearise(t, states[0], None, *moved).f_q
-        if not traits.constant_constraints:
-            q, v, a, _ = states
-            rates = system.constraints_q(t, q, v), system.constraints_q(t, q, v, a)
-        local = system.linearise(t, *states)
-        return Completion(system, t, states, moved, local, held_q, rates)
-
-    @cached_property
-    def partials(self) -> tuple[Array, Array, Array]:
-        """Design partials of f_0 and f, and of Phi' and Phi''."""
-        system, t, (q, v, a, lam) = self.system, self.t, self.states
-        held = system.design_partials(t, q, None, *self.moved).f_b
-        sides = np.zeros((2, len(t), system.n_lam, system.n_b))
-        if self.rates is not None:
-            for k, s in enumerate(t.tolist()):
-                sides[0, k] = system.constraint_total(s, (q[k], v[k]))
-                sides[1, k] = system.constraint_total(s, (q[k], v[k], a[k]))
-        return held, system.design_partials(t, q, v, a, lam).f_b, sides
-
-    def back(
-        self, factors: Factorization, on_q: Array, on_v: Array, on_a: Array, on_lam: Array
-    ) -> tuple[Array, ...]:
-        """Transpose of the derivatives of one state: return covectors on q and V, and four more.
-
-        `pull_back` takes these.
-        """
-        system, local = self.system, self.local
-        K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
-        w, y = solve_transposed(factors, on_a, on_lam)
-        on_q = on_q - K(local.f_q[0], w)
-        if local.f_v is not None:
-            on_v = on_v - K(local.f_v[0], w)
-        if self.rates is not None:
-            on_q = on_q - B(self.rates[1][0], y)
-            on_v = on_v - 2 * B(self.rates[0][0], y)
-        m, z = solve_transposed(factors, on_v, np.zeros_like(on_lam))
-        if self.held_q is not None:
-            on_q = on_q - K(self.held_q[0], m)
-        if self.rates is not None:
-            on_q = on_q - B(self.rates[0][0], z)
-        return on_q, system.mass_times(self.states[0][0], m), m, z, w, y
-
-    def pull_back(self, m: Array, z: Array, w: Array, y: Array) -> Array:
-        """Return the direct part of the gradient, (n_b,), from adjoint vectors `back`, (k, n)."""
-        system, t, (q, v, a, _) = self.system, self.t, self.states
-        none = np.zeros_like(z)
-        total = system.pull_back(t, (q, None, *self.moved), (m, none))
-        if w.any():
-            total = total + system.pull_back(t, self.states, (w, none))
-        if self.rates is not None:
-            for k, s in enumerate(t.tolist()):
-                total = total + z[k] @ system.constraint_total(s, (q[k], v[k]))
-                if y[k].any():
-                    total = total + y[k] @ system.constraint_total(s, (q[k], v[k], a[k]))
-        return -total
-
 
 # Relative violation of a constraint up to which a declared start counts as consistent: far
 # above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.
@@ -306,7 +196,7 @@ def _refuse_inconsistent_derivatives(
 
 @final
 class _Moves(NamedTuple):
-    """Projection of a declared start: q - q_start and sigma_q, v - v_start and sigma_v.
+    """How a declared start is moved: q - q_start and sigma_q, v - v_start and sigma_v.
 
     `moving` and `factors` are the factorised matrices of steps 1, differentiated, and 2.
     """
@@ -366,11 +256,11 @@ class AccelerationsAdjoint:
         t, q, v, a, lam = state
         self._t, self._states = np.array([t]), (q[None], v[None], a[None], lam[None])
         self._local = system.linearise(self._t, *self._states)
-        self.rate = system.constraint_q(t, q, v)
+        self._rate = system.constraint_q(t, q, v)
         self._second_rate = system.constraint_q(t, q, v, a)
 
     def pull_back(self, on_a: Array, on_lam: Array) -> tuple[Array, Array, Array]:
-        """Return the adjoint vectors of q, v and b from the adjoint vectors of a and lam."""
+        """Return the adjoint vectors of q, v and b from those of a and lam."""
         mu, zeta = solve_transposed(self._factors, on_a, on_lam)
         system, (t, q, v, a, lam) = self._system, self.state
         on_b = -system.pull_back(self._t, self._states, (mu[None], np.zeros_like(lam[None])))
@@ -387,7 +277,7 @@ class AccelerationsAdjoint:
     def _on_states(self, mu: Array, zeta: Array) -> tuple[Array, Array]:
         K, B = self._system.pattern.dot_transposed, self._system.constraint_pattern.dot_transposed
         on_q = -K(self._local.f_q[0], mu) - B(self._second_rate, zeta)
-        on_v = -2 * B(self.rate, zeta)
+        on_v = -2 * B(self._rate, zeta)
         if self._local.f_v is not None:
             on_v = on_v - K(self._local.f_v[0], mu)
         return on_q, on_v
@@ -405,20 +295,26 @@ def pull_back_start(
     if type(system).start_pull_back is MechanicalSystem.start_pull_back:
         # The transpose below takes as many complex steps.
         _motion_sensitivity(system, state, moves)
-    t, q, *others = state
-    q_start, none = system.start()[0], np.zeros(system.n_lam)
-    states = q[None], others[0][None], others[1][None], others[2][None]
-    moved = moves.dv[None], moves.sigma_v[None]
-    completion = Completion.of(system, np.array([t]), states, moved)
-    on_q, on_v_start, *covectors = completion.back(moves.factors, on.q, on.v, on.a, on.lam)
-    on_b = on.b + completion.pull_back(*(x[None] for x in covectors))
-
+    (t, q, v, *_), none = state, np.zeros(system.n_lam)
+    K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
+    # 3., then 2.
+    on_q, on_v, on_b = on.q, on.v, on.b
+    if on.a.any() or on.lam.any():
+        through = AccelerationsAdjoint(system, moves.factors, state).pull_back(on.a, on.lam)
+        on_q, on_v, on_b = (x + y for x, y in zip((on_q, on_v, on_b), through, strict=True))
+    m, z = solve_transposed(moves.factors, on_v, none)
+    on_q = on_q - K(held_q(system, t, q, moves.dv, moves.sigma_v), m)
+    on_b = on_b - held_pull_back(system, t, q, moves.dv, moves.sigma_v, m)
+    if not system.traits.constant_constraints:
+        on_q = on_q - B(system.constraint_q(t, q, v), z)
+        on_b = on_b - z @ system.constraint_total(t, (q, v))
+    on_v_start, q_start = system.mass_times(q, m), system.start()[0]
+    # 1.
     m, z = solve_transposed(moves.moving, on_q, none)
-    K = system.pattern.dot_transposed(held_q(system, t, q_start, moves.dq, none), m)
+    on_q_start = system.mass_times(q_start, m) - K(held_q(system, t, q_start, moves.dq, none), m)
     on_b = on_b - z @ system.constraint_total(t, (q,))
     on_b = on_b - held_pull_back(system, t, q_start, moves.dq, none, m)
     on_b = on_b - held_pull_back(system, t, q, 0 * q, moves.sigma_q, m)
-    on_q_start = system.mass_times(q_start, m) - K
     gradient: Array = on_b + system.start_pull_back(on_q_start, on_v_start)
     return gradient
 

@@ -192,16 +192,16 @@ class SteppedIntegrator(AdjointIntegrator):
 
         def run(sizes_b: Array) -> Solution:
             recorder = SolutionRecorder(system, rows, self.degree, along, after)
-            stepper = self._stepper(problem, t_end, sizes_b, recorder)
+            stepper, contacts = self._stepper(problem, t_end, sizes_b, recorder), system.contacts()
             if after is None:
                 begun = steps.controller(t_end, stepper)
                 done = march(stepper, begun, recorder, t_end, progress)[0]
-                return with_contacts(done, system.contacts())
-            controller, taken = steps.controller(t_end, stepper, after.control), self.sizes(after)
-            state = self._state_after(after)
-            reached = Reached(len(taken), float(after.t[-1]), float(taken[-1]), state)
-            done = march(stepper, controller, recorder, t_end, progress, reached)[0]
-            return with_contacts(done, system.contacts())
+            else:
+                controller = steps.controller(t_end, stepper, after.control)
+                taken, state = self.sizes(after), self._state_after(after)
+                reached = Reached(len(taken), float(after.t[-1]), float(taken[-1]), state)
+                done = march(stepper, controller, recorder, t_end, progress, reached)[0]
+            return with_contacts(done, contacts) if contacts else done
 
         if not along:
             solution = run(np.zeros(0))

@@ -33,7 +33,7 @@ try:
         csr_rows as csr_rows,
         eliminate as eliminate,
         explicit_march as explicit_march,
-        explicit_stages as explicit_stages,
+        explicit_terms as explicit_terms,
         finite as finite,
         force_partials as force_partials,
         force_totals as force_totals,

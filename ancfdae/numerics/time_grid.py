@@ -42,6 +42,8 @@ def box_rule(counts: tuple[int, ...]) -> tuple[Array, Array]:
 
 
 LOBATTO_DEGREE = 8
+# Values between steps are interpolated through this number of time points.
+_NEAR = 4
 # Part of the length of a run within which instants are one.
 _SAME = 1e-9
 # Part of the largest weight below which one is round-off of zero.
@@ -92,16 +94,29 @@ class TimeGrid:
     def interpolation(self, time: float) -> tuple[slice, Array]:
         """Return the slice of time points and the weights that interpolate a value at `time`.
 
-        A time within 1e-12 of the end time of a time point counts as that point.
+        The polynomial through the points `around` it; a time within 1e-12 of the end time of a time
+        point counts as that point.
         """
         t = self.t
         nearest = len(t) - 1 if time == t[-1] else int(np.argmin(np.abs(t - time)))
         if abs(t[nearest] - time) <= 1e-12 * t[-1]:
             return slice(nearest, nearest + 1), np.ones(1)
-        step = int(np.searchsorted(t, time)) - 1
-        left = step - step % self.degree
-        panel = slice(left, min(left + self.degree + 1, len(t)))
+        panel = self.around(time)
         return panel, _lagrange(t[panel], time)
+
+    def around(self, time: float) -> slice:
+        """Return the time points through whose values a polynomial interpolates at a time.
+
+        Those of the panel; of degree 1 four around the time, since straight lines would leave
+        derivatives with respect to the time to first order.
+        """
+        count, degree = len(self.t), self.degree
+        step = max(int(np.searchsorted(self.t, time)) - 1, 0)
+        if degree == 1:
+            first = min(max(step - 1, 0), max(count - _NEAR, 0))
+            return slice(first, min(first + _NEAR, count))
+        left = step - step % degree
+        return slice(left, min(left + degree + 1, count))
 
 
 @lru_cache(maxsize=1)

@@ -193,22 +193,26 @@ def _thinned(run: Run, keep: Keep) -> Solution:
 
 
 def _warned(system: MechanicalSystem, solution: Solution) -> Solution:
-    """Return the run; tell the caller of the caller where errors are larger than the motion."""
-    errors = solution.estimated_errors
-    if not solution.outcome.success:
-        return solution
-    if errors is None or errors.motion <= 1:
+    """Return the run; tell the caller of the caller where its errors are large."""
+    if solution.outcome.success and not _is_off(solution, 4):
         rows = Rows(solution.t, solution.q, solution.v)
-        warn_near_singular(system, rows, errors, stacklevel=4)
-    else:
-        warnings.warn(
-            f"the errors of this run are estimated at {errors.motion:.2g} times the size of the "
-            "coordinates: its steps are too long to follow the motion. Take shorter ones "
-            "(suggest_step tells which), or rtol.",
-            StabilityWarning,
-            stacklevel=3,
-        )
+        warn_near_singular(system, rows, solution.estimated_errors, stacklevel=4)
     return solution
+
+
+def _is_off(solution: Solution, level: int) -> bool:
+    """Whether the errors of a finished run are larger than the motion, of which this warns."""
+    errors = solution.estimated_errors
+    if not solution.outcome.success or errors is None or errors.motion <= 1:
+        return False
+    warnings.warn(
+        f"the errors of this run are estimated at {errors.motion:.2g} times the size of the "
+        "coordinates: its steps are too long to follow the motion. Take shorter ones "
+        "(suggest_step tells which), or rtol.",
+        StabilityWarning,
+        stacklevel=level,
+    )
+    return True
 
 
 @overload
@@ -280,7 +284,9 @@ def differentiate(
         made = EventRun.of(system, t_end, integrator, events or (), modes, design, progress)
         return differentiated(made, method)
     run = Run(system, t_end, integrator, progress, after)
-    return with_remedies(model, run, uninterrupted(method.differentiate(run)))
+    solution = with_remedies(model, run, uninterrupted(method.differentiate(run)))
+    _is_off(solution, 3)
+    return solution
 
 
 def gradient(
@@ -321,6 +327,8 @@ def gradient(
 
     Warns
     -----
+    StabilityWarning
+        If the estimated errors of the run are larger than its motion.
     ToleranceWarning
         If the tolerance is out of reach; what comes nearest is returned.
     """
@@ -388,9 +396,11 @@ def gradients(
     )
     run = Run(system, t_end, cast("Integrator", integrator), progress, after)
     try:
-        return method.gradients(run, objectives)
+        found = method.gradients(run, objectives)
     except UnfinishedRunError as error:
         raise UnfinishedRunError(with_remedies(model, run, error.solution)) from error
+    _is_off(found[0].solution, 4)
+    return found
 
 
 def _require_alone(where: str, **others: object) -> None:

@@ -81,14 +81,21 @@ def test_a_run_that_ended_at_its_start_integrates_to_zero():
     assert grid.interpolation(0.0)[0] == slice(0, 1)
 
 
-def test_degree_one_is_the_trapezoidal_rule_with_linear_interpolation():
+@pytest.mark.parametrize("count", [2, 3, 10])
+def test_degree_one_is_the_trapezoidal_rule_with_cubics_between_steps(count):
     rng = np.random.default_rng(0)
-    t = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 1.0, 9))])
-    values, grid = rng.standard_normal(10), TimeGrid(t, 1)
+    t = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 1.0, count - 1))])
+    values, grid = rng.standard_normal(count), TimeGrid(t, 1)
     assert grid.weights() @ values == pytest.approx(np.trapezoid(values, t), rel=1e-14)
+    degree = min(3, count - 1)
+    cubic = np.polynomial.Polynomial(rng.standard_normal(degree + 1))
     for time in rng.uniform(0, t[-1], 20):
         instants, weights = grid.interpolation(time)
-        assert weights @ values[instants] == pytest.approx(np.interp(time, t, values), rel=1e-12)
+        assert weights @ cubic(t)[instants] == pytest.approx(cubic(time), rel=1e-10)
+        # The step itself lies in the middle of the four, except at the ends of the run.
+        step = np.searchsorted(t, time) - 1
+        assert instants.start <= step
+        assert instants.stop >= step + 2
 
 
 @pytest.mark.parametrize("degree", [1, LOBATTO_DEGREE])

@@ -2,9 +2,25 @@
 
 import pytest
 
-from ancfdae import DOP853, HHT, IDA, simulate
+from ancfdae import (
+    DOP853,
+    HHT,
+    IDA,
+    Adjoint,
+    ComplexStep,
+    DirectDifferentiation,
+    Moment,
+    Revolute,
+    RigidBody,
+    Scene,
+    Terminal,
+    differentiate,
+    gradient,
+    simulate,
+)
 from ancfdae.errors import ManyStepsWarning, StabilityWarning
 from ancfdae.integrators.high_order import pace
+from ancfdae.observables import rotation_angle
 from ancfdae.results import Verdict
 from validation.scenes import pendulum
 
@@ -46,3 +62,23 @@ def test_steps_that_shrink_before_a_jump_tell_nothing(recwarn):
 def test_steps_too_long_for_the_motion_are_told():
     with pytest.warns(StabilityWarning, match="steps are too long to follow the motion"):
         assert simulate(pendulum(), 1.0, HHT(1.0)).outcome.success
+
+
+@pytest.mark.parametrize("method", [DirectDifferentiation(), Adjoint(), ComplexStep()])
+@pytest.mark.parametrize("long", [True, False])
+def test_gradients_of_runs_whose_steps_are_too_long_are_told_once(method, long, recwarn):
+    # A body turns on its axis by a constant moment: by M t^2 / (2 I) = 375 rad in 5 s.
+    body = RigidBody("body", (0, 0, 0), mass=1.0, inertia=(0.1, 0.1, 0.1))
+    pin = Revolute(body.at(0, 0, 0), axis=(0, 0, 1.0))
+    turn = Moment(body.at(0, 0, 0), (0, 0, 3.0), name="turn")
+    scene = Scene([], [pin], (0, 0, 0), bodies=[body], loads=[turn])
+    end, integrator = Terminal(rotation_angle(body.at(0, 0, 0))), HHT(1e-2 if long else 2e-3)
+    t_end = 5.0 if long else 1.0
+    gradient(scene, end, t_end, integrator, design=["turn.moment_z"], method=method)
+    assert [x.category for x in recwarn] == [StabilityWarning] * long
+    if long:
+        assert recwarn[0].filename == __file__
+    if method == ComplexStep():
+        recwarn.clear()
+        differentiate(scene, t_end, integrator, design=["turn.moment_z"], method=method)
+        assert [x.category for x in recwarn] == [StabilityWarning] * long

@@ -71,7 +71,9 @@ class Replay(RunInParts):
         run, reached = march(stepper, plan, recorder, float(self.t[last]), False, begun)
         self.taken += reached.n - first
         run = replace(run, outcome=replace(run.outcome, step=reached.n))
-        return with_contacts(run, self._contacts, last == len(self.t) - 1), reached.now[0]
+        if self._contacts:
+            run = with_contacts(run, self._contacts, last == len(self.t) - 1)
+        return run, reached.now[0]
 
     def pull_back(
         self, run: Solution, node: Node, first: int, seeds: Seeds, on: Array

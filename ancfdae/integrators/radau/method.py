@@ -59,7 +59,9 @@ class RadauReplay(RunInParts):
         run, reached = march(stepper, plan, recorder, float(self._ends[end]), False, begun)
         self.taken += reached.n - begin
         run = replace(run, outcome=replace(run.outcome, step=reached.n))
-        return with_contacts(run, self._contacts, last == len(self.t) - 1), reached.now
+        if self._contacts:
+            run = with_contacts(run, self._contacts, last == len(self.t) - 1)
+        return run, reached.now
 
     def pull_back(
         self, run: Solution, node: State, first: int, seeds: Seeds, on: Array

@@ -35,7 +35,7 @@ from ancfdae.model.joints.joint import (
 )
 from ancfdae.model.parts import Sign
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import cross
+from ancfdae.numerics.vector_formulas import cross
 
 #: The axis, what carries it at `other`, and the place on the ground.
 Around: TypeAlias = tuple[Array, Carrier, Array | None]

@@ -217,9 +217,8 @@ class Terminal(AtInstants):
 class AtTimes(AtInstants):
     """Sum of the values of an observable at given times.
 
-    Between the instants the observable is interpolated with the order of the integrator, linearly
-    for HHT. `Solution.at` takes a cubic there and differs by h²/8 of the second time derivative at
-    most, less than the error of the run itself (docs/theory/07-objectives.md).
+    Between the time points the observable is interpolated with the order of the integrator, for
+    HHT by the cubic through four of them (docs/theory/07-objectives.md).
 
     Parameters
     ----------
