@@ -67,7 +67,7 @@ class Groups(NamedTuple):
         return self._sizes(Q / self.root)
 
     def of_coordinates(self, columns: Array) -> Array:
-        """Return the groups to which coordinates belong."""
+        """Return the groups to which coordinates, shape (k,), belong."""
         return np.searchsorted(self.starts, columns, side="right") - 1
 
     def _sizes(self, x: Array) -> Array:
@@ -144,7 +144,7 @@ class _LoadContacts:
     def __init__(self, load: MovingLoad, groups: Groups, scale: Array) -> None:
         self._load, self._groups, self._scale = load, groups, scale
         n = len(scale)
-        # Of the contacts that are open: their begin, sums of F and F^2, impulse, and time points.
+        # Open contacts: their begin, sums of F and F^2, impulse, and number of time points.
         self._begin, self._open = np.full(n, -np.inf), np.zeros((4, n))
         self._suspects = list[_Suspect]()
 
