@@ -3,7 +3,7 @@
 from ancfdae.assembly.saved import load_event_solution, load_solution
 from ancfdae.assembly.system import assemble
 from ancfdae.equations.conformance import check_system
-from ancfdae.events.kinds import EndEvent, Impact, Mode, Switch
+from ancfdae.events.kinds import EndEvent, Impact, ImpactLaw, Mode, RestModes, Switch
 from ancfdae.integrators.explicit import DOP853
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.radau.method import Radau
@@ -39,6 +39,7 @@ from ancfdae.model.joints.point_joints import (
     Spherical,
     Weld,
 )
+from ancfdae.model.joints.sliding import SlidingJoint
 from ancfdae.model.loads.actuators import DCMotor, FirstOrderLag
 from ancfdae.model.loads.contact import BeamContact, Contact
 from ancfdae.model.loads.controller import PID
@@ -53,6 +54,8 @@ from ancfdae.model.loads.forces import (
 from ancfdae.model.loads.friction import RotationalFriction, TranslationalFriction
 from ancfdae.model.loads.obstacles import Cylinder, Plane, Sphere
 from ancfdae.model.loads.pair_contact import BeamPairContact, SphereContacts
+from ancfdae.model.loads.rope import Pulley, Rope
+from ancfdae.model.loads.sliding_friction import SlidingFriction
 from ancfdae.model.loads.springs import Bushing, SpringDamper
 from ancfdae.model.material import Material
 from ancfdae.model.point_mass import PointMass
@@ -76,6 +79,7 @@ from ancfdae.studies.ladder import choose_model
 from ancfdae.studies.mass_properties import mass_properties
 from ancfdae.studies.modes import campbell, modes, suggest_step
 from ancfdae.studies.observing import record_observables
+from ancfdae.studies.redundant import drop_redundant
 from ancfdae.studies.responses import Responses
 from ancfdae.studies.statics import CriticalValue, critical_load, equilibrium, equilibrium_gradient
 from ancfdae.studies.sweep import Evaluator, sweep
@@ -124,6 +128,7 @@ __all__ = [
     "FollowerForce",
     "FrequencyMisfit",
     "Impact",
+    "ImpactLaw",
     "IndexReduction",
     "InitialVelocity",
     "Integral",
@@ -143,18 +148,23 @@ __all__ = [
     "PointOnLine",
     "PrescribedSteps",
     "Prismatic",
+    "Pulley",
     "Radau",
     "Responses",
+    "RestModes",
     "Revolute",
     "RigidBody",
     "RigidBox",
     "RigidCylinder",
     "RigidSphere",
+    "Rope",
     "RotatingFrame",
     "RotationDriver",
     "RotationalFriction",
     "SaintVenantKirchhoff",
     "Scene",
+    "SlidingFriction",
+    "SlidingJoint",
     "SmoothMaximum",
     "SmoothUpperBound",
     "Sphere",
@@ -177,6 +187,7 @@ __all__ = [
     "critical_load",
     "differentiate",
     "distributed_variables",
+    "drop_redundant",
     "equilibrium",
     "equilibrium_gradient",
     "error_bars",

@@ -21,9 +21,9 @@ from ancfdae.model.loads.controller import (
 from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.model.sections.section import Section
 from ancfdae.numerics.external import ExternalFunction
-from ancfdae.numerics.jets import concatenate, cross, dot, positive
 from ancfdae.numerics.patterns import SparsityPattern
 from ancfdae.numerics.time_grid import box_rule
+from ancfdae.numerics.vector_formulas import concatenate, cross, dot, positive
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import Observable
 

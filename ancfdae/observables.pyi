@@ -32,6 +32,7 @@ from ancfdae.sensitivity.observables.quantities import (
     multiplier,
     potential_energy,
     reaction,
+    rope_tension,
     spring_energy,
     state,
     strain_energy,
@@ -44,6 +45,7 @@ from ancfdae.sensitivity.observables.sections import (
     torsional_moment,
     von_mises,
 )
+from ancfdae.sensitivity.observables.sliding import slide_distance, slide_speed
 from ancfdae.sensitivity.observables.user_functions import apply, custom
 
 __all__ = [
@@ -76,8 +78,11 @@ __all__ = [
     "position",
     "potential_energy",
     "reaction",
+    "rope_tension",
     "rotation_angle",
     "shear_force",
+    "slide_distance",
+    "slide_speed",
     "slope",
     "slope_angle",
     "spring_energy",

@@ -129,8 +129,32 @@ def _elements() -> dict[str, str]:
         for n in counts
     }
     circles = {f"quarter_circle_{n}": _shown(figures[f"circle.enhanced.n{n}"]) for n in (2, 4, 8)}
-    return claims | circles
+    bent, laws = "deflection.2d.nu0.3.h0.01.", {}
+    for n in (1, 4, 16):
+        laws[f"exact_strains_{n}"] = _shown(-100 * figures[f"{bent}enhanced-exact-strains.n{n}"])
+    laws["full_law"] = _shown(1 / (1 + figures[f"{bent}full-law.n64"]), 3)
+    return claims | circles | laws
+
+
+def _steps() -> dict[str, str]:
+    """Return steps of the pendulum of report `integrators` by which errors are 1 %, as 2⁻ᵏ."""
+    figures = _figures("integrators")
+
+    def first(what: str) -> int:
+        return min(k for k in range(7, 17) if figures[f"pendulum.HHT-I3.2-{k}.{what}"] <= 0.01)
+
+    power = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+    steps = {
+        f"step_of_{name}": "2" + f"-{first(what)}".translate(power)
+        for name, what in (
+            ("deflection", "deflection"),
+            ("height", "h-sensitivity"),
+            ("modulus", "E-sensitivity"),
+        )
+    }
+    missed = figures[f"pendulum.HHT-I3.2-{first('deflection')}.h-sensitivity"]
+    return steps | {"missed_at_this_step": _shown(100 * missed)}
 
 
 #: What stands for each name.
-CLAIMS = _methods() | _integrators() | _speeds() | _elements()
+CLAIMS = _methods() | _integrators() | _speeds() | _elements() | _steps()

@@ -144,7 +144,7 @@ class _LoadContacts:
     def __init__(self, load: MovingLoad, groups: Groups, scale: Array) -> None:
         self._load, self._groups, self._scale = load, groups, scale
         n = len(scale)
-        # Open contacts: their begin, sums of F and F^2, impulse, and number of time points.
+        # Open contacts: their begin, sums of F and F^2, impulse, and time points.
         self._begin, self._open = np.full(n, -np.inf), np.zeros((4, n))
         self._suspects = list[_Suspect]()
 

@@ -31,7 +31,7 @@ from ancfdae.numerics.patterns import SparsityPattern
 @final
 @dataclass(frozen=True, eq=False)
 class ElementPlaces:
-    """Where elements that deform stand, whatever their laws.
+    """Places of the elements that deform among coordinates and matrix entries, whatever their laws.
 
     `vectors`, (n, n_a), are those of the numbering, `coordinates`, (n, n_a d), theirs. Entry by
     entry the tangent of an element has the places `index`, (n, (n_a d)^2), among `size` values of

@@ -28,7 +28,6 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.model.joints.joint import Joint
 from ancfdae.model.laws.law import Law, require_law
-from ancfdae.model.loads.controller import Controller
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import SparsityPattern
@@ -49,7 +48,7 @@ class JointWork:
         self.rows = slice(first_row, first_row + moving)
 
     def value(self, t: Array, q: Array, lam: Array) -> Array:
-        """Return lam . Phi_t or lam . Phi_x, shape (k,); lam has those of all joints."""
+        """Return lam . Phi_t or lam . Phi_x, shape (k,); lam has the multipliers of all joints."""
         return self._constraints.works(q, lam[:, self.rows], t)
 
     def partials(self, t: Array, q: Array, lam: Array) -> tuple[Array, Array, Array]:
@@ -181,17 +180,16 @@ class Works:
                 self._springs[load.name] = LoadFunction(item, self._n_b, stored)
         return [self._springs[x.name] for x in its if x.name in self._springs]
 
-    def of_controller(self, name: str, axis: int) -> LoadFunction:
-        """Return the evaluator of the effort of a controller on one of its axes.
+    def of_effort(self, name: str, axis: int) -> LoadFunction:
+        """Return the evaluator of the effort of a controller on an axis, or a tension of a rope.
 
-        Raises UnknownNameError, and InvalidInputError for an axis that it does not have.
+        Raises UnknownNameError, and InvalidInputError for an axis or span that it does not have.
         """
         if (name, axis) not in self._loads:
-            controllers = [load for load in self._scene.loads if isinstance(load, Controller)]
-            load = named("controller", name, controllers)
-            item = self._inputs.load(load)
-            count = len(load.axes(item.p))
-            require_index(f"effort of {name!r}, axis", axis, count, "Axes are counted from 0 on.")
+            able = [load for load in self._scene.loads if load.has_efforts]
+            item = self._inputs.load(named("controller or rope", name, able))
+            load, rule = item.load, "Axes and spans are counted from 0 on."
+            require_index(f"effort of {name!r}", axis, load.effort_count(item.p), rule)
 
             def effort(item: LoadInput, U: Array, V: Array, factors: Array) -> Array:
                 at = U, V, factors[:, 1:], item.p, item.reference
@@ -218,7 +216,7 @@ class Energies:
         layout: Layout,
         centrifugal: Callable[[Array], Array] | None = None,
     ) -> None:
-        self._centrifugal, self._of_states = centrifugal, numbering.d * len(numbering.masses)
+        self._centrifugal, self._of_states = centrifugal, numbering.d * numbering.controlled
         self._elastic, self._inertia = elastic, inertia
         self._owners, self._layout, self.places = numbering.owners, layout, inertia.positions
 

@@ -305,7 +305,7 @@ class _Alike:
 def first_mirrored(
     numbering: Numbering, ends: Array, parameters: Array | None, q: Array
 ) -> tuple[int, str] | None:
-    """Return the first of k states that is mirrored, folded or crushed, and what is, in words.
+    """Return the index of the first mirrored, folded or crushed state, and what is, in words.
 
     `ends` are vectors of elements, rows of `Numbering.vectors` with their `parameters`, or of rigid
     bodies, rows of `Numbering.frames` without; q has the shape (k, n_q). An axis is crushed at a

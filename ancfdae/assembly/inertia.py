@@ -197,7 +197,7 @@ def _of_rigid_beam(beam: BeamBody, place: BeamLayout, mapping: ParameterMap, b: 
 @final
 @dataclass(frozen=True, eq=False)
 class MassPlaces:
-    """Where mass blocks on these vectors stand: the same at all designs that leave the vectors.
+    """Places of mass blocks in the mass matrix: the same at all designs with the same vectors.
 
     `at` are the places of the entries of all m (x) I_d on a pattern, `directions` the coordinates
     of the axes of rigid bodies, (n, d, d) of int, `positions` the vectors that are positions.

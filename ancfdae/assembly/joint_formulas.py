@@ -36,7 +36,10 @@ class _Trace:
 
     def __init__(self, joint: FormulaJoint, item: JointInput) -> None:
         self._joint, self._item, self._n_u = joint, item, item.reference.size
-        self._size, self._rows = self._n_u + item.input_count, joint.equation_count
+        self._size, self._rows = (
+            self._n_u + item.input_count,
+            joint.row_count(item.reference.shape[1]),
+        )
         ahead = _ORDERS * self._size
         self._operations = Operations(ahead + self._rows)
         self._states = np.arange(ahead).reshape(_ORDERS, self._size)
@@ -88,7 +91,7 @@ class _Trace:
         return np.array(rows, dtype=np.int64).reshape(len(values), len(inputs))
 
     def _numbers(self, joint: FormulaJoint) -> Array:
-        """Return numbers of the equations of a joint, in symbols, shape (equation_count,)."""
+        """Return numbers of the equations of a joint, in symbols, shape (n_rows,)."""
         reference, (U, z) = self._item.reference, self._parts(self._traced(self._states[0]))
         n_p, where = len(self._item.p), f"equations of joint {joint.name!r}"
         parts = z[:n_p], z[n_p : n_p + self._n_u].reshape(reference.shape), z[n_p + self._n_u :]

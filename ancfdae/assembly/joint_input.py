@@ -10,6 +10,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.layout import Layout
+from ancfdae.errors.checks import require_index
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.model.joints.joint import Joint, JointEquations, RightAngle
@@ -129,12 +130,20 @@ class JointInput:
         """Return the rate of a prescribed angle, (k,); rad/s."""
         return self.joint.turn_rate(self.p, t)
 
-    def shaped(self, held: HeldAngles) -> JointInput:
-        """Leave out right angles that are held without this joint."""
+    def shaped(self, held: HeldAngles, left_out: Sequence[int] = ()) -> JointInput:
+        """Leave out right angles that are held without this joint, and the equations `left_out`."""
         c = self.parts[0]
         shapes = enumerate(c.shapes, len(c.offset) - len(c.shapes))
-        dropped = tuple(row for row, angle in shapes if not held.add(angle))
-        return replace(self, dropped=dropped) if dropped else self
+        dropped = [row for row, angle in shapes if not held.add(angle)]
+        for row in left_out:
+            require_index(
+                f"Scene.left_out, equation of {self.joint.name!r}",
+                row,
+                len(c.offset),
+                "Counted from 0.",
+            )
+        dropped = sorted({*dropped, *left_out})
+        return replace(self, dropped=tuple(dropped)) if dropped else self
 
     @property
     def active(self) -> set[int]:

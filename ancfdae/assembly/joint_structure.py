@@ -104,7 +104,8 @@ class JointStructure:
         firsts = begin.tolist()
         for item, shape, first, last in zip(inputs, shapes, firsts, firsts[1:], strict=False):
             name, row = item.joint.name, first[3]
-            layouts.append(JointLayout(name, row, last[3] - row, item.joint.holds_position))
+            holds = item.joint.holds_position and min(item.dropped, default=vectors.d) >= vectors.d
+            layouts.append(JointLayout(name, row, last[3] - row, holds))
             pairs = zip(columns, ahead, strict=True)
             places = np.concatenate([at[x + first[k] : x + last[k]] for k, x in pairs])
             where = slice(first[0], last[0]), slice(first[4], last[4])
@@ -129,7 +130,7 @@ class JointStructure:
         return [slot.coefficients(slot.item) for slot in self.slots]
 
     def with_numbers(self, inputs: Sequence[JointInput], vectors: Vectors) -> JointStructure | None:
-        """Return the same forms with other numbers, None where those do not fit them."""
+        """Return the same forms with other numbers; None if a number does not fit its form."""
         pairs = zip(self.slots, inputs, strict=True)
         slots = tuple(replace(slot, item=item) for slot, item in pairs)
         if not (vectors.is_like(self.vectors) and all(slot.fits for slot in slots)):

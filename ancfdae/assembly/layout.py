@@ -63,7 +63,7 @@ class BodyLayout:
         return ends
 
     def of_ends(self, nodes: Array) -> Array:
-        """Return the vectors of the body from those of nodes or of both ends of elements."""
+        """Return the body's vectors, shape (count, d), from those of nodes or ends of elements."""
         X = nodes if nodes.ndim == 4 else np.stack([nodes[:-1], nodes[1:]], axis=1)
         vectors = np.zeros((self.count, X.shape[-1]), dtype=X.dtype)
         vectors[self.ends - self.first_vector] = X.reshape(*self.ends.shape, -1)
@@ -79,7 +79,7 @@ class RigidNodes:
     slopes: tuple[tuple[tuple[float, ...], ...], ...]
 
     def weights(self, lengths: Array, n_s: int) -> Array:
-        """Return W: node vectors as combinations of those of the body, (n + 1, n_s, d + 1)."""
+        """Return W: node vectors as combinations of the body's vectors, (n + 1, n_s, d + 1)."""
         chords, slopes = np.asarray(self.chords), np.asarray(self.slopes)
         n, d = chords.shape
         W = np.zeros((n + 1, n_s, d + 1), dtype=np.result_type(lengths, float))
@@ -141,9 +141,10 @@ class JointLayout:
 @final
 @dataclass(frozen=True)
 class StatesLayout:
-    """Place of the states of a controller: a vector for each, in a row from `first_vector` on.
+    """Place of the states of a controller or a joint: a vector each, from `first_vector` on.
 
-    Component 0 of the rate of a vector is the state; the other components are zero.
+    Component 0 of the rate of a vector is the state of a controller, component 0 of the vector that
+    of a joint; the other components are zero.
     """
 
     name: str
@@ -157,7 +158,8 @@ class Layout:
     """Places of all parts of a scene of dimension d.
 
     `bodies` are beams and rigid bodies in the order of their coordinates, `masses` the names of
-    the point masses, `controllers` the loads that have states.
+    the point masses. Loads that have states are `controllers`. Joints that have coordinates of
+    their own are `sliders`, whose vectors are ahead of the vectors of controllers.
     """
 
     d: int
@@ -166,6 +168,7 @@ class Layout:
     masses: tuple[str, ...]
     joints: tuple[JointLayout, ...]
     controllers: tuple[StatesLayout, ...] = ()
+    sliders: tuple[StatesLayout, ...] = ()
 
     @property
     def owners(self) -> tuple[str, ...]:
@@ -202,6 +205,14 @@ class Layout:
         """Return the states of the controller of this name, or raise UnknownNameError."""
         return named("controller with states", name, self.controllers)
 
+    def slider(self, name: str) -> StatesLayout:
+        """Return the coordinate of the sliding joint of this name, or raise UnknownNameError."""
+        return named("sliding joint", name, self.sliders)
+
+    def own_states(self, name: str) -> StatesLayout:
+        """Return the states of the joint or controller of this name, or raise UnknownNameError."""
+        return named("joint or controller with states", name, (*self.sliders, *self.controllers))
+
     def plain(self) -> dict[str, Any]:
         """Return all of it as JSON knows it; of elements the name."""
         named = [replace(beam, element=beam.element.name) for beam in self.beams]  # type: ignore[arg-type]
@@ -212,8 +223,9 @@ class Layout:
 
         ``rod[2].y`` is the position of node 2, counted from 0, ``rod[2].slope_x.y`` its slope along
         the beam, at a kink that after it, and ``rod[2].slope_x before.y`` that before it; ``box.y``
-        the reference point of something rigid and ``box.axis_1.y`` its first direction. The rate of
-        ``motor.current integral.x`` is the state `current` of a controller.
+        the reference point of something rigid and ``box.axis_1.y`` its first direction.
+        ``guide.travel.x`` is the coordinate `travel` of a joint. The rate of ``motor.current
+        integral.x`` is the state `current` of a controller.
         """
         soft = [beam for beam in self.beams if beam.rigid is None]
         words = {beam.name: [x.name.lower() for x in beam.element.quantities] for beam in soft}
@@ -228,5 +240,8 @@ class Layout:
                 names += [f"{vector}.{axis}" for axis in axes]
             kinks = [f"{body.name}[{k}].slope_x before" for k in body.kinks]
             names += [f"{vector}.{axis}" for vector in kinks for axis in axes]
-        vectors = [f"{each.name}.{state}" for each in self.controllers for state in each.states]
-        return names + [f"{vector} integral.{axis}" for vector in vectors for axis in axes]
+        vectors = [f"{each.name}.{state}" for each in self.sliders for state in each.states]
+        vectors += [
+            f"{each.name}.{state} integral" for each in self.controllers for state in each.states
+        ]
+        return names + [f"{vector}.{axis}" for vector in vectors for axis in axes]

@@ -23,7 +23,7 @@ _LEAST: Final = 2.0**-7
 class LeftOutPairs:
     """Looks along the cubic path of a run for pairs that touch and are not listed.
 
-    Where all of these pairs have gaps above g, they touch no sooner than a node has moved by g / 5.
+    Where no pair of these has a gap below g, none touches before a node has moved by g / 5.
     """
 
     def __init__(self, load: PairContact, naming: SceneNaming, elements: Elements) -> None:

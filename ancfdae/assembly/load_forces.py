@@ -122,7 +122,7 @@ class LoadInput:
     def plan(self, pattern: SparsityPattern) -> LoadPlan:
         """Return the force as operations, with tangents on a pattern that holds the couplings.
 
-        InvalidInputError for a force that is made of other functions than jets have, or that is no
+        InvalidInputError for a force that is made of other functions than lists have, or that is no
         force on each of its vectors.
         """
         size, vectors, copies = self.reference.size, self.vectors, max(len(self.own), 1)

@@ -121,7 +121,7 @@ class SceneNaming(Naming):
     def _weights(
         self, beam: BeamLayout, element: int, quantity: Quantity, place: tuple[Any, Any, Any]
     ) -> tuple[Array, Array]:
-        """Return the weights of a vector at (xi, y, z) of an element, and those by lengths."""
+        """Return weights of a vector at (xi, y, z) of an element, and of their part by lengths."""
         w, p = beam.element.vector_weights(quantity, *place)
         at = beam.first_element + element
         l = self.lengths[at]
@@ -226,9 +226,9 @@ class SceneNaming(Naming):
         at = self.layout.body(body).vectors[[number]]
         return PointVector(at, np.ones(1), np.zeros((1, self.lengths_b.shape[1])))
 
-    def state(self, controller: str, number: int) -> PointVector:
-        """Return the vector whose rate is a state of a controller, counted from 0 on."""
-        at = np.array([self.layout.controller(controller).first_vector + number])
+    def state(self, owner: str, number: int) -> PointVector:
+        """Return the vector of a state of a controller or a joint, counted from 0 on."""
+        at = np.array([self.layout.own_states(owner).first_vector + number])
         return PointVector(at, np.ones(1), np.zeros((1, self.lengths_b.shape[1])))
 
     def _beam(self, name: str) -> BeamLayout | None:
@@ -344,7 +344,7 @@ class Vectors:
         return column[i[order]], column[j[order]]
 
     def is_like(self, other: Vectors) -> bool:
-        """Whether L has its entries where that of the other has them."""
+        """Whether the matrices L of both have their entries in the same places."""
         places = (self.first, other.first), (self.column, other.column)
         return all(np.array_equal(x, y) for x, y in places)
 
@@ -402,7 +402,7 @@ def point_vectors(
         elif isinstance(name, FrameDirection):
             vectors.append(naming.direction(name.body, name.number))
         elif isinstance(name, StateVector):
-            vectors.append(naming.state(name.controller, name.number))
+            vectors.append(naming.state(name.owner, name.number))
         elif isinstance(name, Normal):
             place = None if places is None else places[name.point]
             vectors.append(replace(naming.vector(name.point, Quantity.SLOPE_X, place), turned=True))

@@ -1,8 +1,9 @@
 """Numbering of coordinates: vectors of d numbers, of all beams and rigid bodies in a row.
 
 A beam has n_s vectors per node and one more per kink, what is rigid one frame of d + 1 vectors: its
-reference point and its directions (docs/theory/02-strain-energy.md). Behind them each state of a
-controller has a vector of its own (docs/theory/17-controllers.md).
+reference point and its directions (docs/theory/02-strain-energy.md). Behind them each coordinate of
+a joint's own, and then each state of a controller, has a vector (docs/theory/17-controllers.md and
+20-cables.md).
 """
 
 from collections.abc import Iterable
@@ -41,8 +42,11 @@ class Numbering:
     sections: Array
     frames: Array  # of int, (n_rigid, d + 1): vectors of everything rigid
     positions: Array  # of int: vectors that are positions
+    sliders: tuple[StatesLayout, ...]
     controllers: tuple[StatesLayout, ...]
-    masses: Array  # of the vectors of states, (n_states,)
+    masses: Array  # of the vectors of states of joints and controllers, (n_states,)
+    controlled: int  # number of states of controllers, whose vectors are the last ones
+    routed: bool  # whether a part has a guide or pulleys that a motion may leave
 
     def rigid_motions(self) -> RigidMotions:
         """Return the rigid motions of all bodies."""
@@ -118,8 +122,17 @@ def number(scene: Scene) -> Numbering:
             elements.append(first + numbers)
         beams.append(_beam_layout(member, first))
         first += member.element_count
-    controllers, first_state = [], vector
+    sliders, controllers, masses = list[StatesLayout](), list[StatesLayout](), list[float]()
+    routed = False
+    for joint in scene.joints:
+        routed = routed or joint.routed
+        if joint.states:
+            sliders.append(StatesLayout(joint.name, vector, joint.states))
+            masses += joint.state_masses()
+            vector += len(joint.states)
+    controlled = vector
     for load in scene.loads:
+        routed = routed or load.routed
         if load.states:
             controllers.append(StatesLayout(load.name, vector, load.states))
             vector += len(load.states)
@@ -136,8 +149,11 @@ def number(scene: Scene) -> Numbering:
         sections=np.concatenate([empty.reshape(0, scene.dimension + 1), *sections]),
         frames=np.concatenate([empty.reshape(0, scene.dimension + 1), *frames]),
         positions=np.concatenate(positions),
+        sliders=tuple(sliders),
         controllers=tuple(controllers),
-        masses=np.ones(vector - first_state),
+        masses=np.array(masses + [1.0] * (vector - controlled)),
+        controlled=vector - controlled,
+        routed=routed,
     )
 
 

@@ -188,7 +188,7 @@ class Structure:
             abs(value)
             for load in scene.loads
             for name, value in load.parameters().items()
-            if name.startswith(("ground_", "obstacle_place_"))
+            if name.startswith(("ground_", "obstacle_place_", "start_", "end_", "pulley_"))
         )
         reach = max(of_ground, default=0.0)
         return Structure(
@@ -291,21 +291,22 @@ class Numbers:
         b: Array,
         numbering: Numbering | None = None,
     ) -> Numbers:
-        """Return the numbers of a scene, with the structure that they share with those to come.
+        """Return the numbers of a scene, with the structure that other designs will share.
 
         The numbering has masses of states; by default they follow from the mechanism.
         """
         if numbering is None:
             numbering = number(scene)
-            if len(numbering.masses):
+            if numbering.controllers:
                 of_one = Numbers.first(scene, design, mapping, b.real, numbering)
                 loads, weights = of_one.geometry.loads, of_one.inertia.weights
                 size = numbering.size(weights)
                 found = [state_masses(item, weights, size) for item in loads if len(item.masses)]
-                numbering = replace(numbering, masses=np.concatenate(found))
+                of_joints = numbering.masses[: len(numbering.masses) - numbering.controlled]
+                numbering = replace(numbering, masses=np.concatenate([of_joints, *found]))
         masses = tuple(mass.name for mass in scene.point_masses)
         bodies = numbering.bodies, numbering.beams
-        layout = Layout(numbering.d, *bodies, masses, (), numbering.controllers)
+        layout = Layout(numbering.d, *bodies, masses, (), numbering.controllers, numbering.sliders)
         geometry = Geometry.of(scene, layout, numbering, mapping, b)
         parts = geometry.joints, geometry.loads
         structure = Structure.of(scene, design, mapping, numbering, layout, parts)

@@ -72,7 +72,11 @@ class PartInputs:
         rigidities = [Rigidity(body.name) for body, rigid in bodies if rigid]
         held = HeldAngles(self.naming.layout, {item.beam for item in rigidities})
         inputs, vectors = self._together((*self.scene.joints, *rigidities))
-        return JointStructure.of([item.shaped(held) for item in inputs], vectors)
+        without: dict[str, list[int]] = {}
+        for name, row in self.scene.left_out:
+            without.setdefault(name, []).append(row)
+        inputs = [item.shaped(held, without.get(item.joint.name, ())) for item in inputs]
+        return JointStructure.of(inputs, vectors)
 
     def joints_like(self, known: JointStructure) -> JointStructure | None:
         """Return the joints at these values in the forms that are known, None if they differ."""

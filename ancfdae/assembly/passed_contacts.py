@@ -1,9 +1,9 @@
 """Contacts between two time points, at neither of which surfaces touch.
 
-Between time points the motion follows the cubic through positions and velocities at both. Its
-velocities bound the rate of a depth d, negative where surfaces are apart. Their sizes are at most
-the largest of v_n, 3 (q_n+1 - q_n)/h - v_n - v_n+1 and v_n+1 (Bezier points).
-With the bound L nothing touches between two places of the path a time s apart if
+Between time points the motion follows the cubic through positions and velocities at both. The
+velocities of the cubic bound the rate of a depth d, which is negative where surfaces are apart.
+Their sizes are at most the largest of v_n, 3 (q_n+1 - q_n)/h - v_n - v_n+1 and v_n+1 (its Bezier
+points). With the bound L nothing touches between two places of the path a time s apart if
 
     d_1 + d_2 + L s < 0.
 

@@ -36,9 +36,9 @@ class Reference:
         self._lengths, self._naming = naming.lengths, naming
         self._firsts = scene.first_elements()
         self._moved: dict[int, Reference] = {}
-        self._controllers = [load for load in scene.loads if load.states]
-        # Their vectors, the integrals of states, start from zero.
-        shapes = [(len(load.states), scene.dimension) for load in self._controllers]
+        self._stateful = [part for part in (*scene.joints, *scene.loads) if part.states]
+        # Their vectors, coordinates and integrals of states, start from zero.
+        shapes = [(len(part.states), scene.dimension) for part in self._stateful]
         self._zero_states = [np.zeros(shape) for shape in shapes]
 
     @cached_property
@@ -47,7 +47,7 @@ class Reference:
         moving = np.any(self._naming.lengths_b != 0, axis=0)
         for body in self._scene.members:
             moving |= np.any(self._placed(body)[1] != 0, axis=0)
-        if self._controllers:
+        if self._stateful:
             moving |= np.any(self.state_rates_b != 0, axis=0)
         return np.flatnonzero(moving).tolist()
 
@@ -83,7 +83,7 @@ class Reference:
                 V = self._of(start.velocities, body)
                 V = V if motion is None else V @ cayley(motion[k : k + 1, d:], d)[0].T
             parts.append(V.ravel())
-        return np.concatenate([*parts, *([self.state_rates] if self._controllers else [])])
+        return np.concatenate([*parts, *([self.state_rates] if self._stateful else [])])
 
     def moved(self, i: int) -> Reference:
         """Return them moved in design variable i by an imaginary step."""
@@ -98,7 +98,7 @@ class Reference:
 
     @property
     def state_rates(self) -> Array:
-        """Initial states of controllers, each as the rate of its vector, (d n_states,)."""
+        """Rates of the vectors of states of joints and controllers at the start, (d n_states,)."""
         return self._state_rates(self._b)
 
     @cached_property
@@ -110,13 +110,13 @@ class Reference:
 
     def _state_rates(self, b: Array) -> Array:
         d, parts = self._scene.dimension, [np.zeros(0)]
-        for load in self._controllers:
-            p = self._mapping.numbers(load.name, b)[0][: len(load.parameters())]
-            parts += [np.append(x, np.zeros(d - 1)) for x in load.initial_states(p)]
+        for part in self._stateful:
+            p = self._mapping.numbers(part.name, b)[0][: len(part.parameters())]
+            parts += [np.append(x, np.zeros(d - 1)) for x in part.initial_states(p)]
         return np.concatenate(parts)
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
-        """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""
+        """Return the vectors of a body, (count, d), from vectors of nodes or ends of elements."""
         return self._naming.layout.body(body.name).of_ends(nodes)
 
     def _positions(self, body: BeamBody | RigidBody) -> Array:
@@ -161,7 +161,7 @@ class Reference:
         return vector.weights @ other[vector.vectors - first]
 
     def _placed(self, body: BeamBody | RigidBody) -> tuple[Array, Array]:
-        """Return the numbers of a body from those of its placement on, and their derivatives."""
+        """Return the numbers of a body, beginning with its placement, and their derivatives."""
         first = body.design_places[1] if isinstance(body, RigidBody) else 0
         numbers, numbers_b = self._mapping.numbers(body.name, self._b)
         return numbers[first:], numbers_b[first:]

@@ -71,10 +71,10 @@ def _require_fits(layout: Layout, arrays: Mapping[str, Array]) -> None:
         if body.first_vector != n_vectors or body.count < len(body.kinks) + body.stride:
             raise ValueError(f"the vectors of {body.name!r}")
         n_vectors += body.count
-    for controller in layout.controllers:
-        if controller.first_vector != n_vectors:
-            raise ValueError(f"the states of {controller.name!r}")
-        n_vectors += len(controller.states)
+    for owner in (*layout.sliders, *layout.controllers):
+        if owner.first_vector != n_vectors:
+            raise ValueError(f"the states of {owner.name!r}")
+        n_vectors += len(owner.states)
     first = 0
     for beam in layout.beams:
         fractions, count = np.array(beam.fractions), layout.body(beam.name).count
@@ -105,6 +105,7 @@ def _layout(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> Layout:
         masses=tuple(meta["masses"]),
         joints=tuple(JointLayout(**x) for x in meta["joints"]),
         controllers=tuple(_states(x) for x in meta.get("controllers", ())),
+        sliders=tuple(_states(x) for x in meta.get("sliders", ())),
     )
 
 

@@ -130,6 +130,7 @@ class AncfSystem(PlannedSystem):
             # Damping of bodies turns with them: -(D(q) v)_q is not symmetric; nor are loads that
             # move, nor gyroscopic forces.
             symmetric=not (damped or moving or turning),
+            routed=self._numbering.routed,
             project_start=self._scene.project_start,
             force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
             breakpoints=self.inputs.breakpoints,
@@ -139,6 +140,11 @@ class AncfSystem(PlannedSystem):
         """Return the ends of the pieces of laws, and stops around pulses of unmarked laws; s."""
         t = np.linspace(0.0, t_end, SAMPLES + 1)
         return (*self.traits.breakpoints, *find_pulses(t, self.over_time(t, True)).stops)
+
+    @property
+    def scleronomic(self) -> bool:  # type: ignore[override]  # computed where it is asked for
+        """Whether no joint is driven."""
+        return not self._constraints.factors.driven
 
     @cached_property
     def has_loops(self) -> bool:  # type: ignore[override]  # computed where it is asked for
@@ -357,7 +363,7 @@ class AncfSystem(PlannedSystem):
         return np.sign(self._constraints.by_turn(self.start()[0].real[None], np.zeros(1))[0])
 
     def off_root(self, t: Array, q: Array) -> tuple[int, str] | None:
-        """Compare the signs of derivatives in prescribed angles with those at the start."""
+        """Compare the signs of derivatives in prescribed angles with their signs at the start."""
         if not self._constraints.turns or np.iscomplexobj(q) or np.iscomplexobj(self.b):
             return None
         off = self._constraints.by_turn(q, t) * self._sides < 0
@@ -384,6 +390,21 @@ class AncfSystem(PlannedSystem):
                 if each is not None:
                     found, q = each, q[: each[0]]
         return found
+
+    def off_route(self, q: Array) -> tuple[int, str] | None:
+        """Ask joints and loads that are `routed`, and return what happens first."""
+        geometry, found = self._numbers.geometry, list[tuple[int, str]]()
+        U = geometry.joints.vectors.of(q.real)
+        for slot in geometry.joints.slots:
+            joint = slot.item
+            off = joint.joint.off_route(U[:, slot.vectors], joint.p.real, joint.reference.real)
+            found += [] if off is None else [off]
+        for load in geometry.loads:
+            if load.load.routed:
+                at = load.vectors.of(q.real), load.p.real, load.reference.real
+                off = load.load.off_route(*at)
+                found += [] if off is None else [off]
+        return min(found, default=None)
 
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate of the prescribed angles at times t; rad/s."""

@@ -1,4 +1,4 @@
-"""Derivatives of a system's values by complex steps: how all that is not written follows."""
+"""Derivatives of a system's values by complex steps, for methods that a system does not write."""
 
 import abc
 from collections.abc import Callable

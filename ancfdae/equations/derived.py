@@ -127,6 +127,7 @@ _UNDETERMINED = frozenset(
         "folded",
         "mirrored",
         "off_root",
+        "off_route",
         "over_time",
         "require_derivatives_at",
         "strained",
@@ -155,7 +156,7 @@ def is_value(name: str) -> bool:
 
 
 class Derived:
-    """Values of a system with all that follows; attributes are those of the system.
+    """Values of a system and everything derived from them; it has the attributes of the system.
 
     In `time` it moves by its own size.
     """
@@ -227,7 +228,7 @@ class Related(Derived):
         return self._by_number(lambda e: self.system.constraint(t + e, *moved_on(motion, e)))
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
-        """Phi_q, or the partial of a time derivative of Phi."""
+        """Return Phi_q, or the partial in q of a time derivative of Phi, shape (nnz,)."""
         s, (q, *rates) = self.system, motion
         return self._by_coordinate(lambda x: s.constraint(t, x, *rates), q, s.constraint_pattern)
 
@@ -247,7 +248,7 @@ def design_sizes(system: MechanicalSystem) -> Array:
 
 
 def coordinate_sizes(x: Array, weights: Array) -> Array:
-    """Size of every coordinate: its own, or where it vanishes that of the others."""
+    """Return sizes of the coordinates, (n_q,): their own, or where these vanish that of all."""
     common = (norm(x, weights) or 1.0) / np.sqrt(weights * len(x))
     largest = np.max(np.abs(x)) or 1.0
     return np.where(np.abs(x) > 1e-3 * largest, np.abs(x), np.minimum(common, largest))

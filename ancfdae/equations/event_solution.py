@@ -37,6 +37,10 @@ class EventRecord:
     time_b, impulse_b : array, shape (n_b,), or None
         Their design derivatives, where the run was differentiated; s or N s per unit of the
         variable.
+    sliding_impulse : float or None
+        Impulse T of friction in the direction of the sliding velocity; N s. None without friction.
+    sliding_impulse_b : array, shape (n_b,), or None
+        Its design derivatives, where the run was differentiated; N s per unit of the variable.
     """
 
     name: str
@@ -45,6 +49,8 @@ class EventRecord:
     impulse: float | None = None
     time_b: Array | None = None
     impulse_b: Array | None = None
+    sliding_impulse: float | None = None
+    sliding_impulse_b: Array | None = None
 
 
 @final

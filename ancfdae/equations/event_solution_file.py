@@ -14,7 +14,7 @@ from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.numerics.arrays import Array
 
 _FORMAT = "ancfdae event solution 1"
-_SLOPES = ("time_b", "impulse_b")
+_SLOPES = ("time_b", "impulse_b", "sliding_impulse_b")
 
 
 def write(

@@ -122,6 +122,7 @@ class FormulaSystem(ListedSystem):
         if self._formulas is not handed:
             self._require_declared()
         self.called_functions = tuple(self._formulas.called)
+        self.scleronomic = self._formulas.scleronomic
         self.traits = self._found()
         # In place of the method of the same name, which is the formula.
         vars(self)["force"] = self._force
@@ -327,8 +328,12 @@ class FormulaSystem(ListedSystem):
 
     def _require_declared(self) -> None:
         """Refuse declared properties that values at the sample states contradict."""
-        traits, (times, Q, V) = self.traits, self._samples()
-        constant = traits.constant_constraints
+        traits, constant = self.traits, self.traits.constant_constraints
+        if not (traits.constant_mass or traits.linear_constraints or constant) and (
+            traits.velocity_forces
+        ):
+            return
+        times, Q, V = self._samples()
         other = self.with_values(self.b * 1.01 + 1e-3 * (self.b == 0)) if constant else self
         states = list(zip(times.tolist(), Q, V, strict=True))
         declared: list[tuple[bool, str, str, Callable[[], list[Array]]]] = [
@@ -402,6 +407,12 @@ class FormulaSystem(ListedSystem):
         B, K = (_csr(pattern) for pattern in (self.constraint_pattern, self.pattern))
         weights = self.weights, 1 / self.weights
         return ListPlan(self._formulas.march(velocity), self.b, *weights, B, K, velocity)
+
+    def start_b(self) -> tuple[Array, Array]:
+        """Return the partials of `start`; shapes (n_q, n_b)."""
+        if self._formulas.moving_start:
+            return super().start_b()
+        return np.zeros((self.n_q, self.n_b)), np.zeros((self.n_q, self.n_b))
 
     def mass(self, q: Array) -> Array:
         """Return the entries of M on its pattern, shape (nnz,)."""

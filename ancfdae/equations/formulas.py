@@ -17,6 +17,7 @@ Phi that cannot be traced is one operation, a call (`ancfdae.numerics.external`)
 from __future__ import annotations
 
 import copy
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -134,6 +135,7 @@ class Formulas:
         sizes |= {f"d{name}": size for name, size in sizes.items()}
         ends = np.cumsum([0, *sizes.values()]).tolist()
         self._at = {name: np.arange(*ends[i : i + 2]) for i, name in enumerate(sizes)}
+        self._names, self._ends = tuple(sizes), ends[1:]
         self._operations = operations = Operations(ends[-1])
         self._one = np.array([operations.constant(1.0)])
         self._made: dict[tuple[str, int], Array] = {}
@@ -186,30 +188,32 @@ class Formulas:
         made = self._lists.get(key)
         if made is None:
             made = self._lists[key] = self._compiled(of(self, *which))
-        parts = [np.asarray(at[name]) for name in made.inputs]
-        lead = () if rows is None else (rows,)
-        sizes = np.cumsum([0, *(part.shape[-1] for part in parts)]).tolist()
-        x = np.empty((*lead, sizes[-1]), np.result_type(float, *parts))
-        for part, begin, end in zip(parts, sizes, sizes[1:], strict=False):
-            x[..., begin:end] = part
-        out = list_values(made.operations, x)
+        out = list_values(made.operations, *[at[name] for name in made.inputs])
+        if rows is not None and out.ndim == 1:  # Nothing that the values follow from has rows.
+            out = np.repeat(out[None], rows, axis=0)
+        lead = out.shape[:-1]
+        if len(made.shapes) == 1:
+            return [out.reshape(*lead, *made.shapes[0])]
         pairs = zip(made.places, made.shapes, strict=True)
         return [out[..., i].reshape(*lead, *shape) for i, shape in pairs]
 
     def _compiled(self, values: tuple[Array, ...]) -> _List:
         outputs = np.concatenate([x.ravel() for x in values])
-        used = self._operations.inputs(outputs)
-        inputs = tuple(name for name, at in self._at.items() if not used.isdisjoint(at.tolist()))
-        numbers = [x for name in inputs for x in self._at[name].tolist()]
+        inputs = self._inputs(outputs)
+        numbers = np.concatenate([self._at[name] for name in inputs] or [outputs[:0]])
         ends = np.cumsum([0, *(x.size for x in values)]).tolist()
         places = tuple(slice(*ends[i : i + 2]) for i in range(len(values)))
         shapes = tuple(x.shape for x in values)
         return _List(self._operations.compiled(outputs, numbers), inputs, places, shapes)
 
+    def _inputs(self, outputs: Array) -> tuple[str, ...]:
+        """Return the names of the inputs that outputs follow from."""
+        found = {bisect_right(self._ends, x) for x in self._operations.inputs(outputs)}
+        return tuple(self._names[i] for i in sorted(found))
+
     def depends(self, of: Value, *which: Any, on: str) -> bool:
         """Whether values follow from an input."""
-        used = self._operations.inputs(np.concatenate([x.ravel() for x in of(self, *which)]))
-        return not used.isdisjoint(self._at[on].tolist())
+        return on in self._inputs(np.concatenate([x.ravel() for x in of(self, *which)]))
 
     def calls(self, of: Value, *which: Any) -> bool:
         """Whether values need a function that is called."""
@@ -309,9 +313,14 @@ class Formulas:
         )
 
     @cached_property
+    def scleronomic(self) -> bool:
+        """Whether Phi does not depend on t."""
+        return not self.depends(Formulas.constraint, 0, on="t")
+
+    @cached_property
     def shown(self) -> SystemProperties:
         """Properties that the formulas show, whatever b is; "constant" as without t and b."""
-        still = not any(self.depends(Formulas.constraint, 0, on=x) for x in "tb")
+        still = self.scleronomic and not self.depends(Formulas.constraint, 0, on="b")
         return SystemProperties(
             constant_mass=not self.depends(Formulas.mass, on="q"),
             linear_constraints=not self.depends(Formulas.constraint_q, 0, on="q"),
@@ -339,7 +348,7 @@ class Formulas:
 
     def _list(self, outputs: Sequence[Array], *inputs: str) -> OperationList:
         """Compile outputs as a list that takes all of some inputs."""
-        numbers = [x for name in inputs for x in self._at[name].tolist()]
+        numbers = np.concatenate([self._at[name] for name in inputs])
         flat = np.concatenate([x.ravel() for x in outputs])
         return self._operations.compiled(flat, numbers)
 

@@ -9,7 +9,7 @@ from ancfdae.numerics.arrays import Array
 
 
 class Naming(abc.ABC):
-    """Names of the points, joints and coordinates of a system; those of a scene have beams."""
+    """Names of the points, joints and coordinates of a system; a scene has names of beams, too."""
 
     @abc.abstractmethod
     def nodes(self, states: Array, name: str) -> Array:

@@ -24,7 +24,8 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
 def held_q(system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array) -> Array:
     """Values of (M a + Phi_q^T lam)_q on the system's pattern."""
-    if system.traits.constant_mass and system.traits.linear_constraints:
+    constant = system.traits.constant_mass and system.traits.linear_constraints
+    if constant or not (a.any() or lam.any()):
         return np.zeros(system.pattern.size)
     return only(system.linearise(np.array([t]), q[None], None, a[None], lam[None]).f_q)
 
@@ -33,6 +34,8 @@ def held_total(
     system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array, q_b: Array
 ) -> Array:
     """Total derivative of M a + Phi_q^T lam with respect to the design, shape (n_q, n_b)."""
+    if not (a.any() or lam.any()):
+        return np.zeros((system.n_q, system.n_b))
     partials = system.design_partials(np.array([t]), q[None], None, a[None], lam[None])
     total = only(partials.f_b)
     if system.traits.constant_mass and system.traits.linear_constraints:
@@ -44,6 +47,8 @@ def held_pull_back(
     system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array, mu: Array
 ) -> Array:
     """Return mu^T (M a + Phi_q^T lam)_b, shape (n_b,)."""
+    if not (a.any() or lam.any()):
+        return np.zeros(system.n_b)
     none = np.zeros((1, len(lam)))
     return system.pull_back(np.array([t]), (q[None], None, a[None], lam[None]), (mu[None], none))
 
@@ -221,8 +226,9 @@ def refuse_redundant(system: MechanicalSystem, matrices: SaddlePoint, values: Ar
             "joints " + ", ".join(repr(name) for name in sorted(set(dependent))),
             "constraints must be independent",
             f"{redundant} redundant of {system.n_lam}",
-            "Remove a joint, or replace it by one that holds fewer directions; if this is a dead "
-            "point, where the mechanism could branch, start beside it.",
+            "Remove a joint, or replace it by one that holds fewer directions; "
+            "drop_redundant(scene) leaves out what other joints imply. If this is a dead point, "
+            "where the mechanism could branch, start beside it.",
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -148,13 +148,12 @@ class Sensitivities(PrintedTable):
         return sensitivity_table(self.q_b, self.names)
 
     def _printed(self) -> TableText:
-        return f"Sensitivities at {len(self.q_b)} instants", self._rows(), ""
-
-    def _rows(self) -> list[tuple[str, str, str]]:
-        largest = np.max(np.abs(self.q_b), axis=(0, 1), initial=0.0)
-        rows = zip(self.names, _short(self.values), _short(largest), strict=True)
-        return [("design variable", "value", "largest |q_b|"), *rows]
+        return f"Sensitivities at {len(self.q_b)} instants", rows_of_design(self), ""
 
 
-def _short(numbers: Iterable[float]) -> list[str]:
-    return [f"{number:.6g}" for number in numbers]
+def rows_of_design(sensitivities: Sensitivities) -> list[tuple[str, str, str]]:
+    """Return a row for each design variable: name, value, largest derivative of a coordinate."""
+    largest = np.max(np.abs(sensitivities.q_b), axis=(0, 1), initial=0.0)
+    values, sizes = ([f"{x:.6g}" for x in column] for column in (sensitivities.values, largest))
+    rows = zip(sensitivities.names, values, sizes, strict=True)
+    return [("design variable", "value", "largest |q_b|"), *rows]

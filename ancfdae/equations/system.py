@@ -99,6 +99,8 @@ class SystemProperties:
         equations then take less than half the time.
     project_start : bool
         Whether an inconsistent start is projected instead of refused.
+    routed : bool
+        Whether a guide or a rope may leave its route, so that runs ask `off_route`.
     force_round_off : float
         Size of the round-off in Q in the norm sqrt(sum Q^2 / weights); zero where it is that of
         Q itself. Newton corrections that stop shrinking at this size are accepted.
@@ -113,6 +115,7 @@ class SystemProperties:
     velocity_forces: bool = True
     symmetric: bool = False
     project_start: bool = False
+    routed: bool = False
     force_round_off: float = 0.0
     breakpoints: tuple[float, ...] = ()
 
@@ -179,6 +182,8 @@ class MechanicalSystem(ComplexSteps):
     controllers: tuple[str, ...] = ()
     #: Whether joints may close loops; a tree of bodies keeps the rank of Phi_q.
     has_loops: bool = True
+    #: Whether Phi is known not to depend on time by itself.
+    scleronomic: bool = False
 
     @cached_property
     def pattern(self) -> SparsityPattern:
@@ -361,12 +366,19 @@ class MechanicalSystem(ComplexSteps):
         return None
 
     def mirrored(self, q: Array) -> tuple[int, str] | None:
-        """Return the first of k states that is mirrored, folded or crushed, and in words what is.
+        """Return the index of the first mirrored, folded or crushed state, and what is, in words.
 
         q has the shape (k, n_q). A body is mirrored where its orientation differs from that in the
         first state, folded where it is bent back on itself, and crushed where its law gives way.
         Steps may end there, for the strain energy is finite, but no motion leads there. The words
         begin with a verb and end with a remedy. None if no state is, and by default.
+        """
+        return None
+
+    def off_route(self, q: Array) -> tuple[int, str] | None:
+        """Return the first of k states in which a part is off its route, and in words how.
+
+        q has the shape (k, n_q). It is called if the system is `routed`. None if no part is.
         """
         return None
 

@@ -24,6 +24,7 @@ class Verdict(Enum):
     EVENT_LIMIT = "the limit of events was reached"
     EQUILIBRIUM = "the equilibrium was reached"
     FOLDED = "elements are folded"
+    OFF_ROUTE = "a guide is beyond the end of its beam, or a rope off its pulley"
     MISSED_CONTACT = "the steps do not resolve a contact"
     LIMIT_POINT = "the load has a limit point, above which there is no equilibrium nearby"
 

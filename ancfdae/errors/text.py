@@ -62,7 +62,8 @@ def columns(rows: Sequence[Sequence[str]], shorten: bool = True) -> str:
 def page(head: str, rows: Sequence[Sequence[str]], tail: str = "") -> str:
     """Return a table in HTML, as notebooks show it, between two texts.
 
-    The first row has the titles; of the others those are shown that `columns` shows.
+    The first row has the titles; of the others those are shown that `columns` shows. No rows make
+    no table.
     """
     shown = rows[: _SHOWN + 1] if len(rows) > _SHOWN + 2 else rows
     cells = "".join(
@@ -71,4 +72,4 @@ def page(head: str, rows: Sequence[Sequence[str]], tail: str = "") -> str:
     )
     more = f"and {len(rows) - len(shown)} more" if len(shown) < len(rows) else ""
     before, after = (f"<p>{html.escape(text)}</p>" if text else "" for text in (head, tail))
-    return f"{before}<table>{cells}</table>{more}{after}"
+    return f"{before}{f'<table>{cells}</table>' if rows else ''}{more}{after}"

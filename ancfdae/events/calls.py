@@ -20,7 +20,7 @@ from ancfdae.events.derivatives import (
     pulled_back,
     require_one_time,
 )
-from ancfdae.events.kinds import Event, Mode, ModeSystem, require_events
+from ancfdae.events.kinds import Event, Impact, Mode, ModeSystem, require_events
 from ancfdae.events.objectives import (
     PhasePartials,
     PhaseStates,
@@ -29,7 +29,7 @@ from ancfdae.events.objectives import (
     value_of,
 )
 from ancfdae.events.perturbed import at_complex
-from ancfdae.events.run import Jump, PhasedRun, PhaseMarch
+from ancfdae.events.run import Beginning, Jump, PhasedRun, PhaseMarch
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.step_control import PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
@@ -113,10 +113,10 @@ class EventRun:
         return (*self.system.design_names, *((END,) if self.free_end else ()))
 
     @in_one_thread
-    def phased(self) -> PhasedRun:
-        """Integrate all phases."""
+    def phased(self, begins: Beginning | None = None) -> PhasedRun:
+        """Integrate all phases, from the start or from where an earlier run ended."""
         march = PhaseMarch(self.modes, self.t_end, self.integrator)
-        return march.run(self.modes[_OWN], self.progress)
+        return march.run(self.modes[_OWN], self.progress, begins)
 
     def at(self, b: Array) -> EventRun:
         """Return the same run at other design values."""
@@ -242,13 +242,17 @@ def _records(jump: Jump, time: float, known: PhaseDerivatives | None) -> list[Ev
     """Return the records of all events that happen at one time."""
     records, pushing, time_b = [], set[Event](), None if known is None else known.t_b[-1]
     for k, strike in enumerate(jump.strikes):
-        impulses, name = strike.struck.impulses.items(), jump.mode.name
-        pushing |= set(strike.struck.impacts)
-        for row, (impact, impulse) in enumerate(impulses):
-            slopes: tuple[Array | None, Array | None] = (None, None)
-            if known is not None:
-                slopes = known.strikes_b[k][0], known.strikes_b[k][1][row]
-            records.append(EventRecord(impact, time, name, float(np.real(impulse)), *slopes))
+        found, name = strike.struck.after.impulses.real, jump.mode.name
+        slopes_b = None if known is None else known.strikes_b[k]
+        for impact, normal, along in strike.struck.impulses():
+            pushing.add(impact)
+            places = normal, along
+            P, T = (None if x is None else float(found[x]) for x in places)
+            if slopes_b is None:
+                records.append(EventRecord(impact.name, time, name, P, sliding_impulse=T))
+                continue
+            P_b, T_b = (None if x is None else slopes_b[1][x] for x in places)
+            records.append(EventRecord(impact.name, time, name, P, slopes_b[0], P_b, T, T_b))
     others = [x for x in jump.events if x not in pushing]
     records += [EventRecord(x.name, time, jump.mode.name, None, time_b) for x in others]
     return records
@@ -294,6 +298,8 @@ def _require_mode(
             raise InvalidInputError(where, rule, got, repair)
     for event in mode.events:
         event.crossing[0].check(system)
+        if isinstance(event, Impact) and event.sliding is not None:
+            event.sliding.check(system)
         if event.crossing[0].remembers_any:
             rule = "must follow from one state"
             got = "one that counts turns, as slope_angle does"

@@ -22,8 +22,9 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.equations.solution_parts import Sensitivities
 from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.events.contact_rows import gap_partials
 from ancfdae.events.functions import Partials, along_run, at_end
-from ancfdae.events.impact import Directions, gap_partials
+from ancfdae.events.impact import Directions
 from ancfdae.events.kinds import Event
 from ancfdae.events.objectives import PhasePartials
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
@@ -277,7 +278,7 @@ def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> tuple[Arra
 
 
 def _before(jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
-    """Pull covectors back through a jump; those on the design come beside."""
+    """Return the adjoint vectors before a jump, and the gradient's part in it, (n_b,)."""
     n, gradient = jump.mode.system.n_q, np.zeros(jump.mode.system.n_b)
     for strike in reversed(jump.strikes):
         moved, _ = strike.along(Directions.all_of(strike.mode.system))

@@ -6,6 +6,7 @@ impacts, how the gradient of a gap turns with the motion.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -21,6 +22,12 @@ from ancfdae.sensitivity.observables.observable import Leaf, Observable, States
 # A gap whose gradients differ by less than this, relative to the largest entry, is linear in the
 # coordinates.
 _SAME = 1e-14
+# A sliding velocity that differs from its linear form by less than this part of its terms is one.
+_LINEAR = 1e-10
+
+#: Rows, (k, n_q), and rates at zero velocities, (k,), of a gap or of a sliding velocity at k times
+#: and configurations of a system.
+RowsOf = Callable[[MechanicalSystem, Array, Array], tuple[Array, Array]]
 
 
 class AlongRun(NamedTuple):
@@ -97,13 +104,17 @@ def partials(
 
 
 def gap_at(
-    system: MechanicalSystem, gap: Observable, t: float, q: Array, v: Array
+    system: MechanicalSystem, gap: Observable, t: float, q: Array, *v: Array
 ) -> tuple[float, float, float, float]:
-    """Return a gap in one state, its rate, and the sizes of what both are made of."""
-    at = States(np.array([t]), q[None], v[None], np.zeros((1, system.n_lam)))
+    """Return a gap in one state, its rate, and the sizes of what both are made of.
+
+    The first velocities belong to the state. Further ones count in the size of the rate, such as
+    velocities before an impact, whose round-off remains.
+    """
+    at = States(np.array([t]), q[None], v[0][None], np.zeros((1, system.n_lam)))
     g, p = partials(system, gap, at)
-    size, speed = (np.abs(p.q) @ _sizes(system, x[None]) for x in (q, v))
-    return g, float(p.q @ v + p.t), float(size + abs(p.t) * t), float(speed + abs(p.t))
+    size, speed = (np.abs(p.q) @ _sizes(system, x) for x in (q[None], np.array(v)))
+    return g, float(p.q @ v[0] + p.t), float(size + abs(p.t) * t), float(speed + abs(p.t))
 
 
 def in_time(system: MechanicalSystem, function: Observable, states: States) -> Array:
@@ -145,22 +156,47 @@ def gap_rows(system: MechanicalSystem, gap: Observable, t: Array, q: Array) -> t
     return q_rows, in_time(system, gap, states)
 
 
-def gap_rows_along(
+def sliding_rows(
+    system: MechanicalSystem, sliding: Observable, t: Array, q: Array
+) -> tuple[Array, Array]:
+    """Return s_v, (k, n_q), and s at zero velocities, (k,), of a sliding velocity at k places.
+
+    The sliding velocity is s_v v + s(v = 0); InvalidInputError if it is not linear in v.
+    """
+    still = np.zeros_like(q)
+    # Velocities that differ by place and coordinate, with the sizes of positions.
+    other = np.cos(np.arange(q.shape[1])) * (np.max(np.abs(q), axis=1, initial=0.0) + 1)[:, None]
+    lam = np.zeros((len(t), system.n_lam))
+    p = sliding.partials(system, States(t, q, still, lam))
+    moved = sliding.value(system, States(t, q, other, lam))
+    rows = np.zeros_like(q) if p.v is None else p.v
+    on_lam = p.lam is not None and np.any(p.lam)
+    terms = np.abs(rows * other).sum(axis=1) + np.abs(p.value)
+    off = moved - p.value - np.sum(rows * other, axis=1)
+    if on_lam or np.any(np.abs(off) > _LINEAR * terms):
+        rule, repair = "must be linear in velocities", "For example velocity(point, 0)."
+        got = "one of multipliers" if on_lam else "one that is not"
+        raise InvalidInputError("Impact.sliding", rule, got, repair)
+    return rows, p.value
+
+
+def rows_along(
     system: MechanicalSystem,
-    gap: Observable,
+    rows_of: RowsOf,
     t: float,
     q: Array,
     along: tuple[Array, Array, Array],
 ) -> tuple[Array, Array]:
-    """Return the derivatives of g_q, (n_q, k), and g_t, (k,), along k directions.
+    """Return the derivatives along k directions of rows, (n_q, k), and of rates, (k,).
 
-    The directions are (t_b, q_b, b_b) of shapes (k,), (n_q, k) and (n_b, k).
+    `rows_of` returns g_q and g_t of a gap, or s_v and s_t of a sliding velocity. The directions are
+    (t_b, q_b, b_b) of shapes (k,), (n_q, k) and (n_b, k).
     """
     t_b, q_b, b_b = along
     times = np.full(q_b.shape[1], t)
 
     def rows(late: Array, moved: Array) -> Array:
-        g_q, g_t = gap_rows(system, gap, times + late, q + moved.T)
+        g_q, g_t = rows_of(system, times + late, q + moved.T)
         return np.hstack([g_q, g_t[:, None]])
 
     # Directions of the size of the coordinates.
@@ -177,17 +213,17 @@ def gap_rows_along(
         total += found * np.where(sizes > 0, sizes, 0.0)[:, None]
     for i in range(system.n_b):
         if np.any(b_b[i]):
-            total += np.outer(b_b[i], _gap_rows_b(system, gap, t, q, i))
+            total += np.outer(b_b[i], _rows_b(system, rows_of, t, q, i))
     return total[:, :-1].T, total[:, -1]
 
 
-def _gap_rows_b(system: MechanicalSystem, gap: Observable, t: float, q: Array, i: int) -> Array:
+def _rows_b(system: MechanicalSystem, rows_of: RowsOf, t: float, q: Array, i: int) -> Array:
     """Return the derivative of (g_q, g_t) with respect to design variable i, shape (n_q + 1,)."""
     unit = np.eye(system.n_b)[i] * (abs(system.b[i]) or 1.0)
 
     def rows(x: float) -> Array:
         other = at_values(system, system.b + x * unit) if x else system
-        g_q, g_t = gap_rows(other, gap, np.array([t]), q[None])
+        g_q, g_t = rows_of(other, np.array([t]), q[None])
         return np.append(g_q[0], g_t)
 
     now = rows(0.0)

@@ -1,41 +1,51 @@
-"""Newton's impact of one or several gaps at one time, and its derivatives.
+"""Impacts of one or several gaps at one time, with friction, and their derivatives.
 
-G = g_q are the gradients of the gaps, u = G v + g_t their rates, and e is the diagonal matrix of
-the restitutions. The velocity v before the impact is first moved onto the constraints, to v_p:
+G = g_q are the gradients of the gaps, u = G v + g_t their rates; rough contacts have
+sliding velocities s = H v + s_t with H = s_v. W stacks G and H. The velocity v before the
+impact is first moved onto the constraints, to v_p:
 
     M (v_p - v) + Phi_q^T sigma = 0,   Phi_q v_p = nu.
 
-Then it is struck:
+Then it is struck by impulses P along normals and T along lines of sliding:
 
-    M (v+ - v) + Phi_q^T mu - G^T P = 0,   Phi_q v+ = nu,   G v+ + g_t + e (G v_p + g_t) = 0.
+    M (v+ - v) + Phi_q^T mu - W^T (P, T) = 0,   Phi_q v+ = nu.
 
-With M X + Phi_q^T Y = G^T and Phi_q X = 0 the gaps see the inverse mass G X. The impulses follow
-from G X P = -(1 + e) u, and v+ = v_p + X P. Gaps whose impulse would pull are left out.
+With M X + Phi_q^T Y = W^T and Phi_q X = 0 the contacts see the inverse mass W X, and
+v+ = v_p + X (P, T). Impulses follow from `complementarity`: by Newton's law in one stage with
+u+ + e u in the place of u+; by Poisson's law in two, compression and expansion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.equations.complex_steps import at_values
 from ancfdae.equations.saddle_points import saddle_point, solve
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.events.functions import Partials, gap_rows, gap_rows_along, partials
-from ancfdae.events.kinds import Impact
+from ancfdae.events.complementarity import Branch, Contacts
+from ancfdae.events.contact_rows import (
+    coefficient,
+    contact_rows,
+    of_state,
+    rows_of_contacts,
+)
+from ancfdae.events.functions import rows_along
+from ancfdae.events.kinds import Impact, ImpactLaw
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization
-from ancfdae.sensitivity.observables.observable import Observable, States
+from ancfdae.sensitivity.observables.observable import Observable
 
 # Inverse masses below this part of the largest possible one are round-off: of a gap that joints
 # hold, and of a gap whose rate follows from the rates of other gaps.
 _FIXED, _DEPENDENT = 1e-12, 1e-10
+# A sliding velocity below this part of its terms is zero.
+_STANDS = 1e-12
 # Gaps that see each other's impulses less than this, relative to their own, do not at all.
 _UNCOUPLED = 1e-12
 
@@ -59,7 +69,7 @@ class Directions(NamedTuple):
 class _Velocity(NamedTuple):
     """A velocity w on the constraints, and the multipliers that lead there from v.
 
-    M (w - v) + Phi_q^T multiplier - G^T impulses = 0, Phi_q w = nu.
+    M (w - v) + Phi_q^T multiplier - W^T impulses = 0, Phi_q w = nu.
     """
 
     value: Array
@@ -67,12 +77,23 @@ class _Velocity(NamedTuple):
     impulses: Array
 
 
+class _Stage(NamedTuple):
+    """A stage of an impact: its branch, N_0 of its impulses, its own impulses, the end of it."""
+
+    branch: Branch
+    least: Array
+    impulses: Array
+    after: _Velocity
+
+
 @final
 @dataclass(frozen=True)
 class Struck:
     """Impacts at one time, solved: velocities moved onto the constraints, and after the impact.
 
-    `impulses` are P of `impacts`, those that push, with the restitutions e; X as above.
+    `impacts` are those that push, with the restitutions e; `contacts` hold the inverse mass and the
+    coefficients of friction of the rough ones; X as above. `tie` names an impact that lies between
+    two branches.
     """
 
     system: MechanicalSystem
@@ -80,40 +101,96 @@ class Struck:
     plastic: bool
     state: tuple[complex, Array, Array]
     before: _Velocity
-    after: _Velocity
+    stages: tuple[_Stage, ...]
     restitution: Array
+    contacts: Contacts
     rows: tuple[Array, Array]
     X: Array
     factors: Factorization
+    tie: str | None
 
     @property
-    def impulses(self) -> dict[str, complex]:
-        """Impulse of each impact that pushes, by its name."""
-        names = (impact.name for impact in self.impacts)
-        return dict(zip(names, self.after.impulses.tolist(), strict=True))
+    def after(self) -> _Velocity:
+        """The velocity after the impact."""
+        return self.stages[-1].after
+
+    def impulses(self) -> list[tuple[Impact, int, int | None]]:
+        """Return the impacts that push, with the places of their impulses P and T."""
+        m, rough = len(self.impacts), self.contacts.rough.tolist()
+        places = [m + rough.index(i) if i in rough else None for i in range(m)]
+        return list(zip(self.impacts, range(m), places, strict=True))
+
+    def slides(self, impact: Impact) -> float:
+        """Return the sign of the sliding velocity at the end of an impact; 0 if it sticks."""
+        (W, w_t), w = self.rows, self.after.value
+        for each, _, place in self.impulses():
+            if each is impact and place is not None:
+                terms, rate = np.abs(W[place]) @ np.abs(w) + np.abs(w_t[place]), W[place] @ w
+                moves = np.abs(rate + w_t[place]) > _STANDS * terms
+                return float(np.sign(np.real(rate + w_t[place]))) if moves else 0.0
+        return 0.0
+
+    def require_branch(self) -> None:
+        """Refuse to differentiate impacts that lie between sticking, sliding and opening."""
+        if self.tie is not None:
+            where = f"impact {self.tie!r} at t = {np.real(self.state[0]):.6g}"
+            rule = "must stick, slide or open clearly to have derivatives"
+            got = "a contact between two of these, which neighbouring designs leave to either side"
+            repair = "Change the design or the coefficient of friction, or use FiniteDifference()."
+            raise InvalidInputError(where, rule, got, repair)
 
     def along(self, moved: Directions) -> tuple[Array, Array]:
-        """Return the derivatives of v+, (n_q, k), and of the impulses, (m, k), along directions."""
-        (G, g_t), e, (t, q, _) = self.rows, self.restitution, self.state
+        """Return the derivatives of v+, (n_q, d), and of P and T, (m + k, d), along directions."""
+        self.require_branch()
+        m, (W, w_t), (t, q, _) = len(self.impacts), self.rows, self.state
+        directions = moved.t, moved.q, moved.b
         rows_b = [
-            gap_rows_along(self.system, x.gap, float(np.real(t)), q, (moved.t, moved.q, moved.b))
-            for x in self.impacts
+            rows_along(self.system, rows_of, float(np.real(t)), q, directions)
+            for rows_of in rows_of_contacts(self.impacts)
         ]
-        turned = np.zeros_like(moved.q)
-        for impulse, (dG, _) in zip(self.after.impulses, rows_b, strict=True):
-            turned = turned + impulse * dG
-        before_b, held_b = (
-            self._held(w, moved, extra) for w, extra in ((self.before, 0.0), (self.after, turned))
-        )
 
-        def rate_b(w: Array) -> Array:
-            return np.array([w @ dG + dg_t for dG, dg_t in rows_b]).reshape(len(G), -1)
+        def rates_b(w: _Velocity) -> tuple[Array, Array]:
+            """Return derivatives of a velocity and of its rates, with its impulses held."""
+            turned = np.zeros_like(moved.q)
+            for impulse, (dW, _) in zip(w.impulses, rows_b, strict=True):
+                turned = turned + impulse * dW
+            held = self._held(w, moved, turned)
+            on_rows = [w.value @ dW + dw_t for dW, dw_t in rows_b]
+            return held, W @ held + np.array(on_rows).reshape(len(W), -1)
 
-        u, e_b = G @ self.before.value + g_t, self._restitution_along(moved)
-        w, w_before = self.after.value, self.before.value
-        gap = G @ held_b + rate_b(w) + e[:, None] * (G @ before_b + rate_b(w_before))
-        P_b = -np.linalg.solve(G @ self.X, gap + e_b * u[:, None])
-        return held_b + self.X @ P_b, P_b
+        e, (e_b, mu_b) = self.restitution[:, None], self._coefficients_along(moved)
+        u, (_, u_b) = (W @ self.before.value + w_t)[:m, None], rates_b(self.before)
+        total_b, stage_b = np.zeros((2, len(W), len(moved.t)), dtype=u_b.dtype)
+        least_b, held_b = np.zeros((m, len(moved.t))), np.zeros_like(moved.v)
+        for number, stage in enumerate(self.stages):
+            held_b, change = rates_b(stage.after)
+            change = change + self.contacts.inverse_mass @ total_b
+            if number > 0:
+                first = self.stages[0].impulses[:m, None]
+                least_b = e_b * first + e * stage_b[:m]
+            elif not self._in_two_stages:
+                change[:m] += e * u_b[:m] + e_b * u
+            normal, changes = stage.impulses[:m], (change, least_b, mu_b)
+            stage_b = self._branch_along(stage.branch, normal, changes)
+            total_b = total_b + stage_b
+        return held_b + self.X @ total_b, total_b
+
+    def _branch_along(
+        self, branch: Branch, normal: Array, changes: tuple[Array, Array, Array]
+    ) -> Array:
+        try:
+            return branch.along(self.contacts, normal, changes)
+        except ArithmeticError as error:
+            names = ", ".join(repr(x.name) for x in self.impacts)
+            where = f"impacts {names} at t = {np.real(self.state[0]):.6g}"
+            rule = "must not depend on each other at this design only"
+            got, repair = "contacts that hold the same motion", "Use FiniteDifference()."
+            raise InvalidInputError(where, rule, got, repair) from error
+
+    @property
+    def _in_two_stages(self) -> bool:
+        """Whether compression and expansion have stages of their own."""
+        return len(self.stages) > 1
 
     def _held(self, w: _Velocity, moved: Directions, extra: Array | float) -> Array:
         """Return derivatives of a velocity, (n_q, k), impulses held; `extra` is (G^T P)_b."""
@@ -131,14 +208,19 @@ class Struck:
         side = side + system.constraint_total(time, (q, w.value)) @ moved.b
         return solve(self.factors, extra - force_b, -side)[0]
 
-    def _restitution_along(self, moved: Directions) -> Array:
-        """Return the derivatives of the restitutions along directions, (m, k)."""
-        rows = np.zeros((len(self.impacts), len(moved.t)))
-        for row, impact in zip(rows, self.impacts, strict=True):
-            if isinstance(impact.restitution, Observable) and not self.plastic:
-                p = _of_state(self.system, impact.restitution, self.state)[1]
-                row += p.t * moved.t + p.q @ moved.q + p.v @ moved.v + p.b @ moved.b
-        return rows
+    def _coefficients_along(self, moved: Directions) -> tuple[Array, Array]:
+        """Return the derivatives of restitutions, (m, d), and of frictions, (k, d)."""
+        restitutions = [0.0 if self.plastic else x.restitution for x in self.impacts]
+        frictions = [x.friction for x in self.impacts if x.is_rough]
+        found = []
+        for numbers in (restitutions, frictions):
+            rows = np.zeros((len(numbers), len(moved.t)))
+            for row, number in zip(rows, numbers, strict=True):
+                if isinstance(number, Observable):
+                    p = of_state(self.system, number, self.state)[1]
+                    row += p.t * moved.t + p.q @ moved.q + p.v @ moved.v + p.b @ moved.b
+            found.append(rows)
+        return found[0], found[1]
 
 
 def struck(
@@ -153,18 +235,104 @@ def struck(
     moved, multiplier = solve(factors, np.zeros_like(v), local.constraint(0.0, q, v))
     before = _Velocity(v - moved, -multiplier, np.zeros(0))
     active = _independent(system, factors, impacts, t, q)
-    while True:
-        G, g_t = _rows(system, active, t, q)
-        X, Y = solve(factors, G.T, np.zeros((system.n_lam, len(active)), dtype=G.dtype))
-        e = np.array([0.0 if plastic else _restitution(system, x, state) for x in active])
-        P = -np.linalg.solve(G @ X, (1 + e) * (G @ before.value + g_t))
-        pulls = P.real < 0
-        if not np.any(pulls) or len(active) == 1:
-            break
-        weakest = int(np.argmin(P.real))
-        active = active[:weakest] + active[weakest + 1 :]
-    after = _Velocity(before.value + X @ P, before.multiplier + Y @ P, P)
-    return Struck(system, active, plastic, state, before, after, e, (G, g_t), X, factors)
+    return _Impulses(system, active, plastic, state, before, factors).solved()
+
+
+@final
+class _Impulses:
+    """The impulses of independent gaps from a velocity on the constraints."""
+
+    def __init__(
+        self,
+        system: MechanicalSystem,
+        impacts: tuple[Impact, ...],
+        plastic: bool,
+        state: tuple[complex, Array, Array],
+        before: _Velocity,
+        factors: Factorization,
+    ) -> None:
+        self._system, self._impacts, self._plastic = system, impacts, plastic
+        self._state, self._factors = state, factors
+        self._rows = W, w_t = contact_rows(system, impacts, *state[:2])
+        no_side = np.zeros((system.n_lam, len(W)), dtype=W.dtype)
+        self._X, self._Y = solve(factors, W.T, no_side)
+        self._before = before._replace(impulses=np.zeros(len(W)))
+        e = [0.0 if plastic else x.restitution for x in impacts]
+        self._e = np.array([
+            coefficient(system, own, f"restitution of {x.name!r}", state)
+            for own, x in zip(e, impacts, strict=True)
+        ])  # fmt: skip
+        rough = [i for i, x in enumerate(impacts) if x.is_rough]
+        mu = [
+            coefficient(system, x.friction, f"friction of {x.name!r}", state)
+            for x in impacts
+            if x.is_rough
+        ]
+        self._contacts = Contacts(W @ self._X, np.array(rough, dtype=int), np.array(mu))
+        self._rates = W @ before.value + w_t
+
+    def solved(self) -> Struck:
+        """Return the impacts with their stages, without the contacts that do not push."""
+        stages, m = self._stages(), len(self._impacts)
+        total = stages[-1].after.impulses
+        pushing = np.flatnonzero(total[:m].real > 0)
+        if len(pushing) < m:
+            kept = tuple(self._impacts[i] for i in (pushing.tolist() or [0]))
+            if len(kept) < m:
+                tie = self._tie(stages)
+                reduced = struck(self._system, kept, self._plastic, self._state)
+                return reduced if tie is None else replace(reduced, tie=tie)
+        return Struck(
+            self._system, self._impacts, self._plastic, self._state, self._before, stages, self._e,
+            self._contacts, self._rows, self._X, self._factors, self._tie(stages),
+        )  # fmt: skip
+
+    def _stages(self) -> tuple[_Stage, ...]:
+        """Return the stages of the impact: one, or compression and expansion."""
+        laws, m = {x.law for x in self._impacts}, len(self._impacts)
+        if len(laws) > 1:
+            names = ", ".join(repr(x.name) for x in self._impacts)
+            repair = "Give all impacts that may happen together the same law."
+            raise InvalidInputError(f"impacts {names}", "must follow one law", "two", repair)
+        zero = np.zeros(m)
+        shift = np.zeros_like(self._rates)
+        if laws == {ImpactLaw.NEWTON} or self._plastic:
+            shift[:m] = self._e * self._rates[:m]
+            return (self._stage(self._before, shift, zero),)
+        first = self._stage(self._before, shift, zero)
+        return first, self._stage(first.after, shift, self._e * first.impulses[:m])
+
+    def _stage(self, before: _Velocity, shift: Array, least: Array) -> _Stage:
+        """Return a stage from its velocity, what is added to rates after it, and N_0."""
+        W, w_t = self._rows
+        rates = W @ before.value + w_t + shift
+        try:
+            branch = self._contacts.branch(rates, least)
+            if len(self._impacts) == 1 and not branch.pushes[0] and not np.any(least):
+                # Bodies that barely close: the gap keeps the rate that the law gives it.
+                branch = replace(branch, pushes=np.array([True]))
+            impulses = branch.impulses(self._contacts, rates, least)
+        except ArithmeticError as error:
+            names = ", ".join(repr(x.name) for x in self._impacts)
+            where = f"impacts {names} at t = {np.real(self._state[0]):.6g}"
+            rule = "must have impulses within the cones of friction"
+            repair = "Give fewer contacts or less friction."
+            raise InvalidInputError(where, rule, "none", repair) from error
+        value = before.value + self._X @ impulses
+        multiplier, total = before.multiplier + self._Y @ impulses, before.impulses + impulses
+        return _Stage(branch, least, impulses, _Velocity(value, multiplier, total))
+
+    def _tie(self, stages: Sequence[_Stage]) -> str | None:
+        """Return the name of an impact that lies between two branches of a stage."""
+        W, w_t = self._rows
+        for number, stage in enumerate(stages):
+            rates = W @ stage.after.value + w_t
+            if number == 0 and len(stages) == 1:
+                rates[: len(self._e)] += self._e * self._rates[: len(self._e)]
+            tied = self._contacts.tie(stage.branch, stage.impulses, rates, stage.least)
+            if tied is not None:
+                return self._impacts[tied].name
+        return None
 
 
 def uncoupled(
@@ -172,14 +340,18 @@ def uncoupled(
 ) -> list[tuple[Impact, ...]]:
     """Return the impacts in groups whose impulses do not change the rates of other groups' gaps."""
     t, q, _ = state
-    G, _ = _rows(system, impacts, t, q)
-    X, _ = solve(_factored(system, state)[1], G.T, np.zeros((system.n_lam, len(impacts))))
-    C = G @ X
+    W, _ = contact_rows(system, impacts, t, q)
+    X, _ = solve(_factored(system, state)[1], W.T, np.zeros((system.n_lam, len(W))))
+    C = W @ X
     sizes = np.sqrt(np.abs(np.diag(C)))
-    _, group = connected_components(np.abs(C) > _UNCOUPLED * np.outer(sizes, sizes))
+    coupled = np.abs(C) > _UNCOUPLED * np.outer(sizes, sizes)
+    rough = [i for i, x in enumerate(impacts) if x.is_rough]
+    for row, i in enumerate(rough, len(impacts)):
+        coupled[row, i] = True
+    _, group = connected_components(coupled, directed=False)
     return [
-        tuple(x for x, own in zip(impacts, group, strict=True) if own == which)
-        for which in dict.fromkeys(group.tolist())
+        tuple(x for x, own in zip(impacts, group, strict=False) if own == which)
+        for which in dict.fromkeys(group[: len(impacts)].tolist())
     ]
 
 
@@ -208,7 +380,7 @@ def _independent(
     """
     chosen: list[Impact] = []
     for impact in impacts:
-        G, _ = _rows(system, [*chosen, impact], t, q)
+        G, _ = contact_rows(system, [*chosen, impact], t, q, smooth=True)
         X, _ = solve(factors, G.T, np.zeros((system.n_lam, len(G)), dtype=G.dtype))
         inverse_mass = (G @ X).real
         own = inverse_mass[-1, -1]
@@ -221,53 +393,3 @@ def _independent(
         if left > _DEPENDENT * own:
             chosen.append(impact)
     return tuple(chosen)
-
-
-def _rows(
-    system: MechanicalSystem, impacts: Sequence[Impact], t: complex, q: Array
-) -> tuple[Array, Array]:
-    """Return G, (m, n_q), and g_t, (m,), also at a state or design with small imaginary parts."""
-    real = system
-    if np.iscomplexobj(system.b):
-        real = at_values(system, system.b.real)
-    time = float(np.real(t))
-    pairs = [gap_rows(real, x.gap, np.array([time]), q.real[None]) for x in impacts]
-    G, g_t = np.array([x[0] for x, _ in pairs]), np.array([x[0] for _, x in pairs])
-    if not (np.iscomplexobj(q) or np.iscomplexobj(system.b) or np.iscomplexobj(t)):
-        return G, g_t
-    along = np.array([np.imag(t)]), np.imag(q)[:, None], np.imag(system.b)[:, None]
-    turned = [gap_rows_along(real, x.gap, time, q.real, along) for x in impacts]
-    G = G + 1j * np.array([x[:, 0] for x, _ in turned])
-    return G, g_t + 1j * np.array([x[0] for _, x in turned])
-
-
-def _restitution(
-    system: MechanicalSystem, impact: Impact, state: tuple[complex, Array, Array]
-) -> complex:
-    """Return e of an impact; refuse a negative one."""
-    e = impact.restitution
-    if not isinstance(e, Observable):
-        return e
-    t, q, v = state
-    at = States(np.array([t]), q[None], v[None], np.zeros((1, system.n_lam)))
-    value = complex(e.value(system, at)[0])
-    if not value.real >= 0:
-        where = f"Impact.restitution of {impact.name!r} at t = {np.real(t):.6g}"
-        raise InvalidInputError(where, "must not be negative", value.real)
-    return value if np.iscomplexobj(q) or np.iscomplexobj(system.b) else value.real
-
-
-def gap_partials(
-    system: MechanicalSystem, impact: Impact, state: tuple[float, Array, Array]
-) -> Partials:
-    """Return the partials of the gap of an impact at a real state."""
-    return _of_state(system, impact.gap, state)[1]
-
-
-def _of_state(
-    system: MechanicalSystem, function: Observable, state: tuple[complex, Array, Array]
-) -> tuple[float, Partials]:
-    """Return value and partials of an observable at a real state."""
-    t, q, v = state
-    at = States(np.array([np.real(t)]), q[None], v[None], np.zeros((1, system.n_lam)))
-    return partials(system, function, at)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import NamedTuple, final
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.checks import (
     require_each,
-    require_finite,
     require_kind,
+    require_not_negative,
     require_text,
     require_unique,
 )
@@ -121,16 +122,61 @@ class Switch(Event):
         return (self.to,)
 
 
+class ImpactLaw(Enum):
+    """Laws of restitution.
+
+    NEWTON relates the rates of a gap before and after an impact, u+ = -e u-. POISSON relates
+    impulses: bodies are compressed until gaps do not close any more, and the expansion adds at
+    least e times the impulse of the compression (Ch. Glocker and F. Pfeiffer, Multiple impacts with
+    friction in rigid multibody systems, Nonlinear Dynamics 7, 1995).
+    """
+
+    NEWTON = "Newton's law"
+    POISSON = "Poisson's law"
+
+
+@final
+@dataclass(frozen=True)
+class RestModes:
+    """Modes that a run may continue with where a gap with friction stays closed.
+
+    Parameters
+    ----------
+    sticks : str, optional
+        Name of the mode if the bodies stick together in the last impact.
+    forward, backward : str, optional
+        Names of the modes if they slide in it, with a positive or negative sliding velocity.
+    """
+
+    sticks: str | None = None
+    forward: str | None = None
+    backward: str | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the modes that are given."""
+        return tuple(x for x in (self.sticks, self.forward, self.backward) if x is not None)
+
+    def after(self, slides: float) -> str | None:
+        """Return the name of the mode after an impact that slides with a sign; 0 sticks."""
+        if slides == 0:
+            return self.sticks
+        return self.forward if slides > 0 else self.backward
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class Impact(Event):
-    """Bodies collide where a gap closes (Newton's law of impact).
+    """Bodies collide where a gap closes.
 
-    With the gap g(q, t, b), its rate u = dg/dt and the restitution e, velocities jump by
+    With the gap g(q, t, b), its rate u = dg/dt, the sliding velocity s of the contact points and
+    the restitution e, velocities jump by
 
-        M (v+ - v-) + Phi_q^T mu = g_q^T P,   Phi_q v+ = nu,   u+ = -e u-,
+        M (v+ - v-) + Phi_q^T mu = g_q^T P + s_v^T T,   Phi_q v+ = nu,   u+ = -e u-,
+        |T| <= friction * P,   T = -friction * P * sign(s+) where s+ is not zero.
 
-    where P is the impulse. Gaps that close at the same time share one system of equations.
+    P is the impulse along the normal, and T along the line of sliding. Gaps that close at the same
+    time share one system of equations; with friction or by Poisson's law all closed gaps do.
 
     Parameters
     ----------
@@ -142,26 +188,51 @@ class Impact(Event):
         the design, for example ``design_value(name)``.
     name : str
         Name of the event in `EventSolution.events` and in messages.
-    rest : str, optional
+    rest : str or RestModes, optional
         Name of the mode that the run continues with where impacts follow each other within 1e-8 of
         the duration of the run: with a joint that keeps the gap closed. Without it the run ends
-        there, and its outcome says so.
+        there, and its outcome says so. With friction `RestModes` names one mode for sticking and
+        one for each direction of sliding.
+    friction : float or Observable
+        Coefficient of Coulomb's friction in the impact, from 0 on; dimensionless. An observable is
+        taken in the state before the impact, as the restitution.
+    sliding : Observable, optional
+        Velocity of one contact point relative to the other along the surface, linear in the
+        velocities, for example ``velocity(ball.at(0, -0.1), 0)``. Friction needs it. In space
+        friction acts along this one line.
+    law : ImpactLaw
+        Law of restitution.
     """
 
     gap: Observable
     restitution: float | Observable = 1.0
     name: str = "impact"
-    rest: str | None = None
+    rest: str | RestModes | None = None
+    friction: float | Observable = 0.0
+    sliding: Observable | None = None
+    law: ImpactLaw = ImpactLaw.NEWTON
 
     def __post_init__(self) -> None:
         _require(self)
-        e = self.restitution
-        if not isinstance(e, Observable):
-            require_finite("Impact.restitution", e)
-            if e < 0:
-                rule, repair = "must not be negative", "0 keeps bodies together, 1 loses no energy."
-                raise InvalidInputError("Impact.restitution", rule, e, repair)
-        if self.rest is not None:
+        for field, repair in (
+            ("restitution", "0 keeps bodies together, 1 loses no energy."),
+            ("friction", "0 is no friction."),
+        ):
+            value = getattr(self, field)
+            if not isinstance(value, Observable):
+                require_not_negative(f"Impact.{field}", value, repair)
+        require_kind("Impact.law", self.law, (ImpactLaw,), "Use ImpactLaw.NEWTON or POISSON.")
+        if self.sliding is not None:
+            repair = "For example velocity(point, 0). Two directions of sliding are not supported."
+            require_kind("Impact.sliding", self.sliding, (Observable,), repair)
+        if self.is_rough != (self.sliding is not None):
+            rule = "must be given together with a friction coefficient above zero"
+            got = "friction without it" if self.is_rough else "no friction"
+            raise InvalidInputError("Impact.sliding", rule, got, "For example velocity(point, 0).")
+        if isinstance(self.rest, RestModes):
+            for mode in self.rest.names:
+                require_text("Impact.rest", mode)
+        elif self.rest is not None:
             require_text("Impact.rest", self.rest)
 
     @property
@@ -171,8 +242,24 @@ class Impact(Event):
 
     @property
     def leads_to(self) -> tuple[str, ...]:
-        """The mode in which the gap stays closed, if there is one."""
+        """The modes in which the gap stays closed, if there are any."""
+        if isinstance(self.rest, RestModes):
+            return self.rest.names
         return () if self.rest is None else (self.rest,)
+
+    @property
+    def is_rough(self) -> bool:
+        """Whether friction acts in the impact."""
+        return isinstance(self.friction, Observable) or self.friction > 0
+
+    @property
+    def takes_all(self) -> bool:
+        """Whether all closed gaps take part in the impact, those that do not close, too."""
+        return self.is_rough or self.law is ImpactLaw.POISSON
+
+    def rest_after(self, slides: float) -> str | None:
+        """Return the mode in which the gap stays closed after an impact; None without one."""
+        return self.rest.after(slides) if isinstance(self.rest, RestModes) else self.rest
 
 
 @final

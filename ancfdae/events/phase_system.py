@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
+from math import comb
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -37,7 +38,7 @@ from ancfdae.equations import (
     planned,
 )
 from ancfdae.equations.contact_record import ContactRecord, MissedContact
-from ancfdae.equations.system import called_plan, constraint_q_along, residual_along
+from ancfdae.equations.system import States, called_plan, constraint_q_along, residual_along
 from ancfdae.kernels import CalledPlan, ListPlan, Plan
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import scaled_derivative
@@ -339,6 +340,81 @@ class PhaseSystem(LaterSystem):
             rows.append(self.base.force_along(time, q, v, along))
         return np.array(rows)
 
+    def constraint_total(
+        self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
+    ) -> Array:
+        """Return the total derivative of `constraint` with respect to the design, (n_lam, n_b)."""
+        if np.iscomplexobj(self.b):
+            return super().constraint_total(t, motion, motion_b)
+        n, (time, _), total = self._ahead, self._time(t), np.zeros((self.n_lam, self.n_b))
+        ahead = None if motion_b is None else tuple(x[:, :n] for x in motion_b)
+        total[:, :n] = self.base.constraint_total(time, motion, ahead)
+        total += self._in_start_and_length(lambda phase: phase.constraint(t, *motion))
+        # d^k Phi/dt^k moves with the rate of order j of the coordinates by (k over j) times the
+        # rate of order k - j of Phi_q.
+        k, dot = len(motion) - 1, self.constraint_pattern.dot
+        for j, x_b in enumerate(motion_b or ()):
+            if np.any(x_b[:, n:]):
+                B = self.base.constraint_q(time, *motion[: k - j + 1])
+                total[:, n:] += comb(k, j) * dot(B, x_b[:, n:])
+        return total
+
+    def along_total(
+        self,
+        t: float,
+        states: States,
+        direction: StateDirection,
+        states_b: States,
+        direction_b: tuple[Array, Array],
+    ) -> Array:
+        """Return the total design derivative of `residual_along`, shape (n_q, n_b)."""
+        if np.iscomplexobj(self.b):
+            return super().along_total(t, states, direction, states_b, direction_b)
+        n, (time, _) = self._ahead, self._time(t)
+        x, x_b = (*states, *direction[1:]), (*states_b, *direction_b)
+        ahead: Any = tuple(each[:, :n] for each in x_b)
+        total = np.zeros((self.n_q, self.n_b))
+        total[:, :n] = self.base.along_total(time, states, direction, ahead[:4], ahead[4:])
+        total += self._in_start_and_length(
+            lambda phase: residual_along(phase, t, states, direction)
+        )
+        for i in range(n, self.n_b):
+            if any(np.any(each[:, i]) for each in x_b):
+                moved = [y + 1j * STEP * y_b[:, i] for y, y_b in zip(x, x_b, strict=True)]
+                q, v, a, lam, dq, dv = moved
+                along, at = StateDirection(direction.t, dq, dv), (q, v, a, lam)
+                total[:, i] += np.imag(residual_along(self, t, at, along)) / STEP
+        return total
+
+    def along_pull_back(
+        self, t: float, states: States, direction: StateDirection, mu: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return the partials of mu . `residual_along` with respect to q, v and b."""
+        if np.iscomplexobj(self.b):
+            return super().along_pull_back(t, states, direction, mu)
+        n, (time, _) = self._ahead, self._time(t)
+        on_q, on_v, own = self.base.along_pull_back(time, states, direction, mu)
+        on_b = self._in_start_and_length(
+            lambda phase: mu @ residual_along(phase, t, states, direction)
+        )
+        on_b[:n] += own
+        return on_q, on_v, on_b
+
+    def _in_start_and_length(self, value: Callable[[PhaseSystem], Array]) -> Array:
+        """Return the derivative of a value at a held state in t_0 and sigma, shape (..., n_b)."""
+        t_b, scale_b = self.time_b
+        late, long = (np.imag(value(phase)) / STEP for phase in self._later_and_longer)
+        return np.asarray(np.multiply.outer(late, t_b) + np.multiply.outer(long, scale_b))
+
+    @cached_property
+    def _later_and_longer(self) -> tuple[PhaseSystem, PhaseSystem]:
+        """The phase with small imaginary steps of t_0, and of sigma."""
+        later = self._start._replace(t=self._start.t + 1j * STEP)
+        first = PhaseSystem(self.base, later, self._duration, self._first)
+        second = PhaseSystem(self.base, self._start, self._duration, self._first)
+        second._scale = self._scale + 1j * STEP
+        return first, second
+
     # -- what is known of the system ---------------------------------------------------------------
 
     def require_derivatives_at(self, t: float, q: Array, v: Array) -> None:
@@ -385,6 +461,10 @@ class PhaseSystem(LaterSystem):
     def mirrored(self, q: Array) -> tuple[int, str] | None:
         """Return the first state that is mirrored or folded."""
         return self.base.mirrored(q)
+
+    def off_route(self, q: Array) -> tuple[int, str] | None:
+        """Return the first state in which a part is off its route."""
+        return self.base.off_route(q)
 
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate at which constraints prescribe an angle, (k,); rad/s."""

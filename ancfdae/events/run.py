@@ -23,7 +23,7 @@ from ancfdae.events.functions import AlongRun, along_run, gap_at
 from ancfdae.events.impact import uncoupled
 from ancfdae.events.kinds import EndEvent, Event, Impact, ModeSystem, Switch
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
-from ancfdae.events.strikes import Strike, allowed
+from ancfdae.events.strikes import Strike, allowed, is_pressed
 from ancfdae.integrators.high_order import INTERVALS, HighOrder
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.step_control import FixedSteps, PrescribedSteps
@@ -48,6 +48,10 @@ _ROUND_OFF, _ACCEPTED = 4e-16, 1e-6
 # Round-off of a function against the size of what it is made of; a gap that is negative by this
 # part of it where a mode begins is refused.
 _NOISE, _NEGATIVE = 1e-14, 1e-9
+# A rate after an impact that is this part of the rates before it is zero.
+_STANDS = 1e-12
+# A gap that is below this part of its coordinates in a whole phase is held by a joint there.
+_HELD = 1e-11
 # A gap that opens by this part of its coordinates only, in more phases in a row than these, is at
 # rest. Bodies that move together have single impacts of round-off size.
 _RESTING, _CLOSED_PHASES = 1e-15, 20
@@ -165,6 +169,17 @@ class PhasedRun:
 
 
 @final
+@dataclass(frozen=True)
+class Beginning:
+    """Where a run goes on: mode, state, the events that have just happened, the phase before it."""
+
+    mode: str
+    state: tuple[float, Array, Array]
+    happened: tuple[Event, ...]
+    duration: float
+
+
+@final
 class PhaseMarch:
     """Runs through the phases of one run at a real design."""
 
@@ -174,17 +189,35 @@ class PhaseMarch:
         self._modes, self._t_end, self._integrator = modes, t_end, integrator
         self._window, self._size = t_end * _FIRST, 0.0
 
-    def run(self, mode: ModeSystem, progress: bool) -> PhasedRun:
-        """Run from the start of a mode to the end; a failure keeps the phases before."""
-        with progress_bar(progress, total=self._t_end, unit="s") as bar:
-            return self._through(mode, bar)
+    def run(self, mode: ModeSystem, progress: bool, begins: Beginning | None = None) -> PhasedRun:
+        """Run from the start of a mode to the end; a failure keeps the phases before.
 
-    def _through(self, mode: ModeSystem, bar: Any) -> PhasedRun:
+        With `begins` the run goes on there.
+        """
+        with progress_bar(progress, total=self._t_end, unit="s") as bar:
+            if begins is None:
+                return self._from_start(mode, bar)
+            self._window = max(_GROWTH * begins.duration, REST * self._t_end)
+            phase = self._modes[begins.mode], begins.state, begins.happened
+            return self._through(None, phase, False, bar)
+
+    def _from_start(self, mode: ModeSystem, bar: Any) -> PhasedRun:
+        """Run from the start of a mode, after impacts of gaps that close there."""
         q, v = mode.system.start()
         before = self._at_start(mode, q, v)
-        state, happened, first = (0.0, q, v), _impacts(before), before is None
-        if before is not None:
-            state = 0.0, q, before.velocities(v)
+        after = v if before is None else before.velocities(v)
+        phase = mode, (0.0, q, after), _impacts(before)
+        return self._through(before, phase, before is None, bar)
+
+    def _through(
+        self,
+        before: Jump | None,
+        begins: tuple[ModeSystem, tuple[float, Array, Array], Sequence[Event]],
+        first: bool,
+        bar: Any,
+    ) -> PhasedRun:
+        """Run through all phases from a mode, a state, and the events that have just happened."""
+        mode, state, happened = begins
         phases: list[Phase] = []
         short = closed = 0
         while len(phases) < _MOST:
@@ -332,16 +365,18 @@ class PhaseMarch:
         `first` is the event that ended the phase. Impacts that do not act on it, nor on each other,
         have times of their own beside the design.
         """
-        (t, q, v), groups, found = state, [tuple(impacts)] if impacts else [], list[Strike]()
-        if first in impacts and len(impacts) > 1:
-            together = uncoupled(mode.system, impacts, state)
-            groups = sorted(together, key=lambda group: first not in group)
-        for group in groups:
+        (t, q, v), found = state, list[Strike]()
+        groups = [tuple(impacts)] if impacts else []
+        if any(x.takes_all for x in impacts):
+            groups = self._with_touching(mode, impacts, state)
+        elif first in impacts and len(impacts) > 1:
+            groups = uncoupled(mode.system, impacts, state)
+        for group in sorted(groups, key=lambda group: first not in group):
             found.append(Strike.of(mode, group, plastic, (t, q, v), apart=len(found) > 0))
             v = found[-1].velocities
         closing = list(impacts)
         while closing:
-            before, closing = closing, self._closing(mode, t, q, v)
+            before, closing = closing, self._closing(mode, t, q, v, state[2])
             if plastic:
                 closing = [x for x in closing if x not in before]
             if closing:
@@ -354,17 +389,31 @@ class PhaseMarch:
                 raise InvalidInputError(f"impacts of {closing[0].name!r}", rule, got, repair)
         return tuple(found)
 
+    def _with_touching(
+        self, mode: ModeSystem, impacts: Sequence[Impact], state: tuple[float, Array, Array]
+    ) -> list[tuple[Impact, ...]]:
+        """Return groups of impacts and of the closed gaps that see their impulses."""
+        (t, q, v), touching = state, list(impacts)
+        for event in mode.events:
+            if isinstance(event, Impact) and event not in impacts:
+                g, _, size, _ = gap_at(mode.system, event.gap, t, q, v)
+                if g <= _NEGATIVE * size:
+                    touching.append(event)
+        groups = uncoupled(mode.system, touching, state) if len(touching) > 1 else [tuple(impacts)]
+        return [tuple(group) for group in groups if any(x in impacts for x in group)]
+
     def _closing(
-        self, mode: ModeSystem, t: float, q: Array, v: Array, *, begins: bool = False
+        self, mode: ModeSystem, t: float, q: Array, *v: Array, begins: bool = False
     ) -> list[Impact]:
         """Return the impacts whose gaps are closed at a time and have a negative rate.
 
+        The first velocities belong to that time; further ones are velocities before impacts.
         Where a run or a mode `begins`, gaps that are negative beyond round-off are refused.
         """
         closing = []
         for event in mode.events:
             if isinstance(event, Impact):
-                g, u, size, speed = gap_at(mode.system, event.gap, t, q, v)
+                g, u, size, speed = gap_at(mode.system, event.gap, t, q, *v)
                 near = abs(u) * _TOGETHER * self._t_end + _NOISE * size
                 if begins and -g > (near if t == 0 else _NEGATIVE * size):
                     begin = f"where mode {mode.name!r} begins, t = {t:.6g}" if t else "at the start"
@@ -385,19 +434,46 @@ class PhaseMarch:
         events = list(dict.fromkeys([*events, *further]))
         ends = any(isinstance(x, EndEvent) for x in events)
         targets = [x.to for x in events if isinstance(x, Switch)]
-        if rests:
-            targets += event.leads_to
+        pressed = event if rests and isinstance(event, Impact) else None
+        if not targets and not rests:
+            pressed = self._pressed(strikes)
+        if pressed is not None:
+            targets += self._rest(pressed, strikes, phase)
         if targets and not ends:
             # Integrators keep the velocities of joints that open with an error.
             on_joints = strikes[-1].velocities if strikes else allowed(mode.system, t, q, v).v
             mode, on_joints = self._mode(targets[0], phase, on_joints)
             # Gaps that only the new mode has, or that its joints close.
             closing = self._closing(mode, t, q, on_joints, begins=True)
-            closing = [x for x in closing if x not in events]
+            closing = [x for x in closing if x not in events and not _is_held(phase, x)]
             state = t, q, strikes[-1].velocities if strikes else v
             strikes += self._struck(mode, closing, False, state)
             events += closing
         return Jump(tuple(events), strikes, mode, ends)
+
+    def _pressed(self, strikes: Sequence[Strike]) -> Impact | None:
+        """Return an impact after which its gap stays closed, because accelerations press it.
+
+        The impact leaves no rate of the gap, and its second derivative is negative there.
+        """
+        for impact in (x for each in strikes for x in each.struck.impacts if x.leads_to):
+            system, (t, q, before) = strikes[-1].mode.system, strikes[0].struck.state
+            time, v = float(np.real(t)), strikes[-1].velocities
+            _, u, _, speed = gap_at(system, impact.gap, time, q, v, before)
+            if abs(u) <= _STANDS * speed and is_pressed(system, impact, (time, q, v)):
+                return impact
+        return None
+
+    def _rest(self, impact: Impact, strikes: Sequence[Strike], phase: Phase) -> list[str]:
+        """Return the mode in which a gap stays closed, by whether its last impact slid."""
+        slides = [x.struck.slides(impact) for x in strikes if impact in x.struck.impacts]
+        name = impact.rest_after(slides[-1] if slides else 0.0)
+        if name is None:
+            motion = "sticks" if not slides or slides[-1] == 0 else f"slides by {slides[-1]:+.0f}"
+            where = f"Impact.rest of {impact.name!r} at t = {phase.t_end:.6g}"
+            rule = "must name a mode for each way in which the gap stays closed"
+            raise InvalidInputError(where, rule, f"none for a contact that {motion}")
+        return [name]
 
     def _with_it(self, phase: Phase) -> list[Event]:
         """Return the events of a mode whose functions are zero at the end of a phase."""
@@ -482,6 +558,12 @@ def _stays_closed(phase: Phase, impact: Event) -> bool:
     # The height of a parabola with these rates at its ends, since steps may not show it.
     height = np.max(np.abs(rate)) * phase.duration / 4
     return bool(max(np.max(np.abs(g)), height) <= _RESTING * np.max(size))
+
+
+def _is_held(phase: Phase, impact: Impact) -> bool:
+    """Whether a gap stays closed in a phase, so that its rate at the end is round-off."""
+    g, _, size = _function(phase, impact)
+    return bool(np.all(np.abs(g) <= _HELD * size))
 
 
 def _integrated(phase: Phase) -> Phase:

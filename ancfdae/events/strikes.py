@@ -18,8 +18,9 @@ from typing import final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.events.functions import Partials
-from ancfdae.events.impact import Directions, Struck, gap_partials, struck
+from ancfdae.events.contact_rows import gap_partials
+from ancfdae.events.functions import Partials, gap_rows, rows_along
+from ancfdae.events.impact import Directions, Struck, struck
 from ancfdae.events.kinds import Impact, ModeSystem
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
 from ancfdae.integrators.problem import InitialValueProblem
@@ -30,6 +31,8 @@ State = tuple[complex, Array, Array]
 
 # Derivatives that the order of impacts changes by more than this part of them depend on it.
 _ORDER = 1e-6
+# A second derivative of a gap below this part of its terms is round-off.
+_PRESSED = 1e-9
 
 
 @final
@@ -95,6 +98,7 @@ class Strike:
 
     def at_complex(self, system: MechanicalSystem, state: State) -> State:
         """Return the state after the impacts from a state with small imaginary parts."""
+        self.struck.require_branch()
         if self.wait is not None:
             parts = (np.imag(x)[..., None] for x in (np.asarray(state[0]), *state[1:], system.b))
             t, q, v, _ = self.wait.along(Directions(*parts))
@@ -108,6 +112,21 @@ def allowed(system: MechanicalSystem, t: float, q: Array, v: Array) -> InitialSt
     """Return the consistent state that the joints of a system allow next to a given one."""
     start = PhaseStart.held(t, q, v, system.n_b)
     return InitialValueProblem.of(PhaseSystem(system, start, 1.0, first=False), 1.0).initial
+
+
+def is_pressed(system: MechanicalSystem, impact: Impact, state: tuple[float, Array, Array]) -> bool:
+    """Whether the accelerations in a state close a gap: g'' = g_q a + (g_q)' v + (g_t)' < 0."""
+    t, q, v = state
+    a = allowed(system, t, q, v).a
+    g_q, _ = gap_rows(system, impact.gap, np.array([t]), q[None])
+    motion = np.ones(1), v[:, None], np.zeros((system.n_b, 1))
+
+    def rows_of(own: MechanicalSystem, times: Array, places: Array) -> tuple[Array, Array]:
+        return gap_rows(own, impact.gap, times, places)
+
+    turned, late = rows_along(system, rows_of, t, q, motion)
+    terms = np.concatenate([g_q[0] * a, turned[:, 0] * v, late])
+    return bool(np.sum(terms) < -_PRESSED * np.sum(np.abs(terms)))
 
 
 def order_matters(strikes: Sequence[Strike], moved: Directions) -> bool:

@@ -116,7 +116,7 @@ class Place:
             self._factors = self._factorised()
 
     def changes(self, rows: Array) -> Array:
-        """Return norm(X) for rows of values of Phi_q, shape (k,); infinite where P is none."""
+        """Return norm(X) for rows of values of Phi_q, shape (k,); infinite if P is missing."""
         changes = rows - self._values
         if self._factors is not None:
             sizes = np.array([self._estimated(x) for x in changes])

@@ -43,7 +43,7 @@ from ancfdae.kernels import (
     NOT_FINITE,
     SINGULAR,
     explicit_march,
-    explicit_stages,
+    explicit_terms,
     finite,
 )
 from ancfdae.numerics.arrays import Array
@@ -57,16 +57,22 @@ EXPONENT = -1 / 8
 _TURNED = np.arange(7) % 2 == 1
 # Places in the control of a step; its last numbers are of evaluations and projections.
 _T, _END, _H, _ERROR = range(4)
+# Reported times that are reached at once.
+_TIMES = 64
 # An error that counts as no less, in tolerances.
 _NO_ERROR_BEFORE = 1e-4
 
 
 class Tables(NamedTuple):
-    """Coefficients of y, h u and h^2 K in Y, and of y, u and h K in U; of errors; and nodes."""
+    """Coefficients of y, h u and h^2 K in Y, and of y, u and h K in U; of errors; and nodes.
+
+    `within` are coefficients of rates in the last terms of the dense output.
+    """
 
     stages: Array
     errors: Array
     nodes: Array
+    within: Array
 
 
 @cache
@@ -80,7 +86,7 @@ def tables() -> Tables:
     stages[:, 0, 0] = stages[:, 1, 1] = 1.0
     stages[:, 0, 1], stages[:, 0, 2:], stages[:, 1, 2:] = c, A @ A, A
     E = np.stack([method.E5, method.E3])[:, :STAGES]
-    return Tables(stages, np.stack([E @ A[:STAGES, :STAGES], E], axis=1), c)
+    return Tables(stages, np.stack([E @ A[:STAGES, :STAGES], E], axis=1), c, method.D)
 
 
 @final
@@ -172,7 +178,7 @@ class Dop853:
         self._found = np.zeros((_ALL, *found.shape))
         self.states[0], self._found[0] = state, found
         self._rows[:2], self._rows[2] = state.reshape(2, -1), found[:, :n].ravel()
-        self._control = np.array([t, t, h, _NO_ERROR_BEFORE, 0.0, 0.0])
+        self._control = np.array([t, t, h, _NO_ERROR_BEFORE, np.nan, 0.0, 0.0])
         self._step = self._rows, self.states, self._found, self._control
 
     @property
@@ -202,35 +208,28 @@ class Dop853:
         return int(self._control[-2])
 
     def march(
-        self, tolerances: Tolerances, target: float, stop: float, kept: Kept
-    ) -> tuple[int, int]:
-        """Take steps until one reaches the target or the stop, at most those there is room for.
+        self, tolerances: Tolerances, times: Array, stop: float, kept: Kept
+    ) -> tuple[int, int, Array]:
+        """Take steps until one reaches the last time or the stop, at most those there is room for.
 
-        Return why there are no more, zero where there may be, and how many were taken.
+        Return why there are no more, zero where there may be, how many were taken, and the states
+        at times that lie behind, (k, 2, rows, n).
         """
         before, at_once = self._control[-2:].copy(), self._accelerations.steps_at_once
         count = min(len(kept.spans), at_once)
         fixed = self._equations, tables(), self._step, tolerances
-        found = explicit_march(*fixed, target, stop, count, kept)
+        found = explicit_march(*fixed, times, stop, count, kept)
         self._accelerations.count(*(self._control[-2:] - before).astype(int).tolist())
         return found
 
     def between(self) -> Between | None:
         """Return the dense output of the accepted step; None where its equations fail."""
         before = self.evaluations
-        failed = explicit_stages(self._equations, tables(), self._step, _AFTER + 1, _ALL)
+        terms = explicit_terms(self._equations, tables(), self._step)
         self._accelerations.count(self.evaluations - before, 0)
-        if failed:
+        if isinstance(terms, int):
             return None
-        flat = self.states.reshape(_ALL, 2, -1)
-        h, start, end = self.end - self.t, flat[0], flat[_AFTER]
-        terms = np.empty((len(_TURNED), *start.shape))
-        # Rates of y and of u at the stages.
-        for k, rates in enumerate((flat[:, 1], self._rows[2:])):
-            rise, first, last = end[k] - start[k], h * rates[0], h * rates[_AFTER]
-            terms[:3, k] = rise, first - rise, 2 * rise - first - last
-            terms[3:, k] = h * np.dot(scipy.integrate.DOP853.D, rates)
-        return Between(self.t, h, self.states[0].copy(), terms)
+        return Between(self.t, self.end - self.t, self.states[0].copy(), terms)
 
 
 # Below this, the round-off of a step is as large as its error.
@@ -240,10 +239,10 @@ _SMALL = 1e-2
 # Panels of a step whose stages are too few.
 _PANELS = (1, 4, 16)
 # Steps that are taken into the integrals together, at least and at most, and the numbers that their
-# states may be: an evaluation of observables costs several steps of a small system. There are twice
-# as many each time. Where stages are too few, these steps are repeated, and the next ones keep
-# their dense output.
-_LEAST_TOGETHER, _MOST_TOGETHER, _NUMBERS = 8, 64, 200_000
+# states may be: an evaluation of observables costs several steps of a small system. There are four
+# times as many each time. Where stages are too few, these steps are repeated, and the next ones
+# keep their dense output.
+_LEAST_TOGETHER, _MOST_TOGETHER, _GROWTH, _NUMBERS = 8, 64, 4, 200_000
 _NONE = np.zeros(0, dtype=np.int32)
 _VERDICTS = {
     NOT_FINITE: Verdict.NOT_FINITE,
@@ -306,8 +305,7 @@ class _ExplicitMarch(March):
         # Steps that wait for their integrals, and their dense output where that is kept.
         self._together = _LEAST_TOGETHER
         self._waiting, self._dense, self._between = 0, False, list[Between | None]()
-        self._last: Between | None = None
-        self._failed = 0
+        self._failed, self._recorded = 0, np.zeros((0, *state.shape))
 
     def _first_step(self, state: Array, acceleration: Array) -> float:
         """Guess the first step (Hairer, Norsett & Wanner, II.4); the unit of time is t_end."""
@@ -331,20 +329,17 @@ class _ExplicitMarch(March):
         longest = (0.01 / fastest) ** -EXPONENT if fastest > 0 else 1.0
         return T * min(100 * share, longest, 1.0)
 
-    def _steps(self, target: float) -> list[float] | Verdict:
+    def _steps(self, times: Array) -> list[float] | Verdict:
         if self._failed:
             return _VERDICTS[self._failed]
-        method, first = self._method, self._waiting if self._wanted else 0
+        first = self._waiting if self._wanted else 0
         count = 1 if self._dense else self._max_steps - self.steps
         count = min(count, self._together - first) if self._wanted else count
         kept = self._kept.part(slice(first, first + count))
-        evaluations = method.evaluations
-        self._failed, taken = method.march(self._tolerances, target, self._stop, kept)
-        self.residuals += method.evaluations - evaluations
+        self._failed, taken, self._recorded = self._march(times, kept)
         self.steps += taken
         if not taken:
             return _VERDICTS[self._failed]
-        self._last = None
         if self._wanted:
             self._waiting += taken
             self._between += [self._dense_output() if self._dense else None] * taken
@@ -353,26 +348,31 @@ class _ExplicitMarch(March):
         ends: list[float] = kept.spans[:taken, 1].tolist()
         return ends
 
+    def _march(self, times: Array, kept: Kept) -> tuple[int, int, Array]:
+        """Take as many steps as there is room for towards some of the times, as `Dop853.march`."""
+        method = self._method
+        evaluations = method.evaluations
+        found = method.march(self._tolerances, times[:_TIMES], self._stop, kept)
+        self.residuals += method.evaluations - evaluations
+        return found
+
     def _dense_output(self) -> Between:
-        if self._last is None:
-            before = self._method.evaluations
-            self._last = self._method.between()
-            self.residuals += self._method.evaluations - before
-        if self._last is None:
+        before = self._method.evaluations
+        between = self._method.between()
+        self.residuals += self._method.evaluations - before
+        if between is None:
             raise NotFinite
-        return self._last
+        return between
 
     def _states(self, times: Array) -> Array:
-        method = self._method
-        within = times[times < method.end]
-        if not len(within):
-            return np.array([method.after for _ in times])
-        states = self._dense_output()(within)
-        if not finite(states):
-            raise NotFinite
-        if self._problem.system.n_lam:
-            states = self._problem.accelerations.projected_of(within, states)
-        return np.concatenate([states, *([method.after[None]] * (len(times) - len(within)))])
+        failed, _, states = self._march(times, self._kept.part(slice(0, 0)))
+        if failed:
+            raise SingularMatrix if failed == SINGULAR else NotFinite
+        return states
+
+    def _reported(self, times: Array) -> Array:
+        states, self._recorded = self._recorded, self._recorded[:0]
+        return states if len(states) else self._states(times)
 
     def finish(self) -> None:
         self._dense = False
@@ -381,7 +381,7 @@ class _ExplicitMarch(March):
             self._quadrature.add(self._choices(steps, self._between))
             self._waiting, self._between = 0, []
             most = _LEAST_TOGETHER if self._dense else len(self._kept.spans)
-            self._together = min(2 * self._together, most)
+            self._together = min(_GROWTH * self._together, most)
 
     def _choices(self, steps: Kept, dense: list[Between | None]) -> Iterator[Points]:
         """Points within steps: their stages, then their dense output on ever more panels."""
@@ -408,7 +408,7 @@ class _ExplicitMarch(March):
         method = Dop853(self._problem.accelerations, left, state, found, 2 * (right - left))
         any_error = self._tolerances._replace(floor=np.full_like(self._tolerances.floor, np.inf))
         nothing = Kept.room(1, _NONE, state.shape[1], state.shape[2], steps.lam.shape[-1])
-        method.march(any_error, right, right, nothing)
+        method.march(any_error, np.array([right]), right, nothing)
         self.residuals += method.evaluations
         between = method.between()
         if between is None:

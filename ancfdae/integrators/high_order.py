@@ -103,8 +103,8 @@ class March(abc.ABC):
             while self._t < times[0]:
                 if self.steps == self._max_steps:
                     return Verdict.STEP_LIMIT
-                before, target = self._t, float(times[0])
-                ends = self._steps(np.nextafter(before, target) if self.contacts else target)
+                # Where there are contacts Python evaluates the equations, and steps come singly.
+                before, ends = self._t, self._steps(times)
                 if isinstance(ends, Verdict):
                     return ends
                 for self._t in ends:
@@ -115,7 +115,8 @@ class March(abc.ABC):
                     states = self._states(np.append(within[:-1], self._t))
                     self._path += zip(within.tolist(), *states[:, :, 0].swapaxes(0, 1), strict=True)
                     self._look_at_contacts(_TOGETHER)
-            return self._states(times[: max(1, np.searchsorted(times, self._t, side="right"))])
+            behind = max(1, np.searchsorted(times, self._t, side="right"))
+            return self._reported(times[:behind])
 
     @final
     def _look_at_contacts(self, least: int) -> None:
@@ -131,12 +132,19 @@ class March(abc.ABC):
         return self.contacts.missed() if self.contacts else None
 
     @abc.abstractmethod
-    def _steps(self, target: float) -> list[float] | Verdict:
-        """Take steps, the last one of which may pass the target; return their ends, or why not."""
+    def _steps(self, times: Array) -> list[float] | Verdict:
+        """Take steps, the last one of which may pass the first of ascending times.
+
+        Return their ends, or why no step is taken.
+        """
 
     @abc.abstractmethod
     def _states(self, times: Array) -> Array:
         """Interpolate in the last step."""
+
+    def _reported(self, times: Array) -> Array:
+        """Return states at times in the last step, or at the first of them, (k, 2, rows, n_q)."""
+        return self._states(times)
 
     @abc.abstractmethod
     def finish(self) -> None:
@@ -234,7 +242,7 @@ class HighOrder(QuadratureIntegrator):
             raise InvalidInputError(type(self).__name__, rule, got, "Only HHT takes complex steps.")
         with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
             problem = InitialValueProblem.of(system, t_end)
-            problem = problem.differentiated() if sensitivities else problem
+            problem = problem.differentiated(True) if sensitivities else problem
         problem.require_finite()
         grid = TimeGrid.lobatto(t_end, self.intervals or INTERVALS)
         recorder = SolutionRecorder(system, len(grid.t), grid.degree, sensitivities)

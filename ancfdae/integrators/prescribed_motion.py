@@ -103,6 +103,7 @@ class Watch:
         self._linear = system.traits.linear_constraints or not system.n_lam
         # Whether the motion is seen to be prescribed: other motions are not followed.
         self._driven = system.n_lam == system.n_q
+        self._routed = system.traits.routed
         self._changes: Changes | None = None
 
     def missed(self, all_of_them: bool = False) -> Lost | None:
@@ -125,9 +126,12 @@ class Watch:
 
     def _lost(self, rows: Rows) -> Lost | None:
         """Check the steps between rows; `first` counts from the second. None if all are right."""
-        mirrored = self._system.mirrored(rows.q)
-        if mirrored is not None:
-            first, what = mirrored
+        gone, verdict = self._system.mirrored(rows.q), Verdict.FOLDED
+        if self._routed:
+            off = self._system.off_route(rows.q if gone is None else rows.q[: gone[0]])
+            gone, verdict = (gone, verdict) if off is None else (off, Verdict.OFF_ROUTE)
+        if gone is not None:
+            first, what = gone
             rows = Rows(*(x[:first] for x in rows))
         t, q, _ = rows
         found = self._system.off_root(t[1:], q[1:])
@@ -140,8 +144,8 @@ class Watch:
         if found is not None:
             words = _half_a_turn(self._system, found[1], *t[end : end + 2].tolist())
             return Lost(end, Verdict.OFF_ROOT, words)
-        if mirrored is not None:
-            return Lost(first - 1, Verdict.FOLDED, f"The next step {what}.")
+        if gone is not None:
+            return Lost(first - 1, verdict, f"The next step {what}.")
         return None
 
     def _elsewhere(self, rows: Rows) -> Lost | None:
@@ -238,6 +242,8 @@ def half_a_turn_off(system: MechanicalSystem, begin: float, t: Array, q: Array) 
 
 def is_driven(system: MechanicalSystem, t: Array, q: Array) -> bool:
     """Tell whether the constraints at one place change with time alone, from the first instant."""
+    if system.scleronomic:
+        return False
     first, *others = t.tolist()
     at_rest = system.constraint(first, q)
     return any(np.any(system.constraint(later, q) != at_rest) for later in others)

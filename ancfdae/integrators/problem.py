@@ -119,7 +119,7 @@ class Accelerations:
         return x[:n], x[n:]
 
     def rows(self, t: float, q: Array, v: Array) -> Array:
-        """Return (a, lam), and below it design derivatives if q and v have those as rows."""
+        """Return (a, lam), and rows of design derivatives below if q and v have such rows."""
         system, side = self._system, None
         if not system.traits.constant_constraints:
             side = acceleration_side(system, t, q[0], v[0])
@@ -210,7 +210,7 @@ class ListedAccelerations(Accelerations):
         self._lists, self._others = system.index_1, (system.b, matrices.scale)
 
     def rows(self, t: float, q: Array, v: Array) -> Array:
-        """Return (a, lam), and below it design derivatives if q and v have those as rows."""
+        """Return (a, lam), and rows of design derivatives below if q and v have such rows."""
         return only(self.rows_of(np.array([t]), np.stack([q, v])[None]))
 
     def rows_of(self, t: Array, states: Array) -> Array:
@@ -378,9 +378,11 @@ class InitialValueProblem:
         """Accelerations and multipliers of states."""
         return accelerations(self.system, self.matrices)
 
-    def differentiated(self) -> Self:
-        """Add the design derivatives of the start."""
-        derivative = start_sensitivity(self.system, self.matrices, self.initial)
+    def differentiated(self, for_accelerations: bool = False) -> Self:
+        """Add the design derivatives of the start; lists `for_accelerations` of a run serve it."""
+        solver = self.accelerations if for_accelerations else None
+        rows = solver.rows if isinstance(solver, ListedAccelerations) else None
+        derivative = start_sensitivity(self.system, self.matrices, self.initial, rows)
         return replace(self, derivative=derivative)
 
     def require_finite(self) -> None:
@@ -420,9 +422,9 @@ class InitialValueProblem:
 
 
 def vector_sizes(x: Array, d: int) -> Array:
-    """Return for every coordinate the root mean square of its vector; the last axis holds vectors.
+    """Return for every coordinate the root mean square of its vector of d components, as x.
 
-    They have d components.
+    The last axis of x holds coordinates vector by vector.
     """
     sizes = np.sqrt(np.mean(x.reshape(*x.shape[:-1], -1, d) ** 2, axis=-1))
     return np.repeat(sizes, d, axis=-1)

@@ -71,9 +71,10 @@ class Multipliers:
         return self._between(motion.t) if self._smooth else self._solve(motion)[0]
 
     def _take_in(self, steps: Trajectory) -> float:
-        """Solve at nodes; return the mean force that the solver's accelerations leave there.
+        """Store multipliers at every `_STRIDE`-th step; return the mean residual force there.
 
-        The first polynomials go through nodes of the part before.
+        The residual is that of the solver's own accelerations, in the norm of the weights. The last
+        nodes of the part before are kept: the first polynomials of this part pass through them.
         """
         last = len(steps.t) - 1
         nodes = np.append(np.arange(0, last, _STRIDE), last)

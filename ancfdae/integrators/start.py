@@ -1,19 +1,5 @@
 """Consistent starts: velocities on their constraints, accelerations, multipliers, derivatives.
 
-States completed: velocities on their constraints, then accelerations and multipliers.
-
-Of positions q on the constraints and velocities V that may miss theirs,
-
-    M (v - V) + Phi_q^T sigma = 0,   Phi_q v = nu(q),
-    M a + Phi_q^T lam = Q(q, v),     Phi_q a = gamma(q, v).
-
-With Phi' = Phi_q v - nu, Phi'' = Phi_q a - gamma, f for M a + Phi_q^T lam - Q, f_0 for
-M (v - V) + Phi_q^T sigma with v - V and sigma held, and (Phi')_q = Phi_q', (Phi'')_v = 2 Phi_q',
-
-    M v_b + Phi_q^T sigma_b = M V_b - f_0,q q_b - f_0,b,         Phi_q v_b = -(Phi'_q q_b + Phi'_b)
-    M a_b + Phi_q^T lam_b = -(f_q q_b + f_v v_b + f_b),
-    Phi_q a_b = -(Phi''_q q_b + 2 Phi'_q v_b + Phi''_b).
-
 Steps of a start:
 
 1. Positions: the nearest configuration on the constraints in the norm of M,
@@ -29,18 +15,18 @@ stand, so they are exact for projected starts too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
 from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import Linearisation, MechanicalSystem, reaction
+from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.equations.saddle_points import (
     acceleration_side,
     held_pull_back,
     held_q,
     held_total,
+    held_totals,
     refuse_redundant,
     solve,
     solve_transposed,
@@ -50,116 +36,6 @@ from ancfdae.errors.kinds import InconsistentStartError, InvalidInputError, Sing
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-
-# q, v, a and lam of k instants, as rows.
-States: TypeAlias = tuple[Array, Array, Array, Array]
-
-
-def completed(
-    system: MechanicalSystem, factors: Factorization, t: float, q: Array, V: Array
-) -> tuple[Array, Array, Array]:
-    """Return v, a and lam; `factors` are those of M and Phi_q at q."""
-    v = V - solve(factors, np.zeros_like(V), system.constraint(t, q, V))[0]
-    return v, *solve(factors, system.force(t, q, v), acceleration_side(system, t, q, v))
-
-
-@final
-@dataclass(frozen=True)
-class Completion:
-    """k completed states, linearised.
-
-    `moved` holds v - V and sigma. `rates` are Phi'_q and Phi''_q, `held_q` is f_0,q; both None
-    where they vanish.
-    """
-
-    system: MechanicalSystem
-    t: Array
-    states: States
-    moved: tuple[Array, Array]
-    local: Linearisation
-    held_q: Array | None
-    rates: tuple[Array, Array] | None
-
-    @staticmethod
-    def of(
-        system: MechanicalSystem, t: Array, states: States, moved: tuple[Array, Array]
-    ) -> Completion:
-        """Linearise accelerations and multipliers at states."""
-        traits, held_q, rates = system.traits, None, None
-        if not (traits.constant_mass and traits.linear_constraints):
-            held_q = system.linearise(t, states[0], None, *moved).f_q
-        if not traits.constant_constraints:
-            q, v, a, _ = states
-            rates = system.constraints_q(t, q, v), system.constraints_q(t, q, v, a)
-        local = system.linearise(t, *states)
-        return Completion(system, t, states, moved, local, held_q, rates)
-
-    @cached_property
-    def partials(self) -> tuple[Array, Array, Array]:
-        """Design partials of f_0 and f, and of Phi' and Phi''."""
-        system, t, (q, v, a, lam) = self.system, self.t, self.states
-        held = system.design_partials(t, q, None, *self.moved).f_b
-        sides = np.zeros((2, len(t), system.n_lam, system.n_b))
-        if self.rates is not None:
-            for k, s in enumerate(t.tolist()):
-                sides[0, k] = system.constraint_total(s, (q[k], v[k]))
-                sides[1, k] = system.constraint_total(s, (q[k], v[k], a[k]))
-        return held, system.design_partials(t, q, v, a, lam).f_b, sides
-
-    def total(self, factors: Factorization, q_b: Array, V_b: Array) -> tuple[Array, Array, Array]:
-        """Return v_b, a_b and lam_b of one state from q_b and V_b, by the factors of M and Phi_q.
-
-        The kernel completes the stages of runs (`stage_passes.h`).
-        """
-        system, local, (held_b, f_b, sides) = self.system, self.local, self.partials
-        K, B = system.pattern.dot, system.constraint_pattern.dot
-        right, side, side_a = system.mass_times(self.states[0][0], V_b) - held_b[0], *sides[:, 0]
-        if self.held_q is not None:
-            right = right - K(self.held_q[0], q_b)
-        if self.rates is not None:
-            side = side + B(self.rates[0][0], q_b)
-        v_b = solve(factors, right, -side)[0]
-        right = f_b[0] + K(local.f_q[0], q_b)
-        if local.f_v is not None:
-            right = right + K(local.f_v[0], v_b)
-        if self.rates is not None:
-            side_a = side_a + B(self.rates[1][0], q_b) + 2 * B(self.rates[0][0], v_b)
-        return v_b, *solve(factors, -right, -side_a)
-
-    def back(
-        self, factors: Factorization, on_q: Array, on_v: Array, on_a: Array, on_lam: Array
-    ) -> tuple[Array, ...]:
-        """Transpose of `total`: return covectors on q and V, and four that `pull_back` takes."""
-        system, local = self.system, self.local
-        K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
-        w, y = solve_transposed(factors, on_a, on_lam)
-        on_q = on_q - K(local.f_q[0], w)
-        if local.f_v is not None:
-            on_v = on_v - K(local.f_v[0], w)
-        if self.rates is not None:
-            on_q = on_q - B(self.rates[1][0], y)
-            on_v = on_v - 2 * B(self.rates[0][0], y)
-        m, z = solve_transposed(factors, on_v, np.zeros_like(on_lam))
-        if self.held_q is not None:
-            on_q = on_q - K(self.held_q[0], m)
-        if self.rates is not None:
-            on_q = on_q - B(self.rates[0][0], z)
-        return on_q, system.mass_times(self.states[0][0], m), m, z, w, y
-
-    def pull_back(self, m: Array, z: Array, w: Array, y: Array) -> Array:
-        """Return the direct part of the gradient, (n_b,), from adjoint vectors `back`, (k, n)."""
-        system, t, (q, v, a, _) = self.system, self.t, self.states
-        none = np.zeros_like(z)
-        total = system.pull_back(t, (q, None, *self.moved), (m, none))
-        if w.any():
-            total = total + system.pull_back(t, self.states, (w, none))
-        if self.rates is not None:
-            for k, s in enumerate(t.tolist()):
-                total = total + z[k] @ system.constraint_total(s, (q[k], v[k]))
-                if y[k].any():
-                    total = total + y[k] @ system.constraint_total(s, (q[k], v[k], a[k]))
-        return -total
-
 
 # Relative violation of a constraint up to which a declared start counts as consistent: far
 # above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.
@@ -238,33 +114,58 @@ def at_rest(v: Array, side: Array) -> bool:
 
 
 def start_sensitivity(
-    system: MechanicalSystem, matrices: SaddlePoint, state: InitialState
+    system: MechanicalSystem,
+    matrices: SaddlePoint,
+    state: InitialState,
+    rows: Callable[[float, Array, Array], Array] | None = None,
 ) -> InitialSensitivity:
-    """Differentiate `consistent_start` in the design variables."""
-    t, q, _, _, lam = state
+    """Differentiate `consistent_start` in the design variables.
+
+    `rows` returns (a, lam) above its design derivatives, from q and v above theirs (`Accelerations`
+    of a run that evaluates them anyway); by default they are solved for here.
+    """
+    t, q, v, a, lam = state
+    moves = _Moves.of(system, matrices, state)
+    q_b, v_b = _motion_sensitivity(system, state, moves)
+    states = np.vstack([q, q_b.T]), np.vstack([v, v_b.T])
+    if rows is not None:
+        x_b = rows(t, *states)[1:].T
+        return InitialSensitivity(q_b, v_b, x_b[: system.n_q], x_b[system.n_q :])
+    force, side = held_totals(system, t, *states, np.concatenate([a, lam]))
+    right = system.force_and_total(t, *states)[1:] - force
+    side_b = np.zeros((len(lam), system.n_b)) if side is None else -side.T
+    return InitialSensitivity(q_b, v_b, *solve(moves.factors, right.T, side_b))
+
+
+def _motion_sensitivity(
+    system: MechanicalSystem, state: InitialState, moves: _Moves
+) -> tuple[Array, Array]:
+    """Differentiate q and v of `consistent_start` in the design variables, (n_q, n_b) each."""
+    t, q, v, _, lam = state
     q_start, _ = system.start()
     q_sb, v_sb = system.start_b()
-    sigma_q, moving, factors, completion = _projections(system, matrices, state)
-
+    held = np.zeros_like(q_sb)
     # 1. (M (q - q_start) + Phi_q^T sigma_q)_total = 0, M at q_start; sigma_q held on the right.
-    none, still = np.zeros_like(lam), np.zeros_like(q)
     right = system.mass_times(q_start, q_sb)
-    right = right - held_total(system, t, q_start, q - q_start, none, q_sb)
-    right = right - held_total(system, t, q, still, sigma_q, np.zeros_like(q_sb))
-    q_b, _ = solve(moving, right, -system.constraint_total(t, (q,)))
-    # 2. and 3.
-    derivatives = InitialSensitivity(q_b, *completion.total(factors, q_b, v_sb))
+    right = right - held_total(system, t, q_start, moves.dq, 0 * lam, q_sb)
+    right = right - held_total(system, t, q, 0 * q, moves.sigma_q, held)
+    q_b, _ = solve(moves.moving, right, -system.constraint_total(t, (q,)))
+    # 2. (M (v - v_start) + Phi_q^T sigma_v)_total = 0 likewise.
+    right = system.mass_times(q, v_sb) - held_total(system, t, q, moves.dv, moves.sigma_v, q_b)
+    side = np.zeros((len(lam), system.n_b))
+    if not system.traits.constant_constraints:
+        side = -system.constraint_total(t, (q, v), (q_b, held))
+    v_b, _ = solve(moves.factors, right, side)
     if type(system).start_pull_back is MechanicalSystem.start_pull_back:
-        _refuse_inconsistent_derivatives(system, state, q_sb, v_sb, derivatives)
-    return derivatives
+        _refuse_inconsistent_derivatives(system, state, (q_sb, v_sb), (q_b, v_b))
+    return q_b, v_b
 
 
 def _refuse_inconsistent_derivatives(
     system: MechanicalSystem,
     state: InitialState,
-    q_b: Array,
-    v_b: Array,
-    projected: InitialSensitivity,
+    declared: tuple[Array, Array],
+    projected: tuple[Array, Array],
 ) -> None:
     """Refuse a start that satisfies its constraints at this design only.
 
@@ -278,13 +179,11 @@ def _refuse_inconsistent_derivatives(
     w, b = system.weights, np.where(system.b.real == 0, 1.0, np.abs(system.b.real))
     place = norm(state.q, w)
     speed = max(norm(state.v, w), float(np.sqrt(place * norm(state.a, w))))
-    for what, declared, moved, size in (
-        ("positions", q_b, projected.q_b, place),
-        ("velocities", v_b, projected.v_b, speed),
-    ):
+    whats, sizes = ("positions", "velocities"), (place, speed)
+    for what, x_b, moved, size in zip(whats, declared, projected, sizes, strict=True):
         for j, name in enumerate(system.design_names):
-            gap = norm(moved[:, j] - declared[:, j], w)
-            larger = max(norm(declared[:, j], w), norm(moved[:, j], w))
+            gap = norm(moved[:, j] - x_b[:, j], w)
+            larger = max(norm(x_b[:, j], w), norm(moved[:, j], w))
             if gap > _SAME_RATE * larger + _CONSISTENT * size / b[j]:
                 raise InconsistentStartError(
                     f"start, design variable {name!r}",
@@ -295,20 +194,33 @@ def _refuse_inconsistent_derivatives(
                 )
 
 
-def _projections(
-    system: MechanicalSystem, matrices: SaddlePoint, state: InitialState
-) -> tuple[Array, Factorization, Factorization, Completion]:
-    """Return sigma_q with the matrix of 1, and 2 and 3 with theirs."""
-    q_start, v_start = system.start()
-    sigma_q = _project_position(system, matrices, q_start, state.t)[1]
-    moving = _factor_position(system, matrices, q_start, state.q, sigma_q, state.t)
-    factors, dv = _factor_mass(system, matrices, state.q, state.t), state.v - v_start
-    right = -system.mass_times(state.q, dv)
-    sigma_v = solve(factors, right, np.zeros(system.n_lam))[1]
-    t, *states = (np.asarray(x)[None] for x in state)
-    q, v, a, lam = states
-    moved = dv[None], sigma_v[None]
-    return sigma_q, moving, factors, Completion.of(system, t, (q, v, a, lam), moved)
+@final
+class _Moves(NamedTuple):
+    """How a declared start is moved: q - q_start and sigma_q, v - v_start and sigma_v.
+
+    `moving` and `factors` are the factorised matrices of steps 1, differentiated, and 2.
+    """
+
+    dq: Array
+    sigma_q: Array
+    dv: Array
+    sigma_v: Array
+    moving: Factorization
+    factors: Factorization
+
+    @staticmethod
+    def of(system: MechanicalSystem, matrices: SaddlePoint, state: InitialState) -> _Moves:
+        """Return how the declared start of a system is moved to its consistent start."""
+        q_start, v_start = system.start()
+        t, q, dq, dv = state.t, state.q, state.q - q_start, state.v - v_start
+        sigma_q = _project_position(system, matrices, q_start, t)[1]
+        sigma_v, moving = np.zeros(system.n_lam), None
+        if sigma_q.any() or (dq.any() and not system.traits.constant_mass):
+            moving = _factor_position(system, matrices, q_start, q, sigma_q, t)
+        factors = _factor_mass(system, matrices, q, t)
+        if dv.any():
+            sigma_v = solve(factors, -system.mass_times(q, dv), sigma_v)[1]
+        return _Moves(dq, sigma_q, dv, sigma_v, moving or factors, factors)
 
 
 class Covectors(NamedTuple):
@@ -344,7 +256,7 @@ class AccelerationsAdjoint:
         t, q, v, a, lam = state
         self._t, self._states = np.array([t]), (q[None], v[None], a[None], lam[None])
         self._local = system.linearise(self._t, *self._states)
-        self.rate = system.constraint_q(t, q, v)
+        self._rate = system.constraint_q(t, q, v)
         self._second_rate = system.constraint_q(t, q, v, a)
 
     def pull_back(self, on_a: Array, on_lam: Array) -> tuple[Array, Array, Array]:
@@ -365,7 +277,7 @@ class AccelerationsAdjoint:
     def _on_states(self, mu: Array, zeta: Array) -> tuple[Array, Array]:
         K, B = self._system.pattern.dot_transposed, self._system.constraint_pattern.dot_transposed
         on_q = -K(self._local.f_q[0], mu) - B(self._second_rate, zeta)
-        on_v = -2 * B(self.rate, zeta)
+        on_v = -2 * B(self._rate, zeta)
         if self._local.f_v is not None:
             on_v = on_v - K(self._local.f_v[0], mu)
         return on_q, on_v
@@ -379,22 +291,30 @@ def pull_back_start(
     The transpose of `start_sensitivity`, in reverse order: one transposed solve for each of 3, 2
     and 1, independent of the number of design variables.
     """
+    moves = _Moves.of(system, matrices, state)
     if type(system).start_pull_back is MechanicalSystem.start_pull_back:
         # The transpose below takes as many complex steps.
-        start_sensitivity(system, matrices, state)
-    t, q, _, _, lam = state
-    q_start, _ = system.start()
-    sigma_q, moving, factors, completion = _projections(system, matrices, state)
-    K, none = system.pattern.dot_transposed, np.zeros_like(lam)
-    on_q, on_v_start, *covectors = completion.back(factors, on.q, on.v, on.a, on.lam)
-    on_b = on.b + completion.pull_back(*(x[None] for x in covectors))
-
-    m, z = solve_transposed(moving, on_q, none)
-    moved = q - q_start
-    on_q_start = system.mass_times(q_start, m) - K(held_q(system, t, q_start, moved, none), m)
+        _motion_sensitivity(system, state, moves)
+    (t, q, v, *_), none = state, np.zeros(system.n_lam)
+    K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
+    # 3., then 2.
+    on_q, on_v, on_b = on.q, on.v, on.b
+    if on.a.any() or on.lam.any():
+        through = AccelerationsAdjoint(system, moves.factors, state).pull_back(on.a, on.lam)
+        on_q, on_v, on_b = (x + y for x, y in zip((on_q, on_v, on_b), through, strict=True))
+    m, z = solve_transposed(moves.factors, on_v, none)
+    on_q = on_q - K(held_q(system, t, q, moves.dv, moves.sigma_v), m)
+    on_b = on_b - held_pull_back(system, t, q, moves.dv, moves.sigma_v, m)
+    if not system.traits.constant_constraints:
+        on_q = on_q - B(system.constraint_q(t, q, v), z)
+        on_b = on_b - z @ system.constraint_total(t, (q, v))
+    on_v_start, q_start = system.mass_times(q, m), system.start()[0]
+    # 1.
+    m, z = solve_transposed(moves.moving, on_q, none)
+    on_q_start = system.mass_times(q_start, m) - K(held_q(system, t, q_start, moves.dq, none), m)
     on_b = on_b - z @ system.constraint_total(t, (q,))
-    on_b = on_b - held_pull_back(system, t, q_start, moved, none, m)
-    on_b = on_b - held_pull_back(system, t, q, np.zeros_like(q), sigma_q, m)
+    on_b = on_b - held_pull_back(system, t, q_start, moves.dq, none, m)
+    on_b = on_b - held_pull_back(system, t, q, 0 * q, moves.sigma_q, m)
     gradient: Array = on_b + system.start_pull_back(on_q_start, on_v_start)
     return gradient
 

@@ -87,7 +87,7 @@ class SteppedIntegrator(AdjointIntegrator):
     def _stepper(
         self, problem: InitialValueProblem, t_end: float, sizes_b: Array, recorder: SolutionRecorder
     ) -> OneStepMethod[Any]:
-        """Return the one-step method of a run; `sizes` are those of the derivatives."""
+        """Return the one-step method of a run; `sizes` are the sizes of the derivatives."""
 
     @abc.abstractmethod
     def _state_after(self, run: Solution) -> Any:

@@ -33,7 +33,7 @@ try:
         csr_rows as csr_rows,
         eliminate as eliminate,
         explicit_march as explicit_march,
-        explicit_stages as explicit_stages,
+        explicit_terms as explicit_terms,
         finite as finite,
         force_partials as force_partials,
         force_totals as force_totals,
@@ -143,11 +143,11 @@ class ListPlan(NamedTuple):
     start: float = 0.0
 
     def joint_factors(self, t: Array, orders: int) -> Array:
-        """Return the instants in place of factors, (orders, k, 1)."""
+        """Return times, which the functions take where scenes have factors; (orders, k, 1)."""
         return np.stack([self.start + t[:, None]] * orders)
 
     def load_factors(self, t: Array) -> Array:
-        """Return the instants, (k, 1)."""
+        """Return times, which the functions take where scenes have factors; (k, 1)."""
         return self.start + t[:, None]
 
 
@@ -168,11 +168,11 @@ class CalledPlan(NamedTuple):
     velocity: bool
 
     def joint_factors(self, t: Array, orders: int) -> Array:
-        """Return the instants in place of factors, (orders, k, 1)."""
+        """Return times, which the functions take where scenes have factors; (orders, k, 1)."""
         return np.stack([t[:, None]] * orders)
 
     def load_factors(self, t: Array) -> Array:
-        """Return the instants, (k, 1)."""
+        """Return times, which the functions take where scenes have factors; (k, 1)."""
         return t[:, None]
 
 

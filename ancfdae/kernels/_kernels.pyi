@@ -233,8 +233,11 @@ class OperationList:
         /,
     ) -> None: ...
 
-def list_values(operations: OperationList, inputs: Array, /) -> Array:
-    """Return the outputs of a list, (..., n_outputs), at inputs, (..., n_inputs)."""
+def list_values(operations: OperationList, *parts: Any) -> Array:
+    """Return the outputs of a list, (k, n_outputs), or (n_outputs,) of one row for all.
+
+    Inputs stand in parts, one behind the other: rows, (k, n), or one row for all, (n,).
+    """
 
 def index_1(
     lists: tuple[OperationList, ...],
@@ -254,38 +257,39 @@ def index_1(
 
 def explicit_march(
     equations: tuple[object, ...],
-    tables: tuple[Array, Array, Array],
+    tables: tuple[Array, Array, Array, Array],
     step: tuple[Array, Array, Array, Array],
     tolerances: tuple[float, Array, Array, int],
-    target: float,
+    times: Array,
     stop: float,
     count: int,
     kept: tuple[Array, Array, Array, Array],
     /,
-) -> tuple[int, int]:
-    """Take at most `count` steps of DOP853, until one reaches a time or the stop; explicit.h.
+) -> tuple[int, int, Array]:
+    """Take at most `count` steps of DOP853, until one reaches the last time or the stop.
 
-    Return why the run ends, zero where it may go on, and how many steps were taken. Equations are
-    lists with b and the scale as above, or two functions of a time and a state, (2, rows, n), and
-    the number of multipliers: one returns (a, lam), (rows, n + m), the other the state on the
-    constraints, or each a number that says why not. Tables are the factors of stages, (16, 2, 18),
-    those of errors, (2, 2, 12), and nodes, (16,). The arrays of a step are written to: rows,
-    (18, rows n), states, (16, 2, rows, n), (a, lam), (16, rows, n + m), and t, end, h, error, and
-    the numbers of evaluations and projections. Tolerances: relative, absolute, (2, rows, n), the
-    place of the system, (n,), and the length of its vectors. Of accepted steps are kept begin and
-    end, (count, 2), states, (count, used, 2, rows, n), and multipliers, (count, used, rows, m), of
+    `explicit.h` has the formulas. Return why the run ends, zero where it may go on, how many steps
+    were taken, and the states at those of the ascending times that lie behind, (k, 2, rows, n).
+    Equations are lists with b and the scale as above, or two functions of a time and a state,
+    (2, rows, n), and the number of multipliers: one returns (a, lam), (rows, n + m), the other the
+    state on the constraints, or each a number that says why not. Tables are the factors of stages,
+    (16, 2, 18), those of errors, (2, 2, 12), nodes, (16,), and factors of the dense output,
+    (4, 16). The arrays of a step are written to: rows, (18, rows n), states, (16, 2, rows, n),
+    (a, lam), (16, rows, n + m), and t, end, h, error, the end of the step whose dense output is at
+    hand, and the numbers of evaluations and projections. Tolerances: relative, absolute,
+    (2, rows, n), the place of the system, (n,), and the length of its vectors. Of accepted steps
+    are kept begin and end, (count, 2), states, (count, used, 2, rows, n), and multipliers,
+    (count, used, rows, m), of
     the stages that the last array names.
     """
 
-def explicit_stages(
+def explicit_terms(
     equations: tuple[object, ...],
-    tables: tuple[Array, Array, Array],
+    tables: tuple[Array, Array, Array, Array],
     step: tuple[Array, Array, Array, Array],
-    first: int,
-    last: int,
     /,
-) -> int:
-    """Fill in stages of the step from t to its end; return zero, or what prevents it."""
+) -> Array | int:
+    """Return terms of the dense output of the last step, (7, 2, rows, n), or what prevents it."""
 
 def load_forces(plan: LoadPlan, factors: Array, q: Array, v: Array, /) -> Array:
     """Return Q of a load, (k, n_q); factors are its law and its signals, (k, 1 + n_signals)."""

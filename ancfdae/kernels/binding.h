@@ -299,7 +299,10 @@ template <> struct From<bool> {
 template <class A> struct From<std::optional<A>> {
     static std::optional<A> object(PyObject *x)
     {
-        return x == Py_None ? std::nullopt : std::optional<A>(From<A>::object(x));
+        std::optional<A> given;
+        if (x != Py_None)
+            given.emplace(From<A>::object(x));
+        return given;
     }
 };
 template <class A> struct From<std::vector<A>> {
@@ -380,14 +383,8 @@ template <class R, class... A, R (*f)(A...)> struct Bound<f> {
     template <size_t... I>
     static PyObject *run(PyObject *const *args, Py_ssize_t count, std::index_sequence<I...>)
     {
-        std::tuple<std::decay_t<A>...> all{Argument<std::decay_t<A>>::at(args, I, count)...};
-        auto apply = [](auto &...x) -> R { return f(std::forward<A>(x)...); };
-        PyObject *found;
-        if constexpr (std::is_void<R>::value)
-            std::apply(apply, all), found = Py_NewRef(Py_None);
-        else
-            found = given(std::apply(apply, all));
-        Ref kept(found);
+        /* Arguments are made where f takes them: none is moved. */
+        Ref kept(given(f(Argument<std::decay_t<A>>::at(args, I, count)...)));
         if (PyErr_Occurred()) /* in a function that a list calls */
             throw Failed();
         return kept.release();

@@ -5,6 +5,8 @@
  * accelerations; the factors carry powers of the length h of the step.
  */
 enum { STEP_STAGES = 12, AFTER = 12, ALL_STAGES = 16, STEP_ROWS = 2 + ALL_STAGES };
+/* Terms of the dense output, the last of which take rates of all stages. */
+enum { SIMPLE_TERMS = 3, STAGE_TERMS = 4, TERMS = SIMPLE_TERMS + STAGE_TERMS };
 
 /* Finds (a, lam) above its derivatives, (rows, n + m), and moves a state onto the constraints. */
 struct Accelerations {
@@ -30,20 +32,28 @@ enum { ERROR_TEST = 3 };
 /* Shortest step, in gaps between floating-point numbers at its begin. */
 #define SHORTEST 10
 
-/* Where a run stands: begin and end of its last step, the next length, the error, and counts. */
+/* Where a run stands: begin and end of its last step, the next length, the error, the end of the
+ * step whose stages for dense output are there, and counts. */
 struct StepControl {
-    double t, end, h, error, evaluations, projections;
+    double t, end, h, error, dense, evaluations, projections;
 };
 
 struct ExplicitSteps {
     Accelerations *of;
-    const double *factors, *errors, *nodes; /* (16, 2, 18), (2, 2, 12), (16,) */
+    const double *factors, *errors, *nodes, *within; /* (16, 2, 18), (2, 2, 12), (16,), (4, 16) */
     double rtol;
     const double *floor, *place; /* (2, rows, n), (n,) */
     Size vector;
     double *x, *states, *out; /* (18, rows n), (16, 2, rows, n), (16, rows, n + m) */
-    double *scale;
+    double *scale, *terms; /* (2, rows, n), (7, 2, rows, n) */
     StepControl *control;
+};
+
+/* Times at which states are recorded, ascending, room for these, and how many are there. */
+struct RecordedStates {
+    const double *t;
+    Size count, done;
+    double *states;
 };
 
 /* What integrals need of accepted steps: begin and end, and states and multipliers of some stages. */
@@ -213,15 +223,84 @@ void explicit_kept(const ExplicitSteps *s, const KeptSteps *kept, Size at)
     }
 }
 
-/* Takes steps until one reaches `target` or `stop`, or there are `count`; returns why it ends. */
-int explicit_march(const ExplicitSteps *s, double target, double stop, Size count,
-                   const KeptSteps *kept, Size *taken)
+/* Terms of the dense output of the last step, of order 7: y and u are those at its begin, and terms
+ * times x, x (1 - x), x^2 (1 - x), ... for a part x of the step. */
+int explicit_terms(const ExplicitSteps *s)
 {
-    int trouble = SOLVED;
-    for (*taken = 0; !trouble && *taken < count && s->control->end < fmin(target, stop);) {
+    StepControl *c = s->control;
+    Size count = s->of->rows * s->of->n;
+    double h = c->end - c->t;
+    if (c->dense != c->end) {
+        int trouble = explicit_stages(s, c->t, h, AFTER + 1, ALL_STAGES);
+        if (trouble)
+            return trouble;
+        c->dense = c->end;
+    }
+    for (int part = 0; part < 2; part++) {
+        /* Rates of y are u of the stages, rates of u accelerations. */
+        const double *rates = part ? s->x + 2 * count : s->states + count;
+        Size stride = part ? count : 2 * count;
+        for (Size i = 0; i < count; i++) {
+            double *to = s->terms + part * count + i;
+            const double *from = s->states + part * count + i;
+            double rise = from[AFTER * 2 * count] - from[0];
+            double first = h * rates[i], last = h * rates[AFTER * stride + i];
+            to[0] = rise, to[2 * count] = first - rise, to[4 * count] = 2 * rise - first - last;
+            for (Size k = 0; k < STAGE_TERMS; k++) {
+                double sum = 0;
+                for (Size j = 0; j < ALL_STAGES; j++)
+                    sum += s->within[k * ALL_STAGES + j] * rates[j * stride + i];
+                to[(SIMPLE_TERMS + k) * 2 * count] = h * sum;
+            }
+        }
+    }
+    return SOLVED;
+}
+
+/* Records the states at times that the last step has passed. */
+int explicit_recorded(const ExplicitSteps *s, RecordedStates *to)
+{
+    StepControl *c = s->control;
+    bool has_terms = false;
+    Size all = 2 * s->of->rows * s->of->n;
+    for (; to->done < to->count && to->t[to->done] <= c->end; to->done++) {
+        double t = to->t[to->done], x = (t - c->t) / (c->end - c->t), weight = 1;
+        double *state = to->states + to->done * all;
+        if (t == c->end) {
+            memcpy(state, s->states + AFTER * all, (size_t)all * sizeof *state);
+            continue;
+        }
+        int trouble = has_terms ? (int)SOLVED : explicit_terms(s);
+        if (trouble)
+            return trouble;
+        has_terms = true;
+        memcpy(state, s->states, (size_t)all * sizeof *state);
+        for (Size k = 0; k < TERMS; k++) {
+            weight *= k % 2 ? 1 - x : x;
+            for (Size i = 0; i < all; i++)
+                state[i] += weight * s->terms[k * all + i];
+        }
+        c->projections++;
+        trouble = all_finite(state, all) ? s->of->projected(t, state) : (int)NOT_FINITE;
+        if (trouble)
+            return trouble;
+    }
+    return SOLVED;
+}
+
+/* Takes steps until one reaches `target` or `stop`, or there are `count`, and records states at times
+ * behind them; returns why it ends. */
+int explicit_march(const ExplicitSteps *s, double target, double stop, Size count,
+                   const KeptSteps *kept, RecordedStates *recorded, Size *taken)
+{
+    *taken = 0;
+    int trouble = explicit_recorded(s, recorded);
+    while (!trouble && *taken < count && s->control->end < fmin(target, stop)) {
         trouble = explicit_step(s, stop);
-        if (!trouble)
+        if (!trouble) {
             explicit_kept(s, kept, (*taken)++);
+            trouble = explicit_recorded(s, recorded);
+        }
     }
     return trouble;
 }

@@ -142,7 +142,7 @@ PyMethodDef methods[] = {
     OF_SCALARS(list_values),
     PLAIN(index_1),
     PLAIN(explicit_march),
-    PLAIN(explicit_stages),
+    PLAIN(explicit_terms),
     PLAIN(norm),
     PLAIN(finite),
     OF_SCALARS(csr_rows),

@@ -292,13 +292,25 @@ py_trace_placed(Kept<OperationTrace> trace, Places outputs, Places inputs)
             array_of(to),         array_of(calls), array_of(functions)};
 }
 
-template <class T> Array<T> py_list_values(Kept<OperationList> of, Array<T, 1> x)
+/* Outputs at inputs in consecutive parts: a row for each time point, or one row for all. */
+template <class T> Array<T> py_list_values(Kept<OperationList> of, Rest<Array<T, 1>> parts)
 {
     const Operations *p = &of->list;
-    must(x.ends({p->n_inputs}), "there must be a number for each input");
+    std::vector<const T *> from;
+    std::vector<Size> step;
+    Size rows = -1;
+    for (const auto &x : parts) {
+        must(x.axes < 3 && (x.axes == 1 || rows < 0 || rows == x.length(0)),
+             "parts of inputs must have equally many rows");
+        rows = x.axes == 1 ? rows : x.length(0);
+        for (Size j = 0; j < x.length(-1); j++)
+            from.push_back(x.data + j), step.push_back(x.axes == 1 ? 0 : x.length(-1));
+    }
+    must((Size)from.size() == p->n_inputs, "there must be a number for each input");
     auto work = room_for<T>(p->n_numbers * LIST_LANES);
-    auto out = zeros_like<T>(x, 1, {p->n_outputs});
-    list_values<T>(p, of->constants<T>(), x.rows(1), x.data, work.get(), out.data);
+    auto out = rows < 0 ? zeros<T>({p->n_outputs}) : zeros<T>({rows, p->n_outputs});
+    Size count = rows < 0 ? 1 : rows;
+    list_values<T>(p, of->constants<T>(), count, from.data(), step.data(), work.get(), out.data);
     return out;
 }
 
@@ -414,8 +426,10 @@ struct CalledAccelerations : Accelerations {
 using ListEquations =
     std::tuple<std::vector<Kept<OperationList>>, Array<double, 1>, Array<double, 1>>;
 using CalledEquations = std::tuple<Ref, Ref, Size>;
-/* Tables of DOP853: factors of stages, (16, 2, 18), and of errors, (2, 2, 12), and nodes, (16,). */
-using ExplicitTables = std::tuple<Array<double, 3>, Array<double, 3>, Array<double, 1>>;
+/* Tables of DOP853: factors of stages, (16, 2, 18), of errors, (2, 2, 12), nodes, (16,), and factors
+ * of the dense output, (4, 16). */
+using ExplicitTables =
+    std::tuple<Array<double, 3>, Array<double, 3>, Array<double, 1>, Array<double, 2>>;
 /* Rows, states and (a, lam) of a step, and the control, which are written to. */
 using ExplicitState = std::tuple<InPlace<double>, InPlace<double>, InPlace<double>, InPlace<double>>;
 
@@ -429,7 +443,7 @@ struct ExplicitModel : ExplicitSteps {
     ExplicitModel(PyObject *of_equations, ExplicitTables all_tables, ExplicitState all_states)
         : tables(std::move(all_tables)), state(std::move(all_states))
     {
-        auto &[of_stages, of_errors, at] = tables;
+        auto &[of_stages, of_errors, at, of_terms] = tables;
         auto &[all_rows, all, all_out, where] = state;
         must(all.axes == 4 && all.has({ALL_STAGES, 2, -1, -1}), "states of stages do not fit");
         const npy_intp *shape = all.shape + 1;
@@ -446,17 +460,18 @@ struct ExplicitModel : ExplicitSteps {
         of = equations.get();
         Size numbers = of->rows * of->n;
         must(of_stages.has({ALL_STAGES, 2, STEP_ROWS}) && of_errors.has({2, 2, STEP_STAGES}) &&
-                 at.has({ALL_STAGES}),
+                 at.has({ALL_STAGES}) && of_terms.has({STAGE_TERMS, ALL_STAGES}),
              "tables do not fit");
         must(all_rows.has({STEP_ROWS, numbers}) &&
                  all_out.has({ALL_STAGES, of->rows, of->n + of->m}) &&
                  where.has({(Size)(sizeof(StepControl) / sizeof(double))}),
              "an array to write to has another shape");
         factors = of_stages.data, errors = of_errors.data, nodes = at.data;
+        within = of_terms.data;
         x = all_rows.data, states = all.data, out = all_out.data;
         control = (StepControl *)where.data;
-        memory = room_for<double>(2 * numbers);
-        scale = memory.get();
+        memory = room_for<double>(2 * numbers * (1 + TERMS));
+        scale = memory.get(), terms = scale + 2 * numbers;
     }
 };
 
@@ -466,9 +481,11 @@ using ExplicitTolerances = std::tuple<double, Array<double, 3>, Array<double, 1>
 using ExplicitKept =
     std::tuple<InPlace<double>, InPlace<double>, InPlace<double>, Array<int32_t, 1>>;
 
-std::tuple<int, Size> py_explicit_march(Ref of_equations, ExplicitTables tables,
-                                        ExplicitState state, ExplicitTolerances tolerances,
-                                        double target, double stop, Size count, ExplicitKept kept)
+/* Why the march ends, the number of steps, and states at the times that lie behind. */
+std::tuple<int, Size, Array<double>>
+py_explicit_march(Ref of_equations, ExplicitTables tables, ExplicitState state,
+                  ExplicitTolerances tolerances, Array<double, 1> times, double stop, Size count,
+                  ExplicitKept kept)
 {
     ExplicitModel s(of_equations.get(), std::move(tables), std::move(state));
     auto &[rtol, floor, place, vector] = tolerances;
@@ -480,19 +497,30 @@ std::tuple<int, Size> py_explicit_march(Ref of_equations, ExplicitTables tables,
              states.rows(4) >= count && lam.ends({used.size, rows, s.of->m}) &&
              lam.rows(3) >= count && within(used, 0, ALL_STAGES - 1),
          "there is no room for the steps");
+    must(times.size > 0, "there must be a time to reach");
     s.rtol = rtol, s.floor = floor.data, s.place = place.data, s.vector = vector;
     KeptSteps to = {spans.data, states.data, lam.data, used.data, used.size};
+    auto room = room_for<double>(times.size * 2 * rows * n);
+    RecordedStates recorded = {times.data, times.size, 0, room.get()};
     Size taken = 0;
-    Unlocked others(s.of_lists);
-    int trouble = explicit_march(&s, target, stop, count, &to, &taken);
-    return {trouble, taken};
+    int trouble;
+    {
+        Unlocked others(s.of_lists);
+        trouble = explicit_march(&s, times.data[times.size - 1], stop, count, &to, &recorded, &taken);
+    }
+    auto out = zeros<double>({recorded.done, 2, rows, n});
+    std::copy(room.get(), room.get() + out.size, out.data);
+    return {trouble, taken, std::move(out)};
 }
 
-int py_explicit_stages(Ref of_equations, ExplicitTables tables, ExplicitState state, Size first,
-                       Size last)
+/* Terms of the dense output of the last step, or what prevents it. */
+Ref py_explicit_terms(Ref of_equations, ExplicitTables tables, ExplicitState state)
 {
     ExplicitModel s(of_equations.get(), std::move(tables), std::move(state));
-    must(first <= last && last <= ALL_STAGES, "there are sixteen stages");
-    double t = s.control->t;
-    return explicit_stages(&s, t, s.control->end - t, first, last);
+    int trouble = explicit_terms(&s);
+    if (trouble)
+        return made(PyLong_FromLong(trouble));
+    auto out = zeros<double>({TERMS, 2, s.of->rows, s.of->n});
+    std::copy(s.terms, s.terms + out.size, out.data);
+    return Ref(out.release());
 }

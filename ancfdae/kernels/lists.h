@@ -32,18 +32,18 @@ template <class T> void list_evaluated(const Operations *p, Size lanes, T *x)
     widely<T>([=]() ALWAYS { return list_evaluated_<T>(p, lanes, x); });
 }
 
-/* Outputs, (k, n_outputs), of inputs, (k, n_inputs); work holds n_numbers times LIST_LANES. */
+/* Outputs, (k, n_outputs), of inputs: number j in row i is from[j][i * step[j]]. Work holds
+ * n_numbers times LIST_LANES. */
 template <class T>
-void list_values(const Operations *p, const T *constants, Size count, const T *inputs, T *work,
-                 T *out)
+void list_values(const Operations *p, const T *constants, Size count, const T *const *from,
+                 const Size *step, T *work, T *out)
 {
     for (Size done = 0; done < count; done += LIST_LANES) {
         Size lanes = count - done < LIST_LANES ? count - done : LIST_LANES;
-        const T *from = inputs + done * p->n_inputs;
         T *to = out + done * p->n_outputs;
         for (Size j = 0; j < p->n_inputs; j++)
             for (Size i = 0; i < lanes; i++)
-                work[j * lanes + i] = from[i * p->n_inputs + j];
+                work[j * lanes + i] = from[j][(done + i) * step[j]];
         for (Size j = 0; j < p->n_constants; j++)
             for (Size i = 0; i < lanes; i++)
                 work[(p->n_inputs + j) * lanes + i] = constants[j];

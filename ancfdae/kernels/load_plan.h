@@ -1,6 +1,6 @@
 /* What a load is: vectors U = L q, and a list of operations that makes forces on them of U and V. */
 
-/* Operations of one or two numbers; `numerics/jets.py` has the same in NumPy. */
+/* Operations of one or two numbers; `numerics/operations.py` has the same in NumPy. */
 enum {
     ADD,
     SUBTRACT,

@@ -76,7 +76,7 @@ class Designable:
         return new
 
     def split(self, p: Array) -> list[Any]:
-        """Return the values of the design fields out of those of all `parameters`, real or complex.
+        """Return the values of the design fields out of those of `parameters`, real or complex.
 
         For every field a number, an array, or None where it holds None.
         """
@@ -84,7 +84,7 @@ class Designable:
 
     @cached_property
     def design_places(self) -> tuple[list[int | slice | None], int]:
-        """Where the values of the design fields stand among all `parameters`, and their count."""
+        """Return the places of the design fields among all `parameters`, and their count."""
         places, stop = list[int | slice | None](), 0
         for name, value in self._design_values():
             first, stop = stop, stop + len(self.numbers_of(name))

@@ -100,12 +100,13 @@ class FrameDirection:
 @final
 @dataclass(frozen=True)
 class StateVector:
-    """A state of a controller, for the controller itself: component 0 of a vector of its own.
+    """A state of a controller, or a coordinate of a joint's own; counted from 0.
 
-    The rate of the vector is the state, the vector itself its integral over time; counted from 0.
+    A coordinate of a joint is component 0 of the vector. A state of a controller is component 0 of
+    the rate of the vector, which is its integral over time.
     """
 
-    controller: str
+    owner: str
     number: int
 
 
@@ -143,6 +144,11 @@ class Part(Designable, abc.ABC):
     spatial: ClassVar[bool] = False
     #: The line that pictures draw from its first point to its second, or to its `ground`.
     stroke: ClassVar[Stroke | None] = None
+    #: Names of states of a load (`Controller`), or coordinates of a joint's own, each with a vector
+    #: that is integrated with the mechanism; these vectors come last.
+    states: ClassVar[tuple[str, ...]] = ()
+    #: Whether it has a guide or pulleys, which a motion may leave; `off_route` then finds where.
+    routed: ClassVar[bool] = False
     #: What it says to a second point in the place of its ground.
     no_second_point: ClassVar[str] = "Give a point as `other`, if there is one."
 
@@ -158,7 +164,7 @@ class Part(Designable, abc.ABC):
             raise InvalidInputError(where, rule, repr(name), "Write '_' or '-' instead.")
         given = self._given()
         where = f"{self.role} {name!r}" if name else self.kind
-        at = given.get("beam")
+        at = given.get("beam", given.get("joint", given.get("start")))
         if "point" in given:
             require_point(where, given["point"])
             at = str(given["point"])
@@ -169,6 +175,18 @@ class Part(Designable, abc.ABC):
         where = f"{self.role} {self.name!r}"
         self._check_ends(where, given)
         self.check_fields(where)
+
+    def initial_states(self, p: Array) -> Sequence[Any]:
+        """Return the states of a load, or the rates of the states of a joint, at t = 0."""
+        return ()
+
+    def off_route(self, U: Array, p: Array, U_o: Array) -> tuple[int, str] | None:
+        """Return the first of k states in which the part is off its route, and in words how.
+
+        U are the vectors, (k, n_vectors, d), and U_o the vectors in the reference configuration.
+        None if it is on its route in all states. The words begin with a verb and end with a remedy.
+        """
+        return None
 
     def point_numbers(self) -> dict[str, float]:
         """Return the places of the points on their beams, which can be design targets, too.
@@ -188,9 +206,13 @@ class Part(Designable, abc.ABC):
         for name, number in placing.items():
             owner, _, coordinate = name.rpartition("_")
             points[owner] = replace(points[owner], **{coordinate: number})  # type: ignore[arg-type]
-        part = replace(self, **points)  # type: ignore[arg-type]
+        part = self.with_points(points)
         rest = {name: number for name, number in changes.items() if name not in placing}
         return super(Part, part).with_parameters(rest)
+
+    def with_points(self, points: Mapping[str, MaterialPoint]) -> Self:
+        """Return the same part with other points in its `point_fields`."""
+        return replace(self, **points)  # type: ignore[arg-type]
 
     def point_fields(self) -> dict[str, MaterialPoint]:
         """Return the fields that hold a point."""
@@ -355,6 +377,6 @@ def reference_place(point: MaterialPoint, member: _Member) -> Array:
 
 
 def on_ground(part: _Any, member: _Member) -> _Any:
-    """Return a part with its ground written where it was left out."""
+    """Return a part whose place on the ground is given: by default where its point stands."""
     point = part.stands_at
     return part if point is None else part.on_ground(reference_place(point, member).tolist())

@@ -25,6 +25,7 @@ from ancfdae.model.bodies import (
     require_in_section,
     require_point,
 )
+from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.model.joints.joint import Joint
 from ancfdae.model.loads.load import Load
 from ancfdae.model.point_mass import PointMass
@@ -65,6 +66,9 @@ class Scene(SceneDesign):
     bodies : sequence of RigidBody or PointMass
     frame : RotatingFrame, optional
         The frame that all of this is declared in where it turns steadily; else it is at rest.
+    left_out : sequence of (str, int)
+        Equations that are not imposed: the name of a joint and the number of its equation, counted
+        from 0. `drop_redundant` finds those that others imply.
 
     Raises
     ------
@@ -84,6 +88,7 @@ class Scene(SceneDesign):
     project_start: bool = False
     bodies: Sequence[RigidBody | PointMass] = ()
     frame: RotatingFrame | None = None
+    left_out: Sequence[tuple[str, int]] = ()
 
     design_fields = (("gravity", require_vector), ("frame", require_frame))
 
@@ -101,6 +106,8 @@ class Scene(SceneDesign):
         self._check_members()
         self._check_names()
         self._check_parts()
+        if self.left_out:
+            self._check_left_out()
         self._check_assembly()
         if self.gravity is not None:
             require_vector("Scene.gravity", self.gravity, (self.dimension,))
@@ -121,7 +128,15 @@ class Scene(SceneDesign):
             f"joints: {joints}\nloads: {loads}\n"
             f"gravity: {'none' if self.gravity is None else tuple(self.gravity)}"
             + ("" if self.frame is None else f"\nin a {self.frame}")
+            + ("" if not self.left_out else f"\nequations left out: {listed(self._left_out())}")
         )
+
+    def _left_out(self) -> list[str]:
+        """Return the equations left out, joint by joint: ``hinge (3, 4)``."""
+        rows: dict[str, list[str]] = {}
+        for name, row in self.left_out:
+            rows.setdefault(name, []).append(str(row))
+        return [f"{name} ({', '.join(numbers)})" for name, numbers in rows.items()]
 
     def at_rest(self) -> Scene | None:
         """Return the scene whose equilibrium is the start of the motion; None if none is."""
@@ -183,6 +198,20 @@ class Scene(SceneDesign):
             part.check_space(elements)
             for point in part.points:
                 self._check_point(where, point)
+
+    def _check_left_out(self) -> None:
+        """Store the equations left out as pairs; refuse joints by formulas and unknown names."""
+        pairs = require_sequence("Scene.left_out", self.left_out)
+        repair = "For example left_out=[('hinge', 3)], as drop_redundant(scene) finds them."
+        for pair in pairs:
+            if not (isinstance(pair, (tuple, list)) and len(pair) == 2):
+                rule = "must hold pairs of the name of a joint and the number of an equation"
+                raise InvalidInputError("Scene.left_out", rule, repr(pair), repair)
+            require_kind("Scene.left_out, equation", pair[1], (int, np.integer), repair)
+            if isinstance(named("Scene.left_out, joint", pair[0], self.joints), FormulaJoint):
+                rule = "equations of a joint by formulas cannot be left out"
+                raise InvalidInputError("Scene.left_out", rule, repr(pair[0]), repair)
+        object.__setattr__(self, "left_out", tuple((name, int(row)) for name, row in pairs))
 
     def _check_point(self, where: str, point: MaterialPoint) -> None:
         """Refuse a point outside the sections of the element, or the two elements, it lies in.

@@ -126,7 +126,7 @@ class SceneDesign(Designable):
 
     @cached_property
     def start_of(self) -> dict[str, InitialVelocity | NodalState]:
-        """How bodies start that do not start from rest in the reference configuration, by name."""
+        """Starts, by name, of bodies that do not start from rest in the reference configuration."""
         return {start.body: start for start in self.body_starts}
 
     def owners(self) -> tuple[str, ...]:
@@ -134,7 +134,7 @@ class SceneDesign(Designable):
         return (*(beam.name for beam in self.beams), *self.parts(), SCENE)
 
     def numbers(self, owner: str) -> dict[str, float]:
-        """Return the numbers beside those of elements that can be design targets, by parameter.
+        """Return the numbers that can be design targets, by parameter, without numbers of elements.
 
         Of a beam its placement and its initial velocity, of a rigid body its parameters and the
         same, of joints, loads and point masses their parameters and the places of their points,
@@ -373,7 +373,7 @@ class SceneDesign(Designable):
         return (*self.beams, *self.bodies, *self.joints, *self.loads, *self._rest_loads())
 
     def _rest_loads(self) -> tuple[Load, ...]:
-        """Return the loads of the start at rest that are not those of the motion."""
+        """Return the loads of the start at rest that the motion does not have."""
         loads = () if self.rest is None else self.rest.loads or ()
         return tuple(load for load in loads if not any(load is kept for kept in self.loads))
 

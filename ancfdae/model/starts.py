@@ -112,7 +112,7 @@ class EquilibriumStart:
             require_vector("EquilibriumStart.gravity", self.gravity)
 
     def with_loads(self, changed: Sequence[Load]) -> EquilibriumStart:
-        """Return the start with the loads of the same names among those given."""
+        """Return the start with its loads replaced by given loads of the same names."""
         if self.loads is None:
             return self
         by_name = {load.name: load for load in changed}
@@ -125,7 +125,7 @@ Start: TypeAlias = InitialVelocity | NodalState | EquilibriumStart
 def checked_start(
     start: InitialVelocity | NodalState, beam: BeamBody | RigidBody, d: int, kinks: tuple[int, ...]
 ) -> InitialVelocity | NodalState:
-    """Return a start, of a beam with kinks at these nodes, with its arrays as such.
+    """Return a checked start of a beam with kinks at these nodes, its sequences as arrays.
 
     InvalidInputError if vectors have another size, a rigid body has states of nodes, or elements do
     not meet.

@@ -140,7 +140,7 @@ def _between(sizes: Array, last: float) -> float:
 
 
 def _encloses(small: Linearised, roots: Array, r: float) -> bool:
-    """Whether as many roots lie within the circle as there are among those given."""
+    """Whether the circle encloses no root beside the given ones."""
 
     def log_q(angle: float) -> complex:
         s = r * np.exp(1j * angle)

@@ -208,7 +208,7 @@ def _product(
 
 
 def _drifts(small: Linearised, pairs: Eigenpairs, group: list[int]) -> bool:
-    """Whether modes are rigid motions among damped ones, which stay at s = 0."""
+    """Whether the modes of a group are rigid motions of a damped system, with exponent zero."""
     return small.D is not None and bool(pairs.z[group[0]] == 0)
 
 

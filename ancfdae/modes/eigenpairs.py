@@ -87,9 +87,10 @@ def with_zeros(small: Linearised, z: Array, X: Array, change: Array) -> tuple[Ar
 
 
 def undamped_part(small: Linearised, rigid: Array) -> Array:
-    """Return the rigid motions that meet no damping, orthonormal in M.
+    """Return the rigid motions that meet no damping, (n_q, k), orthonormal in M.
 
-    Where D is symmetric those dissipate nothing but what strains that are left of others do.
+    With a symmetric D these are the rigid motions whose dissipated power is below its round-off,
+    the power that strains of round-off size would dissipate.
     """
     assert small.D is not None
     if small.symmetric and rigid.size:
@@ -180,7 +181,7 @@ def half_gap(z: Array, noise: Array) -> Array:
 
 
 def finished(small: Linearised, z: Array, X: Array, noise: Array | None = None) -> Eigenpairs:
-    """Name zero what is zero to round-off; norm and sign of the shapes."""
+    """Set values that are zero to round-off to zero, and normalise the shapes."""
     X = X / np.sqrt(small.squares(X))
     pivot = X[largest_entries(small, X), np.arange(X.shape[1])]
     X = X * (np.abs(pivot) / pivot)

@@ -43,7 +43,7 @@ class Lanczos:
         self._left = self._size(self._next)
 
     def converge(self, asked: int) -> bool:
-        """Extend the space until the values asked for have converged, and the others roughly."""
+        """Extend the space until the values asked for have converged, and all others roughly."""
         look = 2 * self._count + 2
         while self._m < self._most:
             self._extend()

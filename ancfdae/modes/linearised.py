@@ -89,7 +89,7 @@ class LinearisationPoint:
         )
 
     def check(self, system: MechanicalSystem) -> None:
-        """Refuse other shapes than those of a system, and values that are not finite."""
+        """Raise InvalidInputError unless arrays have the shapes of a system and finite values."""
         require_array("LinearisationPoint.q", self.q, (system.n_q,))
         require_array("LinearisationPoint.lam", self.lam, (system.n_lam,))
         if self.q_b is not None:

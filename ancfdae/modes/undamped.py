@@ -184,13 +184,13 @@ def _asymmetric(small: Linearised, count: int, highest: bool) -> Eigenpairs:
 
 
 def with_rigid(rigid: Array, z: Array, X: Array, change: Array) -> tuple[Array, Array, Array]:
-    """Return values, shapes and changes of values with those of rigid motions in front."""
+    """Return values, shapes and changes of values, rigid motions first."""
     none = np.zeros(rigid.shape[1])
     return np.append(none, z), np.hstack([rigid, X]), np.append(none, change)
 
 
 def _freed(z: Array, noise: Array, missing: Array) -> bool:
-    """Whether a load has all but freed these motions, so that round-off counts beside the others.
+    """Whether a load is so near its critical value that the `missing` modes vanish in round-off.
 
     Next to a critical load z passes through zero. Neighbouring z of beams without a load differ by
     a factor of 40 at most.

@@ -14,8 +14,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import positive, step
 from ancfdae.numerics.operations import ANGLE, POSITIVE, STEP, Operations
+from ancfdae.numerics.vector_formulas import positive, step
 
 _HALF_TURN: Final = np.pi
 

@@ -34,8 +34,8 @@ from ancfdae.errors.checks import require_count, require_function
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import FAILURES, scaled_derivative
-from ancfdae.numerics.jets import Carried
 from ancfdae.numerics.operations import NotTraceable, Operations, Traced
+from ancfdae.numerics.vector_formulas import Carried
 
 # Points of a circle, and the upper half of them: f(conj z) = conj f(z).
 _POINTS = 16

@@ -115,7 +115,7 @@ class Fronts:
         return growth if growth < np.inf else None
 
     def negative(self, terms: Terms, B: Array) -> tuple[int, float]:
-        """Return how many more pivots are negative than multipliers, and the growth as above.
+        """Return the negative pivots beyond the multipliers' number, and the pivot growth.
 
         The growth is infinite where a pivot vanishes.
         """
@@ -191,7 +191,7 @@ class ConstrainedPattern:
 
     @cached_property
     def _entries(self) -> tuple[Array, Array, Array]:
-        """Where the values of `matrix` go, and rows and starts of columns of the matrix."""
+        """Return places of the values of `matrix`, and rows and starts of columns of the matrix."""
         K, B, n, size = self.K, self.B, self.K.shape[0], self.size
         i, j = (B.columns[pair] for pair in self.pairs)
         diagonal, multipliers = np.arange(n), n + B.rows

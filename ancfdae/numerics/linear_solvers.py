@@ -358,7 +358,7 @@ class _Envelope:
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """Where columns begin, chosen values of K, places of these and of B, signs of pivots."""
+        """Return starts of columns, chosen values of K, places of K and B, signs of pivots."""
         return self._first, self._chosen, self._places, self._signs
 
     def factor(self, terms: Terms, B: Array) -> Factorization | None:

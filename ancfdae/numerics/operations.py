@@ -24,7 +24,7 @@ import numpy as np
 from ancfdae.kernels import OperationList, OperationTrace
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.complex_step import FAILURES
-from ancfdae.numerics.jets import Carried, without_derivatives
+from ancfdae.numerics.vector_formulas import Carried, StandIn, without_derivatives
 
 #: Functions that are none of NumPy: the angle of two numbers, what is positive of a number and
 #: whether it is.
@@ -187,7 +187,7 @@ class Operations:
         places = {number: place for place, number in enumerate(needed)}
         return sorted(places[x] for x in numbers.ravel().tolist() if x in places)
 
-    def compiled(self, outputs: Array, inputs: Sequence[int]) -> OperationList:
+    def compiled(self, outputs: Array, inputs: Sequence[int] | Array) -> OperationList:
         """Return what evaluates real outputs at given inputs; outputs follow from no other."""
         placed = self.trace.placed(_numbers(outputs), _numbers(inputs))
         constants, op, a, b, to, calls, functions = placed
@@ -203,7 +203,7 @@ def _numbers(numbers: Any) -> Array:
 
 @final
 class Listed(Carried):
-    """An array of numbers whose operations are listed, those that jets have."""
+    """An array of numbers whose operations are listed."""
 
     def __init__(self, operations: Operations, at: Array) -> None:
         self._operations, self.at = operations, at
@@ -287,7 +287,7 @@ class NotTraceable(Exception):
 
 
 @final
-class Traced:
+class Traced(StandIn):
     """A number whose operations are listed; `Symbols` are arrays of such numbers.
 
     NumPy calls methods of the names of its functions on the entries of such arrays.
@@ -314,45 +314,47 @@ class Traced:
         flat = [_number(operations, y) for y in x.ravel().tolist()]
         return np.array(flat, dtype=np.int64).reshape(x.shape)
 
-    def _of(self, function: Any, *others: Any) -> Any:
-        operations, numbers = self.operations, []
-        for x in others:
-            if type(x) is Traced:
-                numbers.append(x.at)
-            elif isinstance(x, np.ndarray):
-                return NotImplemented  # Arrays take their entries one by one.
-            else:
-                numbers.append(_number(operations, x))
-        return Traced(operations, operations.apply(function, *numbers))
+    def _with(self, code: int, other: Any, reflected: bool = False) -> Any:
+        """Return an operation on this number and another one, which stands first if `reflected`."""
+        operations, x = self.operations, self.at
+        if isinstance(other, np.ndarray):
+            return NotImplemented  # Arrays take their entries one by one.
+        y = other.at if type(other) is Traced else _number(operations, other)
+        at = operations.trace.apply(code, *((y, x) if reflected else (x, y)))
+        return Traced(operations, at)
+
+    def _of(self, code: int) -> Traced:
+        """Return an operation on this number alone."""
+        return Traced(self.operations, self.operations.trace.apply(code, self.at, self.at))
 
     # Arithmetic.
 
     def __add__(self, other: Any) -> Any:
-        return self._of(np.add, self, other)
+        return self._with(_CODES[np.add], other)
 
     def __radd__(self, other: Any) -> Any:
-        return self._of(np.add, other, self)
+        return self._with(_CODES[np.add], other, reflected=True)
 
     def __sub__(self, other: Any) -> Any:
-        return self._of(np.subtract, self, other)
+        return self._with(_CODES[np.subtract], other)
 
     def __rsub__(self, other: Any) -> Any:
-        return self._of(np.subtract, other, self)
+        return self._with(_CODES[np.subtract], other, reflected=True)
 
     def __mul__(self, other: Any) -> Any:
-        return self._of(np.multiply, self, other)
+        return self._with(_CODES[np.multiply], other)
 
     def __rmul__(self, other: Any) -> Any:
-        return self._of(np.multiply, other, self)
+        return self._with(_CODES[np.multiply], other, reflected=True)
 
     def __truediv__(self, other: Any) -> Any:
-        return self._of(np.divide, self, other)
+        return self._with(_CODES[np.divide], other)
 
     def __rtruediv__(self, other: Any) -> Any:
-        return self._of(np.divide, other, self)
+        return self._with(_CODES[np.divide], other, reflected=True)
 
     def __neg__(self) -> Any:
-        return self._of(np.negative, self)
+        return self._of(_CODES[np.negative])
 
     def __pos__(self) -> Any:
         return self
@@ -377,7 +379,7 @@ class Traced:
     # Functions.
 
     def sqrt(self) -> Traced:  # noqa: D102 - NumPy's names, here and below
-        return self._noted(self._of(np.sqrt, self))
+        return self._noted(self._of(_CODES[np.sqrt]))
 
     def _noted(self, root: Traced) -> Traced:
         """Note the line of the user's code that takes a root."""
@@ -390,34 +392,45 @@ class Traced:
         return root
 
     def exp(self) -> Traced:  # noqa: D102
-        return self._of(np.exp, self)
+        return self._of(_CODES[np.exp])
 
     def log(self) -> Traced:  # noqa: D102
-        return self._of(np.log, self)
+        return self._of(_CODES[np.log])
 
     def sin(self) -> Traced:  # noqa: D102
-        return self._of(np.sin, self)
+        return self._of(_CODES[np.sin])
 
     def cos(self) -> Traced:  # noqa: D102
-        return self._of(np.cos, self)
+        return self._of(_CODES[np.cos])
 
     def tan(self) -> Traced:  # noqa: D102
-        return self._of(np.tan, self)
+        return self._of(_CODES[np.tan])
 
     def sinh(self) -> Traced:  # noqa: D102
-        return self._of(np.sinh, self)
+        return self._of(_CODES[np.sinh])
 
     def cosh(self) -> Traced:  # noqa: D102
-        return self._of(np.cosh, self)
+        return self._of(_CODES[np.cosh])
 
     def tanh(self) -> Traced:  # noqa: D102
-        return self._of(np.tanh, self)
+        return self._of(_CODES[np.tanh])
 
     def arctan(self) -> Traced:  # noqa: D102
-        return self._of(np.arctan, self)
+        return self._of(_CODES[np.arctan])
 
-    def arctan2(self, x: Any) -> Traced:  # noqa: D102
-        return self._of(ANGLE, self, x)
+    def angle(self, x: Any) -> Any:
+        """Return the angle of (x, self)."""
+        return self._with(_CODES[ANGLE], x)
+
+    arctan2 = angle
+
+    def positive(self) -> Traced:
+        """Return the number where it is positive, else 0."""
+        return self._of(_CODES[POSITIVE])
+
+    def step(self) -> Traced:
+        """Return 1 where it is positive, else 0."""
+        return self._of(_CODES[STEP])
 
     def arcsin(self) -> Traced:  # noqa: D102
         return self.arctan2(((1.0 - self) * (1.0 + self)).sqrt())
@@ -495,10 +508,19 @@ class Symbols(np.ndarray):
 # Functions that NumPy looks for among the methods of entries, which plain numbers do not have.
 _METHODS = frozenset(f for f in _CODES if isinstance(f, np.ufunc) and f.__name__ in vars(Traced))
 _METHODS |= {np.arctan2, np.arcsin, np.arccos, np.hypot}
+# Functions of single numbers that need no arrays.
+_OF_NUMBERS = _METHODS | {np.add, np.subtract, np.multiply, np.divide}
 
 
 def _applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], kwargs: dict[str, Any]) -> Any:
     """Return a function of NumPy of arrays of symbols."""
+    single = not any(isinstance(x, np.ndarray | list | tuple) for x in inputs)
+    if single and method == "__call__" and not kwargs and ufunc in _OF_NUMBERS:
+        operations = next(x.operations for x in inputs if isinstance(x, Traced))
+        first, *others = (Traced(operations, _number(operations, x)) for x in inputs)
+        if ufunc in _METHODS:
+            return getattr(first, ufunc.__name__)(*others)
+        return first._with(_CODES[ufunc], others[0])
     if ufunc in _METHODS:
         operations = next(
             y.operations
@@ -524,4 +546,4 @@ def _number(operations: Operations, x: Any) -> int:
         return x.at
     if isinstance(x, complex):
         _refuse("a complex number")
-    return operations.constant(float(x))
+    return operations.trace.constant(float(x), 0.0)

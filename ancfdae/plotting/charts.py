@@ -451,7 +451,7 @@ def _draw_series(axes: Axes, series: Series, look: Look, place: int) -> Line2D:
 
 
 def _tell_apart(points: Line2D, number: int) -> None:
-    """Put points over all lines, later ones smaller: those at one place are all seen."""
+    """Draw points over all lines, later ones smaller, so that points at one place are all seen."""
     points.set(zorder=3.0 + 0.01 * number, markersize=max(4.5, 10.0 - 4.0 * number))
     points.set_markeredgewidth(1.5)
     if np.size(points.get_xdata()) == 1:

@@ -143,7 +143,13 @@ def _naming(scene: Scene) -> SceneNaming:
     """Return where bodies stand in the coordinates; assembling the scene would cost far more."""
     numbering, masses = number(scene), tuple(mass.name for mass in scene.point_masses)
     layout = Layout(
-        scene.dimension, numbering.bodies, numbering.beams, masses, (), numbering.controllers
+        scene.dimension,
+        numbering.bodies,
+        numbering.beams,
+        masses,
+        (),
+        numbering.controllers,
+        numbering.sliders,
     )
     lengths = scene.element_parameters()[:, ElementParameter.LENGTH]
     return SceneNaming(layout, lengths, np.zeros((len(lengths), 0)))

@@ -388,7 +388,7 @@ class SpacePainter(Painter):
 
 
 def colour_map(mechanism: Mechanism) -> Colormap:
-    """Return the colours of the field; what has no value is as without a field."""
+    """Return the colours of the field; parts without a value look as without a field."""
     signed = mechanism.field is not None and mechanism.field.signed
     return colormaps[SIGNED if signed else PLAIN].with_extremes(bad=BODY)
 

@@ -141,7 +141,7 @@ class BeamMesh(Mesh):
         return at
 
     def _carried(self, tangent: Array) -> dict[Quantity, Array]:
-        """Return the axes across a cable: those declared, by the least turn to its tangent."""
+        """Return the axes across a cable: the declared axes, turned least to follow its tangent."""
         if self.body.dimension == 2:
             return {Quantity.SLOPE_Y: tangent @ generators(2)[0].T}
         start, *across = self.body.directions()

@@ -234,7 +234,7 @@ class _Watched:
             self._past[last] |= remembered(nodes)
 
     def close(self) -> None:
-        """Make the value of those of all instants, and the slopes in each."""
+        """Compute the objective from the values at all instants, and its slope in each of them."""
         values, grid = self._values, self._grid
         nodes = evaluated(self._objective, lambda leaf: leaf.of_values(values[leaf], grid))
         value = list(nodes.values())[-1]
@@ -246,9 +246,10 @@ class _Watched:
             self._slopes[reduction] = weight * reduction.slopes_of_values(values[reduction], grid)
 
     def seeds(self, states: States, first: int) -> Seeds:
-        """Return the partials in the states of a part, and add those in the design.
+        """Return the partials of the objective in the states of a part of the run.
 
-        The instant that a part begins with belongs to the one before.
+        Its partials in the design variables are added to `gradient`. The first instant of a part
+        is left out, since it is the last one of the part before.
         """
         states = replace(states, past=self._past[first])
         total: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))

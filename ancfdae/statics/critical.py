@@ -19,9 +19,11 @@ from typing import Any, Literal, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_finite
 from ancfdae.errors.kinds import AncfdaeError, InvalidInputError
 from ancfdae.errors.outcomes import uninterrupted
+from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
@@ -75,8 +77,8 @@ class NoCriticalPointError(AncfdaeError):
 
 
 @final
-@dataclass(frozen=True)
-class CriticalLoad:
+@dataclass(frozen=True, repr=False)
+class CriticalLoad(PrintedTable):
     """The value of a parameter at which an equilibrium loses its stiffness.
 
     Attributes
@@ -108,11 +110,21 @@ class CriticalLoad:
     _point: HeldPoint
     _p: int
 
-    def __repr__(self) -> str:
-        """Return value, kind and derivatives."""
-        lines = [f"{self.name} = {self.value:.6g}: {self.kind}"]
-        lines += [f"  d/d({n}) = {g:.6g}" for n, g in zip(self.names, self.gradient, strict=True)]
-        return "\n".join(lines)
+    def to_dataframe(self) -> Any:
+        """Return the derivatives as a table of pandas, a row for each design variable.
+
+        The name of the parameter, its critical value and the kind are in its ``attrs``.
+        """
+        index = pandas().Index(self.names, name="design variable")
+        table = pandas().DataFrame({"derivative": self.gradient}, index=index)
+        table.attrs |= {"name": self.name, "value": self.value, "kind": self.kind}
+        return table
+
+    def _printed(self) -> TableText:
+        slopes = (f"{slope:.6g}" for slope in self.gradient)
+        rows = [("design variable", "derivative"), *zip(self.names, slopes, strict=True)]
+        head = f"{self.name} = {self.value:.6g}: {self.kind}"
+        return head, rows if self.names else [], ""
 
     def branch(self, size: float) -> tuple[float, Equilibrium]:
         """Return an equilibrium beside this one, and the value of the parameter there.
@@ -228,7 +240,7 @@ def _first_critical(
 
 
 def _lost_in_words(place: _Place) -> str:
-    """Say what is known of a loss beyond a place at which Newton's method found no point."""
+    """Describe a loss of stiffness beyond a place at which Newton's method found no point."""
     if place.follows:
         return f"equilibria are unstable, or not to be followed, beyond {place.p:g}. {_FLUTTER}"
     where = f"stiffness is lost beyond {place.p:g}"

@@ -19,17 +19,22 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.saddle_points import force_total, held_q, held_total, solve, solve_transposed
 from ancfdae.equations.solution import Solution
-from ancfdae.equations.solution_parts import Sensitivities, Statistics
+from ancfdae.equations.solution_parts import (
+    Sensitivities,
+    Statistics,
+    pandas,
+    rows_of_design,
+)
 from ancfdae.errors.kinds import AncfdaeError, CoarseMeshWarning, StabilityWarning
 from ancfdae.errors.outcomes import Verdict, uninterrupted
-from ancfdae.errors.text import listed
+from ancfdae.errors.text import PrintedTable, TableText, listed
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.numerics.threads import in_one_thread
@@ -118,9 +123,9 @@ class Tangent:
     def _exactly(self, value: Callable[[Array], Array]) -> Array:
         """Return a function of q at the equilibrium corrected for the round-off of q.
 
-        Coordinates round to eps |q|, which leaves the axial force eps EA: (L/h)^2 times what bends
-        a beam. The correction that q is too coarse for is taken magnified, by a central difference;
-        forces of beams are cubic in q.
+        Coordinates round to eps |q|, which leaves an axial force eps EA: (L/h)^2 times the forces
+        that bend a beam. The last correction of Newton's method is smaller than q can hold: it is
+        magnified, and its effect taken by a central difference. Forces of beams are cubic in q.
         """
         step = _MAGNIFIED * self._beyond
         slope = (value(self._q + step) - value(self._q - step)) / (2 * _MAGNIFIED)
@@ -154,8 +159,8 @@ MAX_STEPS = 1000
 
 
 @final
-@dataclass(frozen=True)
-class Equilibrium:
+@dataclass(frozen=True, repr=False)
+class Equilibrium(PrintedTable):
     """A state of rest under load, or the state at which the search for one ended.
 
     Attributes
@@ -187,16 +192,27 @@ class Equilibrium:
 
     @property
     def statistics(self) -> Statistics:
-        """Counters of the search; steps are those of the load."""
+        """Counters of the search; `steps` are steps of the load."""
         return self.solution.statistics
 
-    def __repr__(self) -> str:
-        """Return sizes, outcome and design variables."""
+    def to_dataframe(self) -> Any:
+        """Return the coordinates as a table of pandas, a row for each, by name.
+
+        The column ``value`` is in m, for slopes dimensionless. With design variables each has a
+        column of derivatives, ``d/d rod.height``.
+        """
+        table, sensitivities = {"value": self.q}, self.solution.sensitivities
+        if sensitivities is not None:
+            columns = zip(sensitivities.names, sensitivities.q_b[0].T, strict=True)
+            table |= {f"d/d {name}": column for name, column in columns}
+        coordinates = self.solution.to_dataframe().columns.rename("coordinate")
+        return pandas().DataFrame(table, index=coordinates)
+
+    def _printed(self) -> TableText:
+        head = f"Equilibrium: {len(self.q)} coordinates, {len(self.lam)} multipliers"
         sensitivities = self.solution.sensitivities
-        lines = [f"Equilibrium: {len(self.q)} coordinates, {len(self.lam)} multipliers"]
-        lines += [str(self.outcome)]
-        lines += [] if sensitivities is None else [f"derivatives in {listed(sensitivities.names)}"]
-        return "\n".join(lines)
+        rows = [] if sensitivities is None else rows_of_design(sensitivities)
+        return head, rows, str(self.outcome)
 
 
 @final

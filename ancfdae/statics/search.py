@@ -162,11 +162,11 @@ _FAILURES = 30
 
 @final
 class Settling:
-    """Goes downhill under the full load; q and lam are the state reached.
+    """Pseudo-transient continuation under the full load; q and lam are the state reached.
 
-    Constraints that are violated at the start close at once, or where a step cannot, or folds an
-    element, in parts that adapt; or not at all, as the balance says. `steps` have converged, the
-    last of the size `residual`; `gone` is whether it grew without bound.
+    Constraints that are violated at the start close in one step, or in several smaller parts if
+    that step fails or folds an element; the balance may leave them open. `steps` steps have
+    converged, the last one of the size `residual`; `gone` is whether it grew without bound.
     """
 
     def __init__(self, balance: Balance, max_steps: int) -> None:
@@ -175,7 +175,7 @@ class Settling:
         self.steps, self.residual, self.gone = 0, 0.0, False
 
     def run(self) -> Verdict:
-        """Settle; return the verdict."""
+        """Search by pseudo-transient continuation; return how the search ended."""
         try:
             return self._run()
         except KeyboardInterrupt:
@@ -365,7 +365,7 @@ def _path_end(
 
 
 def _polished(balance: Balance, end: SearchEnd) -> SearchEnd:
-    """Return an equilibrium with all its digits, or where it has come if it is none."""
+    """Return an equilibrium refined to round-off, or the state that the search reached."""
     exact = balance.polished(end.q, end.lam)
     if isinstance(exact, Unsolved):
         outcome = replace(end.outcome, verdict=exact.verdict, residual=exact.residual)

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
 from ancfdae.assembly.system import AncfSystem
+from ancfdae.equations.solution_parts import pandas
 from ancfdae.errors.checks import require_kind
+from ancfdae.errors.text import PrintedTable, TableText, listed
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
@@ -17,8 +19,8 @@ from ancfdae.studies.calls import as_system
 
 
 @final
-@dataclass(frozen=True)
-class MassProperties:
+@dataclass(frozen=True, repr=False)
+class MassProperties(PrintedTable):
     """Mass properties and their total derivatives in n_b design variables.
 
     Attributes
@@ -31,6 +33,8 @@ class MassProperties:
         Tensor of inertia about the centre of mass, in the plane about the axis across it; kg m^2.
     mass_b, centre_b, inertia_b : array
         Design derivatives of the three, with a last axis n_b; per unit of the variable.
+    names : tuple of str
+        Names of the design variables.
     """
 
     mass: float
@@ -39,6 +43,38 @@ class MassProperties:
     mass_b: Array
     centre_b: Array
     inertia_b: Array
+    names: tuple[str, ...]
+
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas with a row for the mass and each entry of centre and inertia.
+
+        Rows are named ``mass``, ``centre.y`` or ``inertia.xy``. The column ``value`` is in kg, m or
+        kg m^2; each design variable has a column of derivatives, ``d/d rod.height``.
+        """
+        labels, values, derivatives = self._entries()
+        columns = zip(self.names, derivatives.T, strict=True)
+        table = {"value": values} | {f"d/d {name}": column for name, column in columns}
+        return pandas().DataFrame(table, index=pandas().Index(labels, name="quantity"))
+
+    def _entries(self) -> tuple[list[str], Array, Array]:
+        """Return names, values and derivatives (n, n_b) of mass, centre and upper inertia."""
+        d, n = len(self.centre), len(self.inertia)
+        i, j = np.triu_indices(n)
+        axes = "xyz"[-n:]
+        labels = ["mass", *(f"centre.{axis}" for axis in "xyz"[:d])]
+        labels += [f"inertia.{axes[k]}{axes[l]}" for k, l in zip(i, j, strict=True)]
+        values = np.concatenate([[self.mass], self.centre, self.inertia[i, j]])
+        return labels, values, np.concatenate([[self.mass_b], self.centre_b, self.inertia_b[i, j]])
+
+    def _printed(self) -> TableText:
+        labels, values, _ = self._entries()
+        units = (_UNITS[label.split(".")[0]] for label in labels)
+        rows = zip(labels, (f"{x:.6g}" for x in values), units, strict=True)
+        tail = f"derivatives in {listed(self.names)}" if self.names else ""
+        return "MassProperties", [("quantity", "value", "unit"), *rows], tail
+
+
+_UNITS = {"mass": "kg", "centre": "m", "inertia": "kg m^2"}
 
 
 def mass_properties(
@@ -72,6 +108,7 @@ def mass_properties(
         m_b,
         np.array([slope for _, slope in centre]),
         np.array([[slope for _, slope in row] for row in tensor]),
+        tuple(system.design_names),
     )
 
 

@@ -101,7 +101,7 @@ class Kind:
 def known_design(
     scene: Scene, design: Sequence[DesignVariable], lacks: str = ""
 ) -> tuple[DesignVariable, ...]:
-    """Return the variables with those of their targets that a scene has, but one parameter."""
+    """Return the variables with the targets that a scene has, without one parameter."""
 
     def has(text: str) -> bool:
         try:
@@ -114,7 +114,7 @@ def known_design(
 
 
 def model_kinds(scene: Scene, alternatives: Mapping[str, Scene]) -> Iterator[Kind]:
-    """Yield simpler models of a scene, then those of the user, last the scene as declared."""
+    """Yield simpler models of a scene, then the models of the user, last the scene as declared."""
     soft = [beam for beam in scene.beams if not beam.rigid]
     if soft:
         yield Kind("rigid", partial(_exchanged, scene, soft, _rigid))

@@ -169,7 +169,7 @@ class DesignedConfiguration(abc.ABC):
 
 
 def place(system: MechanicalSystem, at: At) -> DesignedConfiguration:
-    """Return the place that a user means; InvalidInputError if it is none."""
+    """Return the configuration that a user means; InvalidInputError for other objects."""
     if at is None:
         return _Start(system)
     require_kind("at", at, (LinearisationPoint, Equilibrium), "Pass what `equilibrium` returned.")
@@ -195,7 +195,7 @@ class _Given(DesignedConfiguration):
 
 @final
 class _Balanced(DesignedConfiguration):
-    """An equilibrium; its derivatives are those of this system, whatever it was found with."""
+    """An equilibrium with its derivatives in the design variables of this system."""
 
     def __init__(self, system: MechanicalSystem, at: Equilibrium) -> None:
         self._system, self._at = system, at
@@ -260,7 +260,7 @@ class _Start(DesignedConfiguration):
         return LinearisationPoint(q, self._lam, q_b, solve(self._factors, force, side)[1])
 
     def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
-        """With [m, z] the transposed solution: what is left of on_lam moves q and b."""
+        """Return q_b^T on_q + lam_b^T on_lam + on_b by one transposed solve, shape (n_b,)."""
         system, q, a, lam, rest = self._system, self._q, self._a, self._lam, self._rest
         m, z = solve_transposed(self._factors, rest, on_lam)
         at, none = np.zeros(1), np.zeros_like(lam)

@@ -95,7 +95,7 @@ class _Budget:
 
 
 def _shorter(budget: _Budget) -> Iterator[str]:
-    """Tell which shorter step reached the end, or that those tried did not."""
+    """Describe which shorter step reached the end, or that none of the steps tried did."""
     stopped = list[str]()
     for k in range(1, _HALVINGS + 1):
         step = float(f"{budget.step / 2**k:.3g}")  # As it is written.

@@ -32,6 +32,7 @@ from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.threads import in_one_thread
 from ancfdae.sensitivity.method import GradientMethod, Run, finished
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import Observable, observe, states_of
@@ -174,7 +175,10 @@ def sweep(
     tasks = {k: _Task(study, x, values[k]) for k, x in enumerate(given) if k not in rows}
     parts = {"model": model, "what": what}
     arriving = answers(_row, tasks, executor, parts, progress=progress, done=len(rows), chunk=chunk)
-    interrupted = _collect(arriving, rows, values, kept)
+    # Runs in this process limit libraries of linear algebra once, not one after the other.
+    here = executor is None and isinstance(what, Evaluator)
+    collect = in_one_thread(_collect) if here else _collect
+    interrupted = collect(arriving, rows, values, kept)
     _assembled.cache_clear()
     left = "not computed: the sweep was interrupted"
     in_order = (rows.get(k) or SweepRow(x, None, left) for k, x in enumerate(values))
@@ -216,7 +220,7 @@ def _collect(
 @final
 @dataclass(frozen=True)
 class _Study:
-    """A model and what is computed of it, the same for all designs of a sweep.
+    """A model and the computation on it, the same for all designs of a sweep.
 
     A scene that `Evaluator` runs is assembled once in every process; its designs are numbers of
     this one structure. Copies in other processes have the same number.

@@ -48,7 +48,7 @@ def digest(where: str, value: object) -> str:
 
 @final
 class _Description:
-    """Describes values one after the other; what comes again is known by its number."""
+    """Describes values one after the other; a repeated value is named by its number."""
 
     def __init__(self, where: str) -> None:
         self._where = where

@@ -446,7 +446,7 @@ def _cells(row: MeasuredSetting) -> list[str]:
 
 
 def _settings(owner: object) -> Iterator[tuple[str, Any, Any]]:
-    """Yield name, value and default of the settings of a dataclass, those of its steps included."""
+    """Yield name, value and default of the settings of a dataclass and of its steps."""
     for f in dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ():
         value = getattr(owner, f.name)
         if isinstance(value, StepControl):

@@ -28,7 +28,12 @@ from ancfdae.extend import MechanicalSystem
 from ancfdae.integrators.hht.equations import Coefficients
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.problem import InitialValueProblem
-from ancfdae.integrators.start import consistent_start, start_sensitivity
+from ancfdae.integrators.start import (
+    Covectors,
+    consistent_start,
+    pull_back_start,
+    start_sensitivity,
+)
 from ancfdae.model.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.numerics.complex_step import real_derivative
 from ancfdae.sections import Rectangle
@@ -531,6 +536,24 @@ def test_start_sensitivity_is_the_complex_step_of_the_consistent_start(setting):
         moved = getattr(start, name)
         partial = getattr(partials, f"{name}_b")
         s.check_design(partial, lambda x, e, moved=moved: moved, size, 1e-9, noise)
+
+
+def test_pull_back_of_a_start_is_the_transpose_of_its_derivatives(setting):
+    system, matrices = setting.system, saddle_point(setting.system, 0.0)
+    state = consistent_start(system, matrices, 0.0)[0]
+    partials = start_sensitivity(system, matrices, state)
+    rng, none = np.random.default_rng(5), [np.zeros_like(x) for x in state[1:]]
+    for i, (name, x) in enumerate(zip("qval", state[1:], strict=True)):
+        size = np.max(np.abs(x), initial=0.0)
+        if size < 1e-6:
+            continue  # At rest: velocities are round-off, and so are their derivatives.
+        on = rng.normal(size=x.shape) / size
+        covectors = Covectors(*none[:i], on, *none[i + 1 :], np.zeros(system.n_b))
+        found, partial = pull_back_start(system, matrices, state, covectors), partials[i]
+        # Sums of as many terms as there are coordinates cancel; solves as above.
+        terms = np.abs(partial).T @ np.abs(on)
+        tolerance = 1e-7 * np.maximum(terms, 1e-3 * np.max(terms, initial=0.0)) + 1e-12
+        assert np.all(np.abs(found - partial.T @ on) <= tolerance), name
 
 
 def test_start_of_the_recurrence_is_differentiated_exactly(setting):

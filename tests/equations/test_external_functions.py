@@ -94,10 +94,10 @@ END = Terminal(custom(lambda t, q, v, lam, b: q[:, 0] + q[:, 2] ** 2))
 )
 def test_a_bead_on_a_measured_wire_moves_like_its_minimal_coordinate(method, tolerance):
     system = Bead()
-    found = gradient(system, END, 0.5, method)
+    found = gradient(system, END, 0.25, method)
 
     def value(b):
-        x, _, angle, _ = minimal(b, 0.5)
+        x, _, angle, _ = minimal(b, 0.25)
         return x + angle**2
 
     assert found.value == pytest.approx(value(system.b), abs=tolerance)
@@ -107,7 +107,7 @@ def test_a_bead_on_a_measured_wire_moves_like_its_minimal_coordinate(method, tol
         assert abs(slope) > 1e-3
         assert found.gradient[i] == pytest.approx(slope, abs=10 * tolerance)
         # Finite differences of the very call.
-        ends = (gradient(Bead(system.b + s * step), END, 0.5, method).value for s in (1, -1))
+        ends = (gradient(Bead(system.b + s * step), END, 0.25, method).value for s in (1, -1))
         difference = np.subtract(*ends) / 2e-3
         assert found.gradient[i] == pytest.approx(difference, rel=1e-4)
 

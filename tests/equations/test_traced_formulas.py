@@ -36,7 +36,7 @@ from ancfdae.kernels import (
     Model,
     OperationList,
     explicit_march,
-    explicit_stages,
+    explicit_terms,
     index_1,
     list_values,
 )
@@ -285,6 +285,13 @@ def test_lists_that_do_not_fit_are_refused(index):
         with pytest.raises(ValueError, match=r"number for each|too few axes"):
             list_values(fine, x)
     assert list_values(fine, np.zeros((0, 2))).shape == (0, 1)
+    # Inputs in parts: one row for all, and rows that must be equally many.
+    parts = np.array([1.0]), np.array([[2.0], [3.0]])
+    whole = list_values(fine, np.array([[1.0, 2.0], [1.0, 3.0]]))
+    assert np.array_equal(list_values(fine, *parts), whole)
+    for wrong in ((np.ones((3, 1)), parts[1]), (np.ones(1),), (np.ones((2, 1, 1)), parts[1])):
+        with pytest.raises(ValueError, match=r"equally many rows|for each input"):
+            list_values(fine, *wrong)
     assert list_values(pickle.loads(pickle.dumps(fine)), np.array([1.0, 2.0])) == 3.0
 
 
@@ -604,10 +611,12 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
         "states": np.ones((2, 2, 11, 4)),
     }
     if wrong == "stages":
-        step = [np.zeros((18, 44)), np.zeros((16, 2, 11, 4)), np.zeros((16, 11, 6)), np.zeros(6)]
-        tables = [np.zeros((16, 2, 18)), np.zeros((2, 2, 12)), np.zeros(16)]
+        step = [np.zeros((18, 44)), np.zeros((16, 2, 11, 4)), np.zeros((16, 11, 6)), np.zeros(7)]
+        tables = [np.zeros((16, 2, 18)), np.zeros((2, 2, 12)), np.zeros(16), np.zeros((4, 16))]
         equations = tuple(arguments[x] for x in ("lists", "b", "scale"))
-        assert explicit_stages(equations, tuple(tables), tuple(step), 0, 0) == 0
+        # The dense output is at hand: no stage is evaluated.
+        terms = explicit_terms(equations, tuple(tables), tuple(step))
+        assert np.array_equal(terms, np.zeros((7, 2, 11, 4)))
         for arrays in (step, tables):
             for i in range(len(arrays)):
                 short = [
@@ -615,25 +624,28 @@ def test_arguments_that_do_not_fit_are_refused(wrong):
                     for these in (tables, step)
                 ]
                 with pytest.raises(ValueError, match=r"fit|shape"):
-                    explicit_stages(equations, *short, 0, 3)
-        with pytest.raises(ValueError, match="sixteen"):
-            explicit_stages(equations, tuple(tables), tuple(step), 0, 17)
+                    explicit_terms(equations, *short)
         kept = [np.zeros((2, 2)), np.zeros((2, 1, 2, 11, 4)), np.zeros((2, 1, 11, 2))]
         kept.append(np.zeros(1, dtype=np.int32))
         tolerances = [1e-3, np.ones((2, 11, 4)), np.zeros(4), 1]
         fixed = equations, tuple(tables), tuple(step)
-        assert explicit_march(*fixed, tuple(tolerances), 0.0, 1.0, 2, tuple(kept)) == (0, 0)
+        times = np.zeros(1)
+        *found, states = explicit_march(*fixed, tuple(tolerances), times, 1.0, 2, tuple(kept))
+        # The time is the end of the step, and the state that after it.
+        assert (found, states.shape) == ([0, 0], (1, 2, 11, 4))
+        with pytest.raises(ValueError, match="a time to reach"):
+            explicit_march(*fixed, tuple(tolerances), np.zeros(0), 1.0, 2, tuple(kept))
         for i, bad in ((1, np.ones((2, 11, 3))), (2, np.zeros(3)), (3, 3), (3, 0)):
             changed = (*tolerances[:i], bad, *tolerances[i + 1 :])
             with pytest.raises(ValueError, match="tolerances do not fit"):
-                explicit_march(*fixed, changed, 0.0, 1.0, 2, tuple(kept))
+                explicit_march(*fixed, changed, times, 1.0, 2, tuple(kept))
         for i, bad in ((0, np.zeros((1, 2))), (1, np.zeros((2, 2, 2, 11, 4)))):
             changed = (*kept[:i], bad, *kept[i + 1 :])
             with pytest.raises(ValueError, match="no room"):
-                explicit_march(*fixed, tuple(tolerances), 0.0, 1.0, 2, changed)
+                explicit_march(*fixed, tuple(tolerances), times, 1.0, 2, changed)
         beyond = (*kept[:3], np.full(1, 16, dtype=np.int32))
         with pytest.raises(ValueError, match="no room"):
-            explicit_march(*fixed, tuple(tolerances), 0.0, 1.0, 2, beyond)
+            explicit_march(*fixed, tuple(tolerances), times, 1.0, 2, beyond)
         return
     lists = arguments["lists"]
     for projected in (False, True):

@@ -17,8 +17,8 @@ from ancfdae.extend import (
     design_numbers,
     dot,
 )
-from ancfdae.numerics.jets import Jet
 from ancfdae.observables import position
+from tests.support.jets import Jet
 
 
 def pair(formula):

@@ -1,5 +1,7 @@
 """Runs with events: impacts, switches and ends, with exact derivatives across them."""
 
+import functools
+
 import numpy as np
 import pytest
 import scipy
@@ -291,9 +293,11 @@ def pendulum_by_scipy(b, t_end, lock=False):
     return p[3] + 2.0 * p[0] * (J @ y[2:])[3]
 
 
+@functools.cache
 def slopes_by_scipy(b, t_end, lock=False):
+    """Derivatives of the tip by differences; of a lock those in mass and length, which act."""
     b, slopes = np.array(b), []
-    for i in range(len(b)):
+    for i in range(2 if lock else len(b)):
 
         def value(x, i=i):
             return pendulum_by_scipy(b + x * np.eye(len(b))[i], t_end, lock)
@@ -313,7 +317,7 @@ def test_pendulum_on_a_wall_follows_an_integration_in_minimal_coordinates(integr
     )
     assert len(found.event_solution.events) == 2
     assert found.value == pytest.approx(pendulum_by_scipy(system.b, 2.2), abs=1e-7)
-    expected = slopes_by_scipy(system.b, 2.2)
+    expected = slopes_by_scipy(tuple(system.b), 2.2)
     np.testing.assert_allclose(found.gradient, expected, rtol=1e-7, atol=1e-7)
 
 
@@ -334,7 +338,7 @@ def test_pendulum_that_locks_its_elbow_takes_the_impulse_of_the_lock():
     direct = DirectDifferentiation()
     found = gradient(system, Terminal(TIP), 1.0, DOP853(1e-11), method=direct, **call)
     assert found.value == pytest.approx(pendulum_by_scipy(system.b, 1.0, lock=True), abs=1e-7)
-    expected = slopes_by_scipy(system.b, 1.0, lock=True)[:2]
+    expected = slopes_by_scipy(tuple(system.b), 1.0, lock=True)
     np.testing.assert_allclose(found.gradient[:2], expected, rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.gradient[2:], 0, atol=1e-12)
     (lock,) = found.event_solution.events
@@ -702,7 +706,7 @@ def test_bad_events_are_refused_in_words():
         simulate(DoublePendulum(spin=5.0), 1.0, HHT(step=0.01), events=[early], modes=locked)
     with pytest.raises(InvalidInputError, match="choose steps itself"):
         simulate(ball, 3.0, HHT(PrescribedSteps((0.0, 3.0))), events=[BOUNCE])
-    with pytest.raises(InvalidInputError, match="without `after`"):
+    with pytest.raises(InvalidInputError, match="after: must be"):
         simulate(ball, 3.0, step, events=[BOUNCE], after=simulate(ball, 1.0, step))
     with pytest.raises(InvalidInputError, match="complex numbers"):
         gradient(ball, Terminal(HEIGHT), 3.0, DOP853(), method=ComplexStep(), events=[BOUNCE])
@@ -878,12 +882,12 @@ def test_steep_function_that_saturates_ends_the_run_where_it_is_zero(integrator,
         assert abs(np.tanh(steepness * (solution.q[-1, 1] - 0.5)) - w) < 1e-6
 
 
-@pytest.mark.parametrize("integrator", [Radau(0.03), DOP853(1e-8)])
+@pytest.mark.parametrize("integrator", [DOP853(1e-8)])
 def test_pole_is_no_zero_and_leads_no_farther_than_the_end(integrator):
-    solution = simulate(_falling_body(), 1.0, integrator, events=[EndEvent(1 / HALF)])
+    solution = simulate(_falling_body(), 0.4, integrator, events=[EndEvent(1 / HALF)])
     assert "has a pole" in str(solution.outcome)
     assert not solution.outcome.success
-    assert np.all(solution.t <= 1.0)
+    assert np.all(solution.t <= 0.4)
 
 
 @pytest.mark.parametrize("later", 10.0 ** np.arange(-14.0, -8.0, 0.5))

@@ -15,6 +15,7 @@ from ancfdae import (
     differentiate,
     simulate,
 )
+from ancfdae.extend import FormulaSystem
 from ancfdae.integrators.explicit import Dop853, Kept, Tolerances
 from ancfdae.integrators.problem import Accelerations, InitialValueProblem, stacked
 from ancfdae.kernels import SINGULAR
@@ -59,6 +60,11 @@ def method_at(t, h, of=None):
     return Dop853(of, t, START, of.for_kernel(START.shape[1])[0](t, START), h)
 
 
+def marched(method, tolerances, target, stop, kept):
+    """Why steps end, and how many there are, without states at reported times."""
+    return method.march(tolerances, np.array([target]), stop, kept)[:2]
+
+
 def one(used=NONE):
     return Kept.room(1, used, 2, 2, 1)
 
@@ -79,7 +85,7 @@ def scipy_step(t, end):
 def test_a_step_is_that_of_scipy():
     t, end = 0.4, 0.55
     method, other, kept = method_at(t, 1.0), scipy_step(t, end), one(STAGES)
-    assert method.march(ROUGH, 10.0, end, kept) == (0, 1)
+    assert marched(method, ROUGH, 10.0, end, kept) == (0, 1)
     assert (method.t, method.end) == (t, end) == tuple(kept.spans[0])
     assert np.max(np.abs(method.after.ravel() - other.y)) < ROUND_OFF
     between, times = method.between(), np.linspace(t, end, 7)
@@ -93,13 +99,100 @@ def test_a_step_is_that_of_scipy():
         assert np.max(np.abs(state[1].ravel() - row[:4])) < ROUND_OFF
 
 
+@pytest.mark.parametrize("moved", [0.0, 1e-3])
+def test_states_at_reported_times_are_those_of_the_dense_output_of_scipy(moved):
+    t, end = 0.4, 0.55
+    times, other = np.append(np.linspace(t, end, 9)[1:], 0.7), scipy_step(t, end)
+    # States are moved onto constraints at each time, as after the step.
+    method = method_at(t, 1.0, Oscillators(moved=moved))
+    why, taken, states = method.march(ROUGH, times, end, one())
+    # The last time lies ahead of the step.
+    assert (why, taken, states.shape) == (0, 1, (8, *START.shape))
+    between = method.between()
+    # Three stages for the dense output, once; twelve of the step.
+    assert method.evaluations == 15
+    expected = between(times[:-1]) + moved
+    expected[-1] -= moved
+    assert np.max(np.abs(states - expected)) < ROUND_OFF
+    assert np.array_equal(states[-1], method.after)
+    if not moved:
+        exact = other.dense_output()(times[:-1]).T.reshape(states.shape)
+        assert np.max(np.abs(states - exact)) < ROUND_OFF
+
+
+class Swing(FormulaSystem):
+    """An oscillator of one coordinate, q'' = -b^2 q, from rest at 1."""
+
+    n_q, n_lam, design_names = 1, 0, ("rate",)
+
+    def with_values(self, b):
+        return Swing(b)
+
+    def start(self):
+        return np.ones(1), np.zeros(1)
+
+    def mass_matrix(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        return -(self.b**2) * q
+
+    def position_constraint(self, t, q):
+        return np.zeros(0)
+
+
+def test_one_step_passes_more_reported_times_than_are_reached_at_once():
+    run = differentiate(Swing([1.5]), 4.0, DOP853(1e-8, intervals=200))
+    t, slopes = run.t, run.sensitivities
+    assert len(t) == 1601
+    assert run.statistics.steps * 64 < len(t)
+    assert np.max(np.abs(run.q[:, 0] - np.cos(1.5 * t))) < 1e-7
+    assert np.max(np.abs(run.v[:, 0] + 1.5 * np.sin(1.5 * t))) < 1e-7
+    assert np.max(np.abs(slopes.q_b[:, 0, 0] + t * np.sin(1.5 * t))) < 1e-6
+    rates = -3 * np.cos(1.5 * t) + 2.25 * t * np.sin(1.5 * t)
+    assert np.max(np.abs(slopes.a_b[:, 0, 0] - rates)) < 1e-5
+
+
+class Bob(FormulaSystem):
+    """A pendulum in Cartesian coordinates, of unit mass and length, released from the side."""
+
+    n_q, n_lam, design_names = 2, 1, ("gravity",)
+
+    def with_values(self, b):
+        return type(self)(b)
+
+    def start(self):
+        return np.array([1.0, 0.0]), np.zeros(2)
+
+    def mass_matrix(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.array([0.0, -1.0]) * self.b[0]
+
+    def position_constraint(self, t, q):
+        return np.array([q @ q - 1])
+
+
+def test_each_reported_time_costs_a_projection_and_a_solution():
+    few, many = (simulate(Bob([9.81]), 1.0, DOP853(1e-8, intervals=n)) for n in (4, 8))
+    # The last time is the end of a step, where the state is on the constraints.
+    more = len(many.t) - len(few.t)
+    counts = [x.statistics.factorisations - x.statistics.residuals for x in (few, many)]
+    assert few.statistics.steps == many.statistics.steps
+    assert counts[1] - counts[0] == 2 * more
+    assert np.max(np.abs(np.sum(many.q**2, axis=1) - 1)) < 1e-14
+    energies = np.sum(many.v**2, axis=1) / 2 + 9.81 * many.q[:, 1]
+    assert np.max(np.abs(energies)) < 1e-6
+
+
 @pytest.mark.parametrize("vector", [1, 2])
 def test_errors_are_those_of_the_two_estimates(vector):
     t, end, place = 0.4, 0.55, np.array([5.0, -7.0])
     other, rtol = scipy_step(t, end), 1e-9
     floor = 1e-10 * np.arange(1.0, 9.0).reshape(2, 2, 2)
     method = method_at(t, 1.0)
-    assert method.march(Tolerances(rtol, floor, place, vector), 10.0, end, one()) == (0, 1)
+    assert marched(method, Tolerances(rtol, floor, place, vector), 10.0, end, one()) == (0, 1)
     both = np.array([START, other.y.reshape(START.shape)])
     both[:, 0, 0] -= place
     if vector == 2:
@@ -118,7 +211,7 @@ def test_a_step_is_shortened_until_its_error_is_within_the_tolerance():
     method, ends, kept = method_at(0.0, 5.0), [0.0], Kept.room(64, NONE, 2, 2, 1)
     while ends[-1] < 1.0:
         # Functions of Python are called step by step.
-        assert method.march(fine, 1.0, 3.0, kept) == (0, 1)
+        assert marched(method, fine, 1.0, 3.0, kept) == (0, 1)
         assert tuple(kept.spans[0]) == (ends[-1], method.end)
         ends.append(method.end)
     assert ends[-2] < 1.0 <= ends[-1] < 3.0
@@ -136,9 +229,9 @@ def test_a_step_is_shortened_until_its_error_is_within_the_tolerance():
 
 def test_dense_output_ends_at_a_state_that_was_moved():
     method = method_at(0.0, 0.1, Oscillators(moved=1e-3))
-    assert method.march(ROUGH, 0.1, 0.1, one()) == (0, 1)
+    assert marched(method, ROUGH, 0.1, 0.1, one()) == (0, 1)
     unmoved = method_at(0.0, 0.1)
-    unmoved.march(ROUGH, 0.1, 0.1, one())
+    marched(unmoved, ROUGH, 0.1, 0.1, one())
     assert np.max(np.abs(method.after - unmoved.after - 1e-3)) < ROUND_OFF
     moved, between = method.after, method.between()
     assert np.max(np.abs(between(0.1) - moved)) < ROUND_OFF
@@ -152,14 +245,14 @@ def test_where_equations_fail_steps_come_near_and_say_why():
     method, kept = method_at(0.2, 0.1, Oscillators(until=0.25)), Kept.room(64, NONE, 2, 2, 1)
     why, ends = 0, [0.2]
     while why == 0:
-        why, taken = method.march(ROUGH, 1.0, 1.0, kept)
+        why, taken = marched(method, ROUGH, 1.0, 1.0, kept)
         ends += kept.spans[:taken, 1].tolist()
     assert why == SINGULAR
     assert 0.25 - 1e-12 < ends[-1] <= 0.25
     # Another run to the same end, step by step, is at the same state.
     again = method_at(0.2, 0.1)
     exact = scipy_step(0.2, ends[-1])
-    again.march(ROUGH, ends[-1], ends[-1], Kept.room(64, NONE, 2, 2, 1))
+    marched(again, ROUGH, ends[-1], ends[-1], Kept.room(64, NONE, 2, 2, 1))
     assert np.max(np.abs(again.after.ravel() - exact.y)) < 1e-6
 
 
@@ -244,3 +337,20 @@ def test_which_constraints_are_constant():
         system = assemble(Scene([rod], joints, (0, -9.81), project_start=True), design)
         assert system.traits.linear_constraints
         assert system.traits.constant_constraints == constant
+        assert system.scleronomic == (drive not in joints)
+
+
+class Led(Bob):
+    """A pendulum whose point of suspension moves."""
+
+    def position_constraint(self, t, q):
+        x = q[0] - 0.1 * np.sin(3 * t) ** 2
+        return np.array([x * x + q[1] * q[1] - 1])
+
+
+@pytest.mark.parametrize(("kind", "scleronomic", "few"), [(Bob, True, True), (Led, False, False)])
+def test_runs_of_driven_formulas_report_more_times_for_gradients(kind, scleronomic, few):
+    # A driven motion is checked from one reported time to the next.
+    system, explicit = kind([9.81]), DOP853(1e-6)
+    assert system.scleronomic == scleronomic
+    assert (explicit.at_end(system, 1.0) != explicit) == few

@@ -35,7 +35,7 @@ from ancfdae.results import Verdict
 from ancfdae.sections import Rectangle
 
 RUBBER = Material(1000.0, 1e5, 0.3, damping_time=0.01)
-EVERY = [HHT(1e-3), HHT(1e-2), Radau(step=2e-3), HHT(rtol=1e-4), IDA(1e-5), DOP853(1e-6)]
+EVERY = [HHT(1e-3), HHT(1e-2), Radau(step=5e-3), HHT(rtol=1e-3), IDA(1e-5), DOP853(1e-5)]
 
 
 def sides(nodes, s, places):
@@ -112,7 +112,7 @@ def test_a_cable_folds_when_its_end_turns_against_the_chord(angle):
 
 @pytest.mark.parametrize(
     ("elements", "integrator"),
-    [*((n, x) for n in (1, 2) for x in EVERY[:5]), (8, HHT(1e-2)), (8, Radau(step=2e-3))],
+    [*((n, x) for n in (1, 2) for x in EVERY[:5]), (8, HHT(1e-2)), (8, Radau(step=5e-3))],
     ids=str,
 )
 def test_a_wire_whose_ends_are_driven_together(elements, integrator):

@@ -95,19 +95,20 @@ def locking_time(rate):
 @pytest.mark.parametrize("rate", [4.0, 40.0])
 @pytest.mark.parametrize("rtol", [1e-2, 1e-3, 1e-8])
 def test_a_driven_rod_is_on_its_circle_between_instants_too(rate, rtol):
-    """Six turns at the higher rate; once it took as many steps whatever rtol, half a turn off."""
+    """Two turns at the higher rate; once it took as many steps whatever rtol, half a turn off."""
     beam, scene = rod(ConstantAcceleration(rate))
-    run = simulate(scene, 1.0, Radau(rtol=rtol))
-    t = np.linspace(0.0, 1.0, 999)
+    end = min(1.0, 12.0 / rate)
+    run = simulate(scene, end, Radau(rtol=rtol))
+    t = np.linspace(0.0, end, 999)
     tip = run.at(t).position(beam.at_end)
     exact = np.stack([np.cos(rate * t), np.sin(rate * t)], axis=1)
     # The estimate per step is 0.05 rtol^(4/5), of the embedded formula of order 3; the cubic
     # between instants is of its order and measured within its double.
     assert np.max(np.abs(tip - exact)) <= 0.1 * rtol**0.8
-    assert run.statistics.steps >= rate  # at most a radian in a step
+    assert run.statistics.steps >= rate * end  # at most a radian in a step
 
 
-@pytest.mark.parametrize(("d", "t_end"), [(2, 1.0), (3, 0.25)])
+@pytest.mark.parametrize(("d", "t_end"), [(2, 0.5), (3, 0.25)])
 def test_integrals_over_a_prescribed_swing_and_their_gradient(d, t_end):
     """Integral of sin^2(sin w t): quadrature of the closed form, once 0.42110 for 0.38621."""
     beam, scene = rod(Harmonic(1.0, 60.0), d)
@@ -229,7 +230,7 @@ def test_half_a_turn_off_is_no_success(integrator, stands):
     assert f"{1 / rate:.2g} s or less" in text
 
 
-@pytest.mark.parametrize(("d", "other"), [(2, True), (3, False)])
+@pytest.mark.parametrize(("d", "other"), [(2, False), (3, True)])
 def test_a_wrong_root_within_a_packet_of_steps_is_found_at_its_step(d, other):
     """A drive that speeds up, in space and against another body too: what is kept is right."""
     z = (0.0,) * (d - 2)
@@ -252,7 +253,8 @@ def test_a_wrong_root_within_a_packet_of_steps_is_found_at_its_step(d, other):
             hold(base.at_start),
             RotationDriver(base.at_start, ConstantAcceleration(0.5), name="base drive"),
         ]
-    run = simulate(Scene(bodies, joints, project_start=True), 3.0, HHT(0.05))
+    # Steps turn by half a turn at 1.55 s.
+    run = simulate(Scene(bodies, joints, project_start=True), 1.8, HHT(0.05))
     angle = run.t + 20.0 * run.t**2 + (0.5 * run.t if other else 0.0)
     tip = run.position(arm.at_end)[:, :2]
     assert run.outcome.verdict is not Verdict.FINISHED

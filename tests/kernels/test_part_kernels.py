@@ -16,9 +16,10 @@ from ancfdae.extend import MaterialPoint
 from ancfdae.model.bodies import Quantity
 from ancfdae.model.joints.joint import DrivenJoint
 from ancfdae.model.loads.load import LAW_FIELD, Load
-from ancfdae.numerics.jets import Jet, angle
+from ancfdae.numerics.vector_formulas import angle
 from tests.support import parts
 from tests.support.examples import scene_of
+from tests.support.jets import Jet
 from tests.support.parts import PAIRS
 
 CLOSE = 1e-12

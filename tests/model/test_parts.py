@@ -12,7 +12,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from ancfdae import Bushing
+from ancfdae import Bushing, Rope, SlidingFriction, SlidingJoint
 from ancfdae.assembly.part_inputs import Rigidity
 from ancfdae.extend import Law
 from ancfdae.model import joints, loads
@@ -54,6 +54,8 @@ def test_every_public_part_has_examples_in_each_dimension_it_works_in(module, ba
     assert kinds == concrete_subclasses(base) - inner
     # Loads between bodies that touch: tests/physics/test_pair_contact.py.
     kinds -= concrete_subclasses(PairContact)
+    # tests/model/test_sliding.py and test_rope.py.
+    kinds -= {SlidingJoint, SlidingFriction, Rope}
     for space in ("planar", "spatial"):
         here = {type(part) for name, part in parts.items() if name.startswith(space)}
         assert here == {kind for kind in kinds if space == "spatial" or not kind.spatial}

@@ -20,8 +20,8 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.numerics.enclosures import Interval, enclosed, values
-from ancfdae.numerics.jets import positive, step
 from ancfdae.numerics.operations import Listed, Operations
+from ancfdae.numerics.vector_formulas import positive, step
 from ancfdae.observables import position
 from ancfdae.results import Verdict
 from ancfdae.sensitivity.method import UnfinishedRunError

@@ -62,8 +62,7 @@ def heap(unit="m", d=3, **law):
     return Scene([], [], bodies=bodies, loads=[touch], start=start), bodies
 
 
-@pytest.mark.parametrize("d", [2, 3])
-@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize(("unit", "d"), list(zip(UNITS, (3, 2), strict=True)))
 def test_balls_that_collide_keep_both_momenta(unit, d):
     length, mass, away = UNITS[unit]
     scene, bodies = heap(unit, d, **LAW, **RUBS)

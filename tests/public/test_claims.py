@@ -97,9 +97,23 @@ def test_claims_follow_the_results(monkeypatch: pytest.MonkeyPatch) -> None:
             "a_step_and_its_derivatives.six_variables_directly_against_the_motion": 3.0,
             "a_step_and_its_derivatives.each_further_variable": 20.0,
         },
+        "elements": {"deflection.2d.nu0.3.h0.01.full-law.n64": -0.2},
+        "integrators": {
+            f"pendulum.HHT-I3.2-{k}.{what}": error
+            for k in range(7, 17)
+            for what, error in (
+                ("deflection", 0.02 if k < 9 else 0.01),
+                ("h-sensitivity", 0.4 if k < 11 else 1e-3),
+                ("E-sensitivity", 0.02 if k < 16 else 1e-3),
+            )
+        },
     }
     monkeypatch.setattr(module, "_figures", lambda name: real(name) | changed.get(name, {}))
-    found = module._methods() | module._speeds()
+    found = module._methods() | module._speeds() | module._elements() | module._steps()
+    steps = [found[f"step_of_{name}"] for name in ("deflection", "height", "modulus")]
+    assert steps == ["2⁻⁹", "2⁻¹¹", "2⁻¹⁶"]
+    assert found["missed_at_this_step"] == "40"
+    assert found["full_law"] == "1.25"
     assert found["complex_step"] == "3"
     assert found["direct_first"] == "1"  # 3 - 1 - 5 x 0.2
     assert found["step_crank"] == "0.04"

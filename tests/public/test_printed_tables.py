@@ -10,6 +10,9 @@ from ancfdae import (
     EndEvent,
     Material,
     Pin,
+    PointForce,
+    RigidBody,
+    RigidBox,
     RotatingFrame,
     Scene,
     Terminal,
@@ -17,8 +20,11 @@ from ancfdae import (
     campbell,
     check_system,
     choose_model,
+    critical_load,
+    equilibrium,
     error_bars,
     gradient,
+    mass_properties,
     modes,
     record_observables,
     simulate,
@@ -50,6 +56,10 @@ def results():
     ended = simulate(PENDULUM, 1, STEPS, events=[EndEvent(TIP + 0.1, name="low")])
     check = check_system(assemble(PENDULUM, DESIGN))
     ladder = choose_model(PENDULUM, Terminal(TIP), 1 / 8, 0.5, design=["rod.density"])
+    pushed = Scene([ROD], [Clamp(ROD.at_start)], loads=[PointForce(ROD.at_end, (0, 0), name="F")])
+    load = critical_load(pushed, "F.force_x", -300.0, design=["rod.height"])
+    bent = equilibrium(pushed.with_values({"F.force_y": -1.0}), design=DESIGN)
+    sizes = mass_properties(PENDULUM, design=DESIGN)
     return {
         "Gradient": (found, "derivative", found.gradient),
         "Accuracy": (careful.accuracy, "seconds", [x.seconds for x in careful.accuracy.trials]),
@@ -62,6 +72,13 @@ def results():
         "EventSolution": (ended, "time", [ended.events[0].time]),
         "SystemCheck": (check, "error", [x.error for x in check.findings]),
         "ModelComparison": (ladder, "error", [x.error for x in ladder.choices()]),
+        "CriticalLoad": (load, "derivative", load.gradient),
+        "Equilibrium": (bent, "d/d rod.height", bent.q_b[:, 0]),
+        "MassProperties": (
+            sizes,
+            "d/d rod.height",
+            [*sizes.mass_b[:1], *sizes.centre_b[:, 0], *sizes.inertia_b[0, :, 0]],
+        ),
     }
 
 
@@ -98,6 +115,27 @@ def test_the_derivative_of_a_frequency_is_the_closed_form(found):
     of_height, of_density = table["d/d rod.height"], table["d/d rod.density"]
     np.testing.assert_allclose(of_density * 1000 / table["natural frequency"], -0.5, rtol=1e-9)
     np.testing.assert_allclose(of_height[0] * 0.1 / table["natural frequency"][0], 1, rtol=0.03)
+
+
+def test_rows_of_mass_and_critical_load_are_closed_forms(found):
+    """A bar: m = rho A l, J = m (l^2 + h^2)/12; a column's load goes with h^3."""
+    sizes, load = found["MassProperties"][0], found["CriticalLoad"][0].to_dataframe()
+    table = sizes.to_dataframe()
+    assert list(table.index) == ["mass", "centre.x", "centre.y", "inertia.zz"]
+    np.testing.assert_allclose(table["value"], [10, 0.5, 0, 10 * 1.01 / 12], atol=1e-12)
+    exact = [1e-2, 0, 0, 1.01 / 1200]
+    np.testing.assert_allclose(table["d/d rod.density"], exact, atol=1e-12)
+    assert repr(sizes).splitlines()[5].split() == ["inertia.zz", "0.841667", "kg", "m^2"]
+    block = RigidBody("block", (0, 0, 0), shape=RigidBox(0.4, 0.2, 0.1), density=900)
+    spatial = mass_properties(Scene(bodies=[block])).to_dataframe()["value"]
+    assert list(spatial.index[4:]) == [f"inertia.{x}" for x in ("xx", "xy", "xz", "yy", "yz", "zz")]
+    m = 900 * 0.4 * 0.2 * 0.1
+    turning = m / 12 * np.array([0.05, 0, 0, 0.17, 0, 0.20])
+    np.testing.assert_allclose(spatial[4:], turning, atol=1e-12)
+    assert load.attrs["name"] == "F.force_x"
+    # Shear takes part of the load of a thick column: 3 P/h less 2 to 3 %.
+    slope = load.loc["rod.height", "derivative"] * 0.1 / load.attrs["value"]
+    assert slope == pytest.approx(3.0, rel=0.05)
 
 
 @pytest.mark.parametrize(("count", "shown"), [(12, 12), (13, 13), (14, 12)])

@@ -196,9 +196,14 @@ def test_fast_motion_is_foreseen():
         assert speed == pytest.approx(expected, rel=1e-6)
 
 
-def test_explicit_takes_the_steps_that_are_foreseen():
-    scene, end, _ = rod()
-    found = gradient(scene, end, 0.2, tolerance=1e-6, design=["rod.height", "rod.density"])
+def test_explicit_takes_the_steps_that_are_foreseen_to_a_tight_tolerance():
+    (scene, end, _), design = rod(), ["rod.height", "rod.density"]
+    found = gradient(scene, end, 0.2, tolerance=1e-6, design=design)
+    truth = gradient(scene, end, 0.2, DOP853(1e-12), design=design)
+    assert found.accuracy.reached
+    assert max(relative_error(found, truth, np.array([0.04, 1100.0]))) < 1e-6
+    assert abs(found.value - truth.value) <= found.accuracy.value_bar
+    assert np.all(np.abs(found.gradient - truth.gradient) <= found.accuracy.gradient_bar)
     last = found.accuracy.trials[-1]
     assert isinstance(last.integrator, DOP853)
     # Three times the steps foreseen are allowed; within a factor of two they are met.

@@ -506,7 +506,7 @@ def test_kinds_of_runs_that_contradict_each_other_are_not_believed():
 # Families whose answer takes a second or two; seeds in which calls were certain and wrong once,
 # or whose bars did not hold.
 # In "ringing" 9 physical and numerical damping of an unresolved wave are equal by chance; waves of
-# "slider" 3 and 8 and "damped rod" 1004 fade, and were followed to the end, or out of reach; the
+# "slider" 3 and "damped rod" 1004 fade, and were followed to the end, or out of reach; the
 # spring of "pulse" 8 turns over when its ends meet, where forces jump. In "springs" 7001 the phase
 # of a wave is off by 1.5 and 0.4 rad in two runs that are near each other; in "stiff rod" 5003
 # finer runs find waves that coarser ones do not have.

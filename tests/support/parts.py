@@ -20,6 +20,7 @@ from ancfdae import (
     PointOnLine,
     Prismatic,
     Revolute,
+    Rope,
     RotationDriver,
     Scene,
     Spherical,
@@ -31,6 +32,7 @@ from ancfdae import (
 )
 from ancfdae.laws import ConstantAcceleration, Harmonic
 from ancfdae.model import joints, loads
+from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.model.joints.joint import DrivenJoint, Joint
 from ancfdae.model.loads.load import Load
 from ancfdae.model.parts import Normal
@@ -131,8 +133,18 @@ def catalogue(module, base, planar, spatial):
     return found
 
 
-JOINTS = catalogue(joints, Joint, planar_joints, spatial_joints)
-LOADS = catalogue(loads, Load, planar_loads, spatial_loads)
+#: Joints by formulas and ropes, some examples of which are slack, have tests of their own:
+#: tests/model/test_formula_joints.py, test_sliding.py and test_rope.py.
+JOINTS = {
+    name: joint
+    for name, joint in catalogue(joints, Joint, planar_joints, spatial_joints).items()
+    if not isinstance(joint, FormulaJoint)
+}
+LOADS = {
+    name: load
+    for name, load in catalogue(loads, Load, planar_loads, spatial_loads).items()
+    if not isinstance(load, Rope)
+}
 
 
 class Alone(MeasuredSetting):

@@ -32,7 +32,7 @@ PASSES = [
 # From the path of a module, without ancfdae/, to the tests that are to kill its mutants: quick
 # ones first.
 TESTS = {
-    "elements/": [
+    "model/elements/": [
         ["tests/model/test_assumed_strains.py"],
         ["tests/model/test_invariants.py", "-k", "complex_step_of_force"],
         ["tests/model/test_cable.py"],
@@ -41,18 +41,18 @@ TESTS = {
         ["tests/sensitivity/test_section_forces.py"],
         ["tests/assembly/test_assembler.py"],
     ],
-    "joints/": [
+    "model/joints/": [
         ["tests/model/test_parts.py", "-k", "joint"],
         ["tests/model/test_joints.py"],
         ["tests/assembly/test_assembler.py"],
         ["tests/public/test_bad_input.py"],
     ],
-    "laws/": [
+    "model/laws/": [
         ["tests/model/test_laws.py"],
         ["tests/physics/test_load_motions.py"],
         ["tests/model/test_drives.py"],
     ],
-    "loads/": [
+    "model/loads/": [
         ["tests/model/test_parts.py", "-k", "load"],
         ["tests/model/test_loads.py"],
         ["tests/assembly/test_assembler.py"],
@@ -88,11 +88,11 @@ TESTS = {
             "continuous or passes or time_of or factorisations",
         ],
     ],
-    "observables/": [
+    "sensitivity/observables/": [
         ["tests/sensitivity/test_observables.py"],
         ["tests/sensitivity/test_objectives.py"],
     ],
-    "objectives/": [
+    "sensitivity/objectives/": [
         ["tests/sensitivity/test_objectives.py"],
         ["tests/sensitivity/test_adjoint.py", "-k", "is_complex_step and (pinned or damped-6)"],
         [

@@ -110,8 +110,8 @@ def fill(report: Report, quick: bool) -> None:
         return found, len(r.history.rows)
 
     first = np.append(start.ravel(), _FIRST) / limits
-    found, designs = least(first, _STEP, 3 if quick else 150)
-    found, more = least(found.x, _FINE, 1 if quick else 20)
+    found, designs = least(first, _STEP, 1 if quick else 150)
+    found, more = least(found.x, _STEP if quick else _FINE, 1 if quick else 20)
     torques, T = (found.x * limits)[:-1].reshape(2, -1), float(found.x[-1])
     # The same torques by another integrator at a tight tolerance.
     scene, _, asked = _problem(torques)

@@ -167,17 +167,17 @@ class FiveBar(_System):
 class SliderCrank(_System):
     """A slider-crank whose slider has clearance in its guide (Flores, Leine and Glocker 2010).
 
-    Three bodies (x, y, angle); the four corners of the slider strike the guide, without friction.
+    Three bodies (x, y, angle); the four corners of the slider strike the guide, with friction.
     """
 
     n_q, n_lam = 9, 6
-    design_names = ("crank", "clearance", "restitution", "mass")
+    design_names = ("crank", "clearance", "restitution", "mass", "mu")
     slider = custom(lambda t, q, v, lam, b: q[:, 6] + 1e-2 * v[:, 7], "slider")
     rod, a, h, t_end = 0.306, 0.05, 0.025, 0.0082
     m, J = (0.038, 0.038), (7.4e-5, 5.9e-4, 7e-5)
     omega, tilt = (150.0, -75.0), 0.008
 
-    def __init__(self, b: Any = (0.153, 1e-3, 0.4, 0.076)) -> None:
+    def __init__(self, b: Any = (0.153, 1e-3, 0.4, 0.076, 0.01)) -> None:
         super().__init__(b)
 
     def start(self) -> tuple[Array, Array]:
@@ -221,24 +221,34 @@ class SliderCrank(_System):
                     corner = q[:, 7] + lift + side * self.h / 2 * np.cos(angle)
                     return self.h / 2 + b[1] - side * corner
 
+                def sliding(
+                    t: Any, q: Any, v: Any, lam: Any, b: Any, side: int = side, end: int = end
+                ) -> Any:
+                    c, s = np.cos(q[:, 8]), np.sin(q[:, 8])
+                    return v[:, 6] - (end * self.a / 2 * s + side * self.h / 2 * c) * v[:, 8]
+
                 name = f"{'top' if side > 0 else 'bottom'} {'right' if end > 0 else 'left'}"
-                found.append(Impact(custom(gap, name), design(2), name))
+                along = custom(sliding, f"along {name}")
+                found.append(Impact(custom(gap, name), design(2), name, None, design(4), along))
         return found
 
     def twin(self, b: Array) -> Linkage:
         """Return the chain of three bodies in its angles."""
-        L, c, e, m = b
+        L, c, e, m, mu = b
         B = np.array([[L / 2, 0, 0], [L, self.rod / 2, 0], [L, self.rod, 0]], dtype=complex)
-        gaps = []
+        gaps, corners = [], []
         for side in (1, -1):
             for end in (1, -1):
                 # The height of z is Re(-i z); corners are at (end a/2 + i side h/2) e_3.
                 place = end * self.a / 2 + 1j * side * self.h / 2
-                alpha = side * 1j * np.array([L, self.rod, place])
-                gaps.append((alpha, self.h / 2 + c))
+                corners.append(np.array([L, self.rod, place]))
+                gaps.append((side * 1j * corners[-1], self.h / 2 + c))
         masses, inertias = np.array([*self.m, m]), np.array(self.J)
         speed = np.array([*self.omega, 0.0])
-        return Linkage(B, masses, inertias, 0j, gaps, e, np.array([0, 0, self.tilt]), speed)
+        start = np.array([0, 0, self.tilt])
+        return Linkage(
+            B, masses, inertias, 0j, gaps, e, start, speed, mu=mu, beta=corners
+        )  # fmt: skip
 
     def by_twin(self, b: Array) -> float:
         """Return `slider` at the end by the twin."""

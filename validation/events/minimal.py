@@ -26,7 +26,8 @@ class Linkage:
     """Bars with point masses and a loop.
 
     Points z = offset + B e have masses m; angles have inertias J; the loop is C e = closed, from
-    which the angles after the first `free` ones follow. Gaps are Re(alpha e) + gamma.
+    which the angles after the first `free` ones follow. Gaps are Re(alpha e) + gamma; the contact
+    points of rough gaps slide by the rate of Re(beta e), with the coefficient of friction mu.
     """
 
     B: Array
@@ -40,6 +41,8 @@ class Linkage:
     C: Array | None = None
     closed: complex = 0.0
     free: int = 0
+    mu: float = 0.0
+    beta: Sequence[Array] = ()
     impacts: list[tuple[float, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -96,9 +99,26 @@ class Linkage:
         phi, R, _, _ = self.kinematics(theta, speed)
         M, _ = self.dynamics(theta, speed)
         G = np.real(self.gaps[n][0] * 1j * np.exp(1j * phi)) @ R
-        X = np.linalg.solve(M, G)
-        P = -(1 + self.restitution) * (G @ speed) / (G @ X)
-        return speed + X * P, float(P)
+        if not self.mu:
+            X = np.linalg.solve(M, G)
+            P = -(1 + self.restitution) * (G @ speed) / (G @ X)
+            return speed + X * P, float(P)
+        W = np.array([G, np.real(self.beta[n] * 1j * np.exp(1j * phi)) @ R])
+        impulses = self._with_friction(W @ np.linalg.solve(M, W.T), W @ speed)
+        return speed + np.linalg.solve(M, W.T @ impulses), float(impulses[0])
+
+    def _with_friction(self, A: Array, rates: Array) -> Array:
+        """Return the impulses along normal and line of sliding, by trial: stick, slide + or -."""
+        closing = (1 + self.restitution) * rates[0]
+        stuck = np.linalg.solve(A, [-closing, -rates[1]])
+        if abs(stuck[1]) <= self.mu * stuck[0]:
+            return stuck
+        for side in (1, -1):
+            N = -closing / (A[0, 0] - side * self.mu * A[0, 1])
+            P = np.array([N, -side * self.mu * N])
+            if side * (rates[1] + A[1] @ P) >= 0:
+                return P
+        raise ArithmeticError("no branch fits")
 
     def run(self, t_end: float) -> tuple[Array, Array]:
         """Return phi and phi' at the end; `impacts` then has times and impulses."""

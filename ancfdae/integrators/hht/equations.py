@@ -264,7 +264,7 @@ def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion:
 
 
 def small_from(system: MechanicalSystem, run: Solution, alpha: float) -> float:
-    """Return the number of equal steps above which half of those of a run would be small.
+    """Return the number of equal steps of a run above which half of them would be small.
 
     Where the system stands does not count, so that the same runs are foreseen everywhere.
     """

@@ -108,7 +108,7 @@ class CompiledPasses:
         on: Array,
         covectors: tuple[Array, Array, Array | None],
     ) -> None:
-        """Take transposed steps back from the last, with rows of mu, zeta and those on defects.
+        """Take transposed steps back from the last, with rows of mu, zeta and defects' adjoints.
 
         Raises SingularMatrix.
         """
@@ -164,7 +164,7 @@ class _Chunks:
         self.passes = CompiledPasses(self._system, nodes.problem.matrices, alpha)
 
     def slices(self, extra: int) -> Sequence[slice]:
-        """Divide steps 1 to n_t - 1 so that what is held at once stays within memory."""
+        """Divide steps 1 to n_t - 1 into slices whose arrays stay within memory."""
         n_t, per_step = len(self._nodes.run.t), 2 * self._system.n_q + extra
         if not self.passes.linearises:
             per_step += 4 * self._system.pattern.size + 6 * self._system.n_q
@@ -281,7 +281,7 @@ def _predicted(c: Coefficients, start: NodeSensitivity) -> Array:
 
 
 def start_covectors(c: Coefficients, on: Array) -> NodeSensitivity:
-    """Return adjoint vectors of the start: those of q_b and v_b plus `_predicted`^T of `on[3:]`."""
+    """Return adjoint vectors of the start: of q_b and v_b, plus `_predicted`^T of `on[3:]`."""
     units = NodeSensitivity(*(x[None].T for x in np.eye(4)[[0, 1, 2, 2, 3]]))
     q, v, a, A = _predicted(c, units)[:, 0].T @ on[3:]
     return NodeSensitivity(on[0] + q, on[1] + v, a, np.zeros(0), A)

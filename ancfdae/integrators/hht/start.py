@@ -64,7 +64,7 @@ class _Jerk:
     def of(
         system: MechanicalSystem, x: InitialState, a: Array, s: float, factors: Factorization
     ) -> _Jerk:
-        """Solve for it; the factors are those of M - s Q_v."""
+        """Solve for the start of the recurrence; `factors` belong to M - s Q_v."""
         side = jerk_side(system, x.t, x.q, x.v, a)
         jerk, lam_rate = solve(factors, _force_rates(system, x, a), side)
         if jerk.dtype.kind == "c":
@@ -154,7 +154,7 @@ class RecurrenceStart:
         return solve(self.damped, right, -side)[0]
 
     def pull_back(self, back: NodeSensitivity) -> Covectors:
-        """Transpose of `sensitivity`: from covectors on the node to those on the consistent start.
+        """Transpose of `sensitivity`: return adjoint vectors of the start from the node's.
 
         With P = Phi_q j - S, the third time derivative of Phi, the rules are P_q = (Phi_q)^(3),
         P_v = 3 Phi_q'' and P_a = 3 Phi_q'.
@@ -170,7 +170,7 @@ class RecurrenceStart:
         return total.plus(on_start)
 
     def _pull_back_shift(self, on_dv: Array) -> tuple[Covectors, Array]:
-        """Pull a covector on dv back; the one on the acceleration in S comes beside the others."""
+        """Pull an adjoint vector of dv back; return the one of the acceleration in S, too."""
         system, x, scale = self.system, self.initial, self.scale
         t, q, v, a, dv = x.t, x.q, x.v, self.jerks[-1].a, self.dv
         still, B = np.zeros_like(v), system.constraint_pattern.dot_transposed

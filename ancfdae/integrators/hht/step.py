@@ -97,14 +97,14 @@ class SolvedStep(NamedTuple):
 
 
 class _Attempt(NamedTuple):
-    """How a step is solved: a guess of a and lam, and limits as for `Model.march`."""
+    """Attempt to solve a step: a guess of a and lam, and limits as for `Model.march`."""
 
     guess: tuple[Array, Array] | None
     limits: tuple[float, float, int]
 
 
 class _End(NamedTuple):
-    """How steps end: number taken, reason, the last state, size and slowest rate of corrections."""
+    """End of steps: number taken, reason, last state, size and slowest rate of corrections."""
 
     taken: int
     why: March
@@ -163,7 +163,7 @@ class StepSolver:
         return self._solved(step, _Attempt(guess, limits))
 
     def accept(self, solved: SolvedStep) -> Node:
-        """Count what was found as a step."""
+        """Count the solution that was found as an accepted step."""
         self._recorder.round_off_steps += solved.round_off
         return solved.node
 
@@ -325,7 +325,7 @@ State = tuple[Node, NodeSensitivity | None]
 
 @final
 class HHTStepper(OneStepMethod[State]):
-    """Takes the steps of a run, with derivatives where those of the start are given.
+    """Takes the steps of a run; differentiates them if derivatives of the start are given.
 
     The tolerance, of the error of a step, is None where nothing controls it; the counters of the
     recorder go on.

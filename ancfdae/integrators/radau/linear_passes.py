@@ -6,9 +6,21 @@ With x_b and lam_b of the stages, and (i) for matrices linearised at stage i,
     (M A^-2 x_b + f_v V_b + f_q Q_b + Phi_q^T lam_b + f_b)(i) = 0,
     (Phi_q Q_b + Phi_b)(i) / h^2 = 0,
 
-solved with the exact matrix of the stages, which are then completed (`Completion`). The pass back
+solved with the exact matrix of the stages, which are then completed. The pass back
 reads the same matrices, transposed, in reverse order. What a solution does not keep of the stages,
 velocities, accelerations and multipliers before they were completed, follows from the positions.
+
+**Stages completed.** Of positions q on the constraints and velocities V that may miss theirs,
+
+    M (v - V) + Phi_q^T sigma = 0,   Phi_q v = nu(q),
+    M a + Phi_q^T lam = Q(q, v),     Phi_q a = gamma(q, v).
+
+With Phi' = Phi_q v - nu, Phi'' = Phi_q a - gamma, f for M a + Phi_q^T lam - Q, f_0 for
+M (v - V) + Phi_q^T sigma with v - V and sigma held, and (Phi')_q = Phi_q', (Phi'')_v = 2 Phi_q',
+
+    M v_b + Phi_q^T sigma_b = M V_b - f_0,q q_b - f_0,b,         Phi_q v_b = -(Phi'_q q_b + Phi'_b)
+    M a_b + Phi_q^T lam_b = -(f_q q_b + f_v v_b + f_b),
+    Phi_q a_b = -(Phi''_q q_b + 2 Phi'_q v_b + Phi''_b).
 
 Stages of many steps are linearised at once here. The kernel (`stage_passes.h`) factorises and runs
 the recurrence step by step.
@@ -18,11 +30,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from functools import cached_property
+from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem
+from ancfdae.equations import Linearisation, MechanicalSystem
 from ancfdae.equations.saddle_points import Prepared
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import SingularMatrix
@@ -37,11 +50,13 @@ from ancfdae.integrators.radau.stages import (
     Stages,
     stage_matrices,
 )
-from ancfdae.integrators.start import Completion, Covectors, pull_back_start
+from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.kernels import RULES
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 
+# q, v, a and lam of k instants, as rows.
+States: TypeAlias = tuple[Array, Array, Array, Array]
 # Numbers held at once by a chunk of steps.
 _CHUNK_NUMBERS = 200_000
 
@@ -107,6 +122,64 @@ class StageKernel:
         )
         if left:
             raise SingularMatrix("a matrix of the pass back is singular")
+
+
+@final
+@dataclass(frozen=True)
+class Completion:
+    """k states, completed as stages are, linearised.
+
+    `moved` holds v - V and sigma. `rates` are Phi'_q and Phi''_q, `held_q` is f_0,q; both None
+    where they vanish.
+    """
+
+    system: MechanicalSystem
+    t: Array
+    states: States
+    moved: tuple[Array, Array]
+    local: Linearisation
+    held_q: Array | None
+    rates: tuple[Array, Array] | None
+
+    @staticmethod
+    def of(
+        system: MechanicalSystem, t: Array, states: States, moved: tuple[Array, Array]
+    ) -> Completion:
+        """Linearise accelerations and multipliers at states."""
+        traits, held_q, rates = system.traits, None, None
+        if not (traits.constant_mass and traits.linear_constraints):
+            held_q = system.linearise(t, states[0], None, *moved).f_q
+        if not traits.constant_constraints:
+            q, v, a, _ = states
+            rates = system.constraints_q(t, q, v), system.constraints_q(t, q, v, a)
+        local = system.linearise(t, *states)
+        return Completion(system, t, states, moved, local, held_q, rates)
+
+    @cached_property
+    def partials(self) -> tuple[Array, Array, Array]:
+        """Design partials of f_0 and f, and of Phi' and Phi''."""
+        system, t, (q, v, a, lam) = self.system, self.t, self.states
+        held = system.design_partials(t, q, None, *self.moved).f_b
+        sides = np.zeros((2, len(t), system.n_lam, system.n_b))
+        if self.rates is not None:
+            for k, s in enumerate(t.tolist()):
+                sides[0, k] = system.constraint_total(s, (q[k], v[k]))
+                sides[1, k] = system.constraint_total(s, (q[k], v[k], a[k]))
+        return held, system.design_partials(t, q, v, a, lam).f_b, sides
+
+    def pull_back(self, m: Array, z: Array, w: Array, y: Array) -> Array:
+        """Return the direct part of the gradient, (n_b,), from adjoint vectors, (k, n)."""
+        system, t, (q, v, a, _) = self.system, self.t, self.states
+        none = np.zeros_like(z)
+        total = system.pull_back(t, (q, None, *self.moved), (m, none))
+        if w.any():
+            total = total + system.pull_back(t, self.states, (w, none))
+        if self.rates is not None:
+            for k, s in enumerate(t.tolist()):
+                total = total + z[k] @ system.constraint_total(s, (q[k], v[k]))
+                if y[k].any():
+                    total = total + y[k] @ system.constraint_total(s, (q[k], v[k], a[k]))
+        return -total
 
 
 @final
@@ -236,7 +309,7 @@ def _linearised(kernel: StageKernel, run: Solution, h: Array, steps: slice) -> L
 
 
 def _chunks(system: MechanicalSystem, n: int, columns: int) -> Sequence[slice]:
-    """Divide n steps so that what is held at once stays within memory."""
+    """Divide n steps into chunks whose arrays stay within memory."""
     per_step = 3 * (8 * system.pattern.size + (8 + 6 * columns) * system.n_q)
     size = max(1, min(32, _CHUNK_NUMBERS // per_step))
     return [slice(k, min(k + size, n)) for k in range(0, n, size)]

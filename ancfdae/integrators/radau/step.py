@@ -1,7 +1,7 @@
 """A step of Radau IIA: of the motion and, if asked for, of its design derivatives.
 
 The stages meet the constraints of positions. What their velocities miss, O(h^3), is removed, and
-accelerations and multipliers follow (`completion`); so a step goes on from q and v.
+accelerations and multipliers follow (`linear_passes`); so a step goes on from q and v.
 
 **Error of a step.** The embedded formula of order 3, filtered by the real matrix (Hairer & Wanner,
 IV.8). With a_0 of the state before, e its weights and k = gamma, in the scaled displacements x
@@ -26,8 +26,8 @@ from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import Linearisation
-from ancfdae.equations.saddle_points import solve
+from ancfdae.equations import Linearisation, MechanicalSystem
+from ancfdae.equations.saddle_points import acceleration_side, solve
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.integrators.prescribed_motion import turn_error
 from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
@@ -46,15 +46,23 @@ from ancfdae.integrators.radau.stages import (
     linearised,
 )
 from ancfdae.integrators.recorder import SolutionRecorder
-from ancfdae.integrators.start import completed
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record, Tolerance
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import Factorization
 
 # Parts of a run that first steps are tried with, each an eighth of the one before.
 _FIRST = [0.05 * 8.0**-k for k in range(8)]
 _EPS = float(np.finfo(float).eps)
 # Shortest part of a step by way of which it is solved.
 _SHORTEST = 1e-3
+
+
+def completed(
+    system: MechanicalSystem, factors: Factorization, t: float, q: Array, V: Array
+) -> tuple[Array, Array, Array]:
+    """Return v, a and lam; `factors` are those of M and Phi_q at q."""
+    v = V - solve(factors, np.zeros_like(V), system.constraint(t, q, V))[0]
+    return v, *solve(factors, system.force(t, q, v), acceleration_side(system, t, q, v))
 
 
 class State(NamedTuple):
@@ -72,7 +80,7 @@ class State(NamedTuple):
 
 @final
 class RadauStepper(OneStepMethod[State]):
-    """Takes the steps of a run, with derivatives where those of the start are given.
+    """Takes the steps of a run; differentiates them if derivatives of the start are given.
 
     Tolerances are those of positions and of velocities; none where nothing controls the error.
     """

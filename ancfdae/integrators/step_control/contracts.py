@@ -95,7 +95,7 @@ def mean_squares(x: Array, sizes: Array) -> Array:
 
 
 def sizes_hold(assumed: Array, shown: Array) -> bool:
-    """Whether sizes under which a run was controlled are at most twice those it shows.
+    """Whether the sizes by which a run was controlled are at most twice the sizes it reached.
 
     Round-off has no size to compare with, and no error either.
     """

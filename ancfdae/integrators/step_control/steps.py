@@ -325,7 +325,7 @@ class AdaptiveSteps(StepControl):
     def controller(
         self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
     ) -> Controller:
-        """Return the filter; half of what it aims at is the error of the step tried first."""
+        """Return the digital filter; the first step has half the error that it aims at."""
         if state:
             return _Filter(method, 0.0, t_end, self.max_steps, state)
         e, longest = method.start_error(), t_end / 20
@@ -349,7 +349,7 @@ class AdaptiveSteps(StepControl):
 
 @final
 class _Filter(Controller):
-    """The digital filter of the module description; `first` is tried first."""
+    """The digital filter of the module description, which tries the step `first` first."""
 
     def __init__(
         self,

@@ -123,7 +123,7 @@ class _IdaMarch(March):
         _keep(self._solver)
         self._solver.init_step(0.0, Y, Yp)
 
-    def _steps(self, target: float) -> list[float] | Verdict:
+    def _steps(self, times: Array) -> list[float] | Verdict:
         result = self._solver.step(self._t_end, "onestep", self._stop)
         if not result.success:
             return verdict(result.status)

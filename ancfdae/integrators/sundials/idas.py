@@ -296,7 +296,7 @@ class _IdasMarch(March):
         self._points = StepPoints(self._form, quadrature, self._m)
         self._points.add(0.0, np.append(start[0], Y.T), np.append(start[1], Yp.T))
 
-    def _steps(self, target: float) -> list[float] | Verdict:
+    def _steps(self, times: Array) -> list[float] | Verdict:
         idas, e = self._bindings.idas, self._equations
         self._bindings.check(idas.IDASetStopTime(self._memory, self._stop))
         flag, reached = idas.IDASolve(self._memory, self._t_end, e.y, e.yp, idas.IDA_ONE_STEP)

@@ -115,7 +115,7 @@ class IndexReduced(abc.ABC):
 
     @abc.abstractmethod
     def _residual(self, at: _Instant) -> list[Array]:
-        """Return the terms that F adds to q' - v, and its rows below those of the forces."""
+        """Return the terms that F adds to q' - v, and the rows of F below the rows of forces."""
 
     @abc.abstractmethod
     def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
@@ -123,11 +123,11 @@ class IndexReduced(abc.ABC):
 
     @abc.abstractmethod
     def _blocks(self) -> list[tuple[Array, Array]]:
-        """Rows and columns of the blocks of J that a form adds to those that both have."""
+        """Return rows and columns of the blocks of J that only this form has."""
 
     @abc.abstractmethod
     def _entries(self, at: _Instant, c_j: float) -> list[Array]:
-        """Entries of these blocks."""
+        """Return the entries of the blocks of J that only this form has, as `_blocks` has them."""
 
     @final
     def tolerances(self, rtol: float) -> Array:
@@ -306,7 +306,7 @@ class Index1(IndexReduced):
 
 
 class IndexReduction(Enum):
-    """How the constraints are brought to an index that SUNDIALS solves."""
+    """Forms of the equations whose index SUNDIALS solves."""
 
     STABILISED_INDEX_2 = "positions and velocities on the constraints (Gear-Gupta-Leimkuhler)"
     INDEX_1 = "accelerations on the constraints; positions drift"
@@ -403,7 +403,7 @@ class StepPoints:
             self.finish()
 
     def finish(self) -> None:
-        """Hand over what was collected; its end is the next start."""
+        """Hand the collected points to the integrals; their last point starts the next part."""
         if len(self._t) > 1:
             t, y, yp = np.array(self._t), self._unscaled(self._y), self._unscaled(self._yp)
             y[0][:, 0] += self._form.place

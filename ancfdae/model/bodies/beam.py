@@ -20,8 +20,8 @@ from ancfdae.model.elements.element import end_weight_xi, slope_weights_xi
 from ancfdae.model.material import Material
 from ancfdae.model.sections.section import Section
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import cross
 from ancfdae.numerics.time_grid import box_rule
+from ancfdae.numerics.vector_formulas import cross
 
 _SOME = "Use at least one element; 100 are many."
 # Places in matrices are numbers of 32 bits: an element in space has 24^2 of them.
@@ -157,7 +157,7 @@ class Beam(BeamBody):
         return replace(self, start=tuple(place), end=tuple(end.tolist()))
 
     def with_elements(self, count: int) -> Beam:
-        """Return the same beam with another number of elements, each like those in its place."""
+        """Return the same beam with another number of elements, with sections by place."""
         require_count(f"beam {self.name!r}, elements", count, _SOME, _MOST_ELEMENTS)
         ends = [k * self.element_count for k in range(count + 1)]
         places = [slice(a // count, -(-b // count)) for a, b in pairwise(ends)]

@@ -114,7 +114,7 @@ class BeamBody(Placed):
         raise InvalidInputError(f"beam {self.name!r}, elements", rule, count, repair)
 
     def directions(self) -> Array:
-        """Return the axes of the beam as a rigid body: those at its start, as rows."""
+        """Return the axes of the beam as a rigid body, (d, d): the rows of its first section."""
         return orthonormal(self.reference().slopes[0])
 
     @property
@@ -365,7 +365,7 @@ _Numbered = TypeVar("_Numbered", Section, Material)
 
 
 def _changed(parts: list[_Numbered], numbers: list[dict[str, float]]) -> tuple[_Numbered, ...]:
-    """Return sections or materials with numbers changed; those of equal elements are one object."""
+    """Return sections or materials with changed numbers; equal elements share one object."""
     made: dict[tuple[object, ...], _Numbered] = {}
     changed = []
     for part, its in zip(parts, numbers, strict=True):

@@ -71,7 +71,7 @@ class Placed(abc.ABC):
         return numbers
 
     def split_placement(self, numbers: Array) -> tuple[Array | None, Array]:
-        """Return place and turn out of numbers that begin with those of `placement`.
+        """Return place and turn out of numbers that begin with the numbers of `placement`.
 
         The place is None where it is a point of another body.
         """

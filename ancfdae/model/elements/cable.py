@@ -361,7 +361,7 @@ class Cable(BeamElement):
         return _CableIntegrals(batch)
 
     def section_law(self, batch: Batch, place: SectionPlace) -> SectionLaw:
-        """Return forces of the beam law."""
+        """Return the evaluator of axial force and bending moment of the sections of cables."""
         return CableSectionLaw(batch, place, _moduli(batch)[::2])
 
     def stress_law(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
@@ -371,7 +371,7 @@ class Cable(BeamElement):
 
 @final
 class _CableIntegrals(ElementIntegrals):
-    """A and m of unit moduli, times those of each element, and the flexural stiffness."""
+    """A and m of unit moduli, times the moduli of each element, and the flexural stiffness."""
 
     def __init__(self, batch: Batch) -> None:
         self._batch, self._moduli, self._units = batch, _moduli(batch), _integrals()

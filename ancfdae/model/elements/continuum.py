@@ -171,7 +171,7 @@ def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invarian
 
 
 def relative_places(element: BeamElement, wider: BeamElement) -> Array:
-    """Return the places of its relative node vectors among those of an element that has them."""
+    """Return the places of the relative node vectors, (n,), among all of a full element."""
     at, n_s = element.places_in(wider), element.n_s
     return np.concatenate([[0], at[1:n_s], at[n_s + 1 :] - 1])
 

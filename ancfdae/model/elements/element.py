@@ -327,7 +327,7 @@ class BeamElement(abc.ABC):
         return self.n_a - 1
 
     def places_in(self, wider: BeamElement) -> Array:
-        """Return the places of its node vectors among those of an element that has all of them."""
+        """Return the places of this type's node vectors, (n_s,), among all of a full element."""
         places = np.arange(wider.n_a).reshape(2, wider.n_s)
         return places[:, [wider.quantities.index(quantity) for quantity in self.quantities]].ravel()
 
@@ -335,7 +335,7 @@ class BeamElement(abc.ABC):
     def spanning(self) -> tuple[Quantity, ...]:
         """The slopes that span a section; of a planar element without one its tangent.
 
-        A spatial one that lacks them is refused by `require`.
+        `require` refuses a spatial element that lacks them.
         """
         if self.d == 2 and Quantity.SLOPE_Y not in self.quantities:
             return (Quantity.SLOPE_X,)

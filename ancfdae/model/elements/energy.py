@@ -114,7 +114,7 @@ class EnhancedContinuum(StrainEnergyFunction):
     corrected = True
 
     def stiffness(self, d: int, E: Array, nu: Array) -> tuple[Array, ...]:
-        """E and G without Poisson's effect; on the axis what is missing to the full law."""
+        """E and G without Poisson's effect; on the axis the difference to the full law."""
         uncoupled = _isotropic(d, 0 * E, E / (2 * (1 + nu)))
         normal = np.arange(d)
         uncoupled[:, normal, normal] = E[:, None]

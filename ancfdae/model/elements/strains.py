@@ -121,7 +121,10 @@ def fibres(batch: Batch) -> Fibres:
 
 
 def _shared(batch: Batch, factors: Array, radii: Array) -> Array:
-    """Return the factors of shears, which leave a share to waves, of twist and of waves."""
+    """Return the stiffness factors of shears, twist and waves, shape (n, 5).
+
+    With assumed strains the part _SHARE of the shear stiffness acts on waves of the section.
+    """
     waves = np.ones((len(factors), 2), dtype=factors.dtype)
     if batch.kind.energy is not None and batch.kind.energy.assumed_strains:
         nu = batch.moduli[1]
@@ -241,7 +244,7 @@ class Region:
         return np.asarray(left.swapaxes(-1, -2) @ right)
 
     def _shape(self, offsets: Array) -> Array:
-        """Scaled shape functions, shape (n, n_xi, n_f, n_a)."""
+        """Return the weights of node vectors in positions of fibres, shape (n, n_xi, n_f, n_a)."""
         y, z = np.moveaxis(offsets[:, None], -1, 0)
         weights = shape_weights(self._d, Quantity.POSITION, self._xi[:, None], y, z)
         return weights
@@ -417,7 +420,7 @@ class Axis:
 
     @classmethod
     def of(cls, d: int, xi: Array) -> Axis:
-        """Return those of beams in d dimensions at places xi."""
+        """Return the coefficients of beams in d dimensions at places xi."""
         shape, second = (len(xi), 2 * d + 1), d
         a, a_xi = np.zeros(shape), np.zeros(shape)
         a[:, 0] = end_weight_xi(xi)
@@ -507,7 +510,7 @@ class Frames:
 
     @classmethod
     def of(cls, Y: Array, xi: Array) -> Frames:
-        """Return those of reference vectors (n, n_y, d), which depend on no parameter."""
+        """Return the frames of reference vectors Y, (n, n_y, d), at places xi."""
         d = Y.shape[-1]
         axis = Axis.of(d, xi)
         slopes = np.stack([c @ Y for c in axis.c[1:]], axis=-1)

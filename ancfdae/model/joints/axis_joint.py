@@ -35,7 +35,7 @@ from ancfdae.model.joints.joint import (
 )
 from ancfdae.model.parts import Sign
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import cross
+from ancfdae.numerics.vector_formulas import cross
 
 #: The axis, what carries it at `other`, and the place on the ground.
 Around: TypeAlias = tuple[Array, Carrier, Array | None]
@@ -76,7 +76,7 @@ class AxisJoint(Joint):
 
     @property
     def by_slopes(self) -> bool:
-        """To ground the place of the point matters as well."""
+        """Whether there are two points: equations to ground depend on the point's place."""
         return self.other is not None
 
     def around(self, p: Array, reference: Array) -> Around:
@@ -280,7 +280,7 @@ class Universal(Joint):
 
     @property
     def by_slopes(self) -> bool:
-        """To ground the place of the point matters as well."""
+        """Whether there are two points: equations to ground depend on the point's place."""
         return self.other is not None
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:

@@ -31,10 +31,14 @@ class FormulaJoint(Joint):
         design fields that hold a `Law`, in their order, at the time at which U is met.
         """
 
+    def row_count(self, d: int) -> int:
+        """Return the number of equations in d dimensions; `equation_count` by default."""
+        return self.equation_count
+
     @final
     def coefficients(self, p: Array, reference: Array) -> JointEquations:
         """Return coefficients of zero: all stands in the formulas."""
-        return empty_equations(self.equation_count, p, reference)
+        return empty_equations(self.row_count(reference.shape[1]), p, reference)
 
     @final
     def moving(self, p: Array, reference: Array) -> tuple[JointEquations, ...]:

@@ -10,8 +10,8 @@ from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.joint import JointEquations, RightAngle
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import cross
 from ancfdae.numerics.rotations import in_space
+from ancfdae.numerics.vector_formulas import cross
 
 # A direction this much out of a section, as the sine of the angle, is not in it, where another
 # section carries it: right angles that this one keeps then are equations more. It is no tolerance:
@@ -163,7 +163,7 @@ def carrier_of(others: Sequence[SectionFrame]) -> Carrier:
 
 
 def square(carrier: Carrier, unless_it_holds: Array | None = None) -> tuple[RightAngle, ...]:
-    """Return the right angles of what carries directions: those in the section may be enough."""
+    """Return the right angles of sections that carry directions; angles within them may suffice."""
     if not isinstance(carrier, SectionFrame):
         return ()
     enough = unless_it_holds is not None and carrier.holds(unless_it_holds)

@@ -126,6 +126,10 @@ class Joint(Part):
         """Whether laws of time move it."""
         return False
 
+    def state_masses(self) -> tuple[float, ...]:
+        """Return the masses of its `states`, coordinates of its own; kg."""
+        return ()
+
     @property
     def by_slopes(self) -> bool:
         """Whether equations follow from the class, `p` and the slopes of the reference alone.

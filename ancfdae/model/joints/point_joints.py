@@ -189,7 +189,7 @@ class Pin(Joint):
 
     @property
     def by_slopes(self) -> bool:
-        """To ground the place of the point matters as well."""
+        """Whether there are two points: equations to ground depend on the point's place."""
         return self.other is not None
 
     def coefficients(self, p: Array, reference: Array) -> JointEquations:

@@ -284,7 +284,7 @@ class Transition(Law):
     )
 
     def numbers_of(self, name: str) -> dict[str, float]:
-        """Return the numbers of a field; those of a law have the field's name before theirs."""
+        """Return the numbers of a field by name; a law's begin with the name of the field."""
         values = super().numbers_of(name)
         if not isinstance(getattr(self, name), Law):
             return values

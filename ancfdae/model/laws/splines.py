@@ -157,7 +157,7 @@ class Spline(Law):
 
     @cached_property
     def _basis(self) -> scipy.interpolate.BSpline:
-        """One at each time and zero at the others, for each control value, over time/unit."""
+        """Return for each control value the spline that is 1 at its time and 0 at all others."""
         s = (np.array(self.times, dtype=float) - self.times[0]) / self._unit
         one = np.eye(len(s))
         if self.period is not None:

@@ -29,8 +29,8 @@ from ancfdae.model.loads.load import LAW_FIELD, Copies, Load
 from ancfdae.model.loads.obstacles import Carrier, Obstacle, require_obstacle
 from ancfdae.model.parts import Elements, LineVector, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import concatenate, dot, positive
 from ancfdae.numerics.time_grid import box_rule
+from ancfdae.numerics.vector_formulas import concatenate, dot, positive
 
 
 def longest(M: Array) -> Array:

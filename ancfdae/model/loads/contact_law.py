@@ -18,7 +18,7 @@ import numpy as np
 
 from ancfdae.errors.checks import require_finite
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.numerics.jets import concatenate, dot, positive
+from ancfdae.numerics.vector_formulas import concatenate, dot, positive
 
 # Below this restitution 1 - e u has too few digits.
 _LEAST_RESTITUTION = 0.05

@@ -27,7 +27,7 @@ from ancfdae.model.loads.load import LAW_FIELD, Load
 from ancfdae.model.loads.sections import rate_of, section_of, travel, turn, unit_axes
 from ancfdae.model.parts import Elements, StateVector, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import concatenate
+from ancfdae.numerics.vector_formulas import concatenate
 
 
 class ControlAxis(abc.ABC):
@@ -179,6 +179,7 @@ class Controller(Load):
     """
 
     refers = True
+    has_efforts = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -276,6 +277,11 @@ class Controller(Load):
             where = f"{method} of {self.kind} {self.name!r}"
             rule, repair = f"must return {len(wanted)} {what}", f"Return one for each {each}."
             raise InvalidInputError(where, rule, len(given), repair)
+
+    @final
+    def effort_count(self, p: Array) -> int:
+        """Return the number of axes."""
+        return len(self.axes(p))
 
     @final
     def efforts_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:

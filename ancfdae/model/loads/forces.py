@@ -11,7 +11,7 @@ from ancfdae.model.loads.load import LAW_FIELD, ConstantLoad, Load, SectionLoad,
 from ancfdae.model.loads.sections import QUARTER_TURN, rate_of, turn, unit_axes
 from ancfdae.model.parts import CentreLine, Elements, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import concatenate, cross, direction, dot
+from ancfdae.numerics.vector_formulas import concatenate, cross, direction, dot
 
 
 @final

@@ -1,14 +1,13 @@
 """Base class of loads: forces on vectors of points as functions of these vectors.
 
 A load names vectors U_i of material points and gives the generalised force F_i
-that works on each, delta W = sum_i F_i . delta U_i, in operations that carry
-time derivatives along (`numerics.jets`), so that its rate follows. A law of time
-multiplies it. The assembler writes its operations down, and lifts it to Q = L^T F with tangents and
-design derivatives.
+that works on each, delta W = sum_i F_i . delta U_i, in operations that are listed
+(`numerics.operations`), so that its derivatives follow. A law of time multiplies it. The assembler
+lifts it to Q = L^T F with tangents and design derivatives.
 """
 
 import abc
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, final
 
@@ -33,7 +32,7 @@ def require_damping(where: str, value: object) -> None:
 @final
 @dataclass(frozen=True)
 class Copies:
-    """How often a load stands in a scene: the same formula on other vectors and own numbers.
+    """Copies of a load: the same formula on other vectors, with numbers of each copy.
 
     Parameters
     ----------
@@ -71,10 +70,6 @@ class Load(Part):
     damping_fields: ClassVar[tuple[str, ...]] = ()
     #: Whether the force depends on the reference configuration.
     refers: ClassVar[bool] = False
-    #: Names of states that are integrated with the mechanism (`Controller`); their vectors come
-    #: last.
-    states: ClassVar[tuple[str, ...]] = ()
-
     #: Whether the force may change more suddenly with positions or velocities than they change: a
     #: run within a tolerance then looks for such places along its path.
     sharp: ClassVar[bool] = True
@@ -83,6 +78,9 @@ class Load(Part):
     touches: ClassVar[bool] = False
     #: Whether it stores elastic energy, which `energy` returns.
     stores: ClassVar[bool] = False
+
+    #: Whether it has `efforts_at`: torques of a controller, or tensions of a rope.
+    has_efforts: ClassVar[bool] = False
 
     law: Law | None = field(default=None, kw_only=True)
 
@@ -118,9 +116,9 @@ class Load(Part):
         """Return the generalised forces on the vectors without the law, (..., n_vectors, d).
 
         U and V, of the same shape, are the vectors and their time derivatives: complex arrays
-        with any leading axes (instants, perturbations), or jets of them, whose jet is returned. p
-        has the values of `parameters`, as `split` takes them, and U_o, (n_vectors, d), the vectors
-        in the reference configuration.
+        with any leading axes (time points, perturbations), or `Carried` ones, of which one is
+        returned. p has the values of `parameters`, as `split` takes them, and U_o, (n_vectors, d),
+        the vectors in the reference configuration.
         """
 
     def force_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> Any:
@@ -151,8 +149,15 @@ class Load(Part):
         """
         return None
 
-    def initial_states(self, p: Array) -> Sequence[Any]:
-        """Return the `states` at t = 0."""
+    def effort_count(self, p: Array) -> int:
+        """Return the number of `efforts_at`."""
+        return 0
+
+    def efforts_at(self, U: Any, V: Any, signals: Any, p: Array, U_o: Array) -> tuple[Any, ...]:
+        """Return torques of a controller, or tensions of a rope, (..., 1, 1) each.
+
+        Arguments as in `force_at`.
+        """
         return ()
 
     @final

@@ -17,7 +17,7 @@ from ancfdae.errors.checks import (
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.design import Designable
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import direction, dot
+from ancfdae.numerics.vector_formulas import direction, dot
 
 #: Part of the radius below which a distance from a centre has no direction, and is bounded.
 CENTRE = 1e-12

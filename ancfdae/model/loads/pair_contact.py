@@ -24,8 +24,8 @@ from ancfdae.model.loads.load import LAW_FIELD, Copies
 from ancfdae.model.loads.obstacles import CENTRE
 from ancfdae.model.parts import Elements, FrameDirection, LineVector, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import concatenate, dot, positive
 from ancfdae.numerics.time_grid import box_rule
+from ancfdae.numerics.vector_formulas import concatenate, dot, positive
 
 # Newton iterations for the closest point of a cubic, and how far beyond its ends they may lead.
 _ITERATIONS, _BEYOND = 6, 0.3

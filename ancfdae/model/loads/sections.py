@@ -1,6 +1,6 @@
 """How a section turns and carries directions, with the gradients that turn a torque into forces.
 
-Arrays and jets have axes (..., n_vectors, d). A section is known by its slopes r_y, r_z (r_y in the
+Arrays have axes (..., n_vectors, d). A section is known by its slopes r_y, r_z (r_y in the
 plane). What it carries is combined of n, r_y and r_z, n its unit normal (in the plane of r_y and
 r_y turned by a right angle), so that directions of the reference turn with the section.
 
@@ -22,7 +22,7 @@ import numpy as np
 from ancfdae.model.bodies import MaterialPoint
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import angle, concatenate, cross, direction, dot
+from ancfdae.numerics.vector_formulas import angle, concatenate, cross, direction, dot
 
 #: U @ QUARTER_TURN is U turned by 90 degrees, from x to y.
 QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])

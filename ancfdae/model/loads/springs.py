@@ -13,7 +13,7 @@ from ancfdae.model.loads.load import LAW_FIELD, Load, require_damping
 from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of, turn
 from ancfdae.model.parts import Elements, Stroke, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import concatenate, direction, dot
+from ancfdae.numerics.vector_formulas import concatenate, direction, dot
 
 
 def _require_length(where: str, value: object) -> None:

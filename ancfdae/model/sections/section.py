@@ -105,7 +105,7 @@ class Section(abc.ABC):
 
     @abc.abstractmethod
     def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Return y and z of points of the contour, those of largest stresses, (n, n_o) each.
+        """Return y and z of the points of the contour where stresses are largest, (n, n_o) each.
 
         Of bending about both axes and of torsion, alone and together.
         """
@@ -177,7 +177,7 @@ class Section(abc.ABC):
         return all(abs(x) <= half * ROUND_UP for x, half in zip((y, z), extents, strict=True))
 
     def properties(self, sizes: Array, nu: Array) -> tuple[Array, Array, Array]:
-        """Shear factors along y and z and the torsion constant, those declared or by formula."""
+        """Shear factors along y and z and the torsion constant: as declared, or by formula."""
         k_y, k_z = self.shear(sizes, nu)
         J = self.torsion(sizes)
         if self.shear_factors is not None:

@@ -46,8 +46,9 @@ class Named(Protocol):
 class States:
     """States of a system at a sequence of instants, as rows, real or complex.
 
-    `degree` is that of the polynomials between the instants (`TimeGrid`). Of a part of a run `past`
-    holds, by leaf, the values at its first instant of leaves that remember.
+    `degree` is the degree of the polynomials between the instants (`TimeGrid`). Some leaves, such
+    as angles counted over turns, remember earlier values: `past` holds their values at the first
+    instant of a part of a run, by leaf.
     """
 
     t: Array
@@ -150,7 +151,7 @@ class LeafGradient:
 
     @staticmethod
     def of(p: StatePartials) -> LeafGradient:
-        """Return partials in some columns as those of a leaf."""
+        """Return the gradient of a leaf from its partials in some columns."""
         v = Columns(p.columns, p.v) if np.any(p.v) else None
         return LeafGradient(q=Columns(p.columns, p.q), v=v, b=p.b)
 
@@ -171,7 +172,7 @@ class ObservablePartials:
     b: Array
 
     def total(self, q_b: Array | None, v_b: Array | None, lam_b: Array | None) -> Array:
-        """Return the derivatives along those of the states, shape (k, n_b); None is held."""
+        """Return total design derivatives, (k, n_b), from those of the states; None is zero."""
         total = self.b
         for rows, x_b in ((self.q, q_b), (self.v, v_b), (self.lam, lam_b)):
             if rows is not None and x_b is not None:

@@ -323,9 +323,7 @@ class LoadQuantity(Leaf):
     def _function(self, system: Named) -> LoadFunction:
         works = known_scene(system).works
         return (
-            works.of_load(self.load)
-            if self.axis is None
-            else works.of_controller(self.load, self.axis)
+            works.of_load(self.load) if self.axis is None else works.of_effort(self.load, self.axis)
         )
 
 
@@ -372,6 +370,12 @@ def effort(controller: str, axis: int = 0) -> Observable:
     """
     require_kind("effort, axis", axis, (int, np.integer), "Counted from 0 on.")
     return LoadQuantity(controller, axis)
+
+
+def rope_tension(rope: str, span: int = 0) -> Observable:
+    """Return the tension of a `Rope` in one of its spans, counted from 0 at its start; N."""
+    require_kind("rope_tension, span", span, (int, np.integer), "Counted from 0 on.")
+    return LoadQuantity(rope, span)
 
 
 @final

@@ -99,24 +99,27 @@ class Custom(Leaf):
         )
         with np.errstate(all="ignore"):
             require_vectorised(self.name, lambda rows: self._call(states.rows(rows), system.b), 3)
-        self._require_derivative(system, states, system.b.real)
+        traced, b = self._traced(system), system.b.real
+        if traced is None or not _agree(traced.values(states, b)[:, 0], self._call(states, b)):
+            self._require_derivative(states, b)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Return the values H of the function, shape (n_t,)."""
         system = known_system(self.name, system)
         if any(np.iscomplexobj(x) for x in (states.q, states.v, states.lam, system.b)):
-            traced = _traced(self.function, system.n_q, system.n_lam, system.n_b)
+            traced = self._traced(system)
             if traced is not None:
                 return traced.values(states, system.b)[:, 0]
         return np.asarray(self._call(states, system.b))
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Differentiate H by its operations, or by a complex step in one column after another."""
-        traced = self._require_derivative(
-            system, states.rows([0, len(states.t) // 2, -1]), system.b
-        )
+        some, traced = [0, len(states.t) // 2, -1], self._traced(system)
         if traced is not None:
-            return traced.gradient(states, system.b)
+            found = traced.values(states, system.b)
+            if _agree(found[some, 0], self._call(states.rows(some), system.b)):
+                return traced.gradient(found[:, 1:], len(system.b))
+        self._require_derivative(states.rows(some), system.b)
         q, v, lam = (x.astype(complex) for x in (states.q, states.v, states.lam))
         complex_states = States(states.t, q, v, lam, states.degree)
         b = system.b.astype(complex)
@@ -134,13 +137,11 @@ class Custom(Leaf):
     def _call(self, states: States, b: Array) -> Array:
         return self.function(states.t, states.q, states.v, states.lam, b)
 
-    def _require_derivative(
-        self, system: MechanicalSystem, states: States, b: Array
-    ) -> _Formula | None:
-        """Return a list with the values of the function; else refuse wrong complex steps."""
-        traced = _traced(self.function, system.n_q, system.n_lam, system.n_b)
-        if traced is not None and traced.agrees(states, b, self._call(states, b)):
-            return traced
+    def _traced(self, system: MechanicalSystem) -> _Formula | None:
+        return _traced(self.function, system.n_q, system.n_lam, system.n_b)
+
+    def _require_derivative(self, states: States, b: Array) -> None:
+        """Refuse a function whose complex steps are not its derivatives."""
         x = (states.q, states.v, states.lam, b)
         # A direction without symmetry, of the size of the arguments.
         dx = [
@@ -148,11 +149,15 @@ class Custom(Leaf):
             for j, a in enumerate(x)
         ]
         require_derivative(self.name, lambda *moved: self.function(states.t, *moved), x, dx)
-        return None
 
 
 # Largest difference between values of a list and of the function, relative to the largest value.
 _SAME = 1e-9
+
+
+def _agree(listed: Array, called: Array) -> bool:
+    """Whether a list has the values that its function has, finite ones."""
+    return bool(np.max(np.abs(listed - called)) <= _SAME * np.max(np.abs(called)))
 
 
 @final
@@ -168,27 +173,19 @@ class _Formula:
 
     def values(self, states: States, b: Array) -> Array:
         """Return the value and the partials in the columns, shape (n_t, 1 + ...)."""
-        parts = (states.t[:, None], states.q, states.v, states.lam, b[None])
-        pairs = zip(parts, self.columns, strict=True)
-        x = np.concatenate(
-            [np.broadcast_to(x[:, at], (len(states.t), len(at))) for x, at in pairs], axis=1
-        )
-        return list_values(self.operations, x)
+        parts = (states.t[:, None], states.q, states.v, states.lam, b)
+        used = [x[..., at] for x, at in zip(parts, self.columns, strict=True)]
+        return list_values(self.operations, *used)
 
-    def agrees(self, states: States, b: Array, values: Array) -> bool:
-        """Whether the list has the values that the function has, finite ones."""
-        gap = np.max(np.abs(self.values(states, b)[:, 0] - values))
-        return bool(gap <= _SAME * np.max(np.abs(values)))
-
-    def gradient(self, states: States, b: Array) -> LeafGradient:
-        """Return the partials in states and design."""
-        partials = self.values(states, b)[:, 1:]
-        ends = np.cumsum([len(at) for at in self.columns])
-        _, *rows, on_b = np.split(partials, ends[:-1], axis=1)
-        q, v, lam = (Columns(at, x) for at, x in zip(self.columns[1:4], rows, strict=True))
-        of_b = np.zeros((len(states.t), len(b)))
-        of_b[:, self.columns[4]] = on_b
-        return LeafGradient(q, v, lam, of_b)
+    def gradient(self, partials: Array, n_b: int) -> LeafGradient:
+        """Return partials in the columns, (n_t, ...), as partials in states and design."""
+        begin, parts = len(self.columns[0]), list[Columns | None]()
+        for at in self.columns[1:]:
+            rows, begin = partials[:, begin : begin + len(at)], begin + len(at)
+            parts.append(Columns(at, rows) if len(at) else None)
+        q, v, lam, b = parts
+        on_b = None if b is None else b.add_to(None, np.ones(len(partials)), n_b)
+        return LeafGradient(q, v, lam, on_b)
 
 
 @lru_cache(maxsize=32)

@@ -279,5 +279,5 @@ class _Seen(NamedTuple):
 
     @property
     def concentrated(self) -> bool:
-        """Whether the changes are those of a small part of a step."""
+        """Whether all changes happen within a small part of a step."""
         return self.total < _RESOLVED * self.slope

@@ -321,7 +321,10 @@ class HHTRuns(FixedStepRuns):
 
     @property
     def percent(self) -> float:
-        """Steps at which an error is a hundredth, by the last difference; a guess without."""
+        """Estimated number of steps for an error of 1 %, from the difference of the last two runs.
+
+        With fewer than two runs it is the number of steps planned.
+        """
         if len(self.samples) < 2:
             return float(max(self._planned, 2 * self._taken))
         ratio = self.counts[-1] / self.counts[-2]

@@ -75,7 +75,7 @@ class RadauRuns(FixedStepRuns):
 
     @property
     def _last(self) -> float:
-        """Steps that lead to the tolerance, by what the other sequence tells of the waves."""
+        """Return the steps that reach the tolerance, by the waves of the other sequence."""
         share = HIGH_GRANTED * PERCENT / (AIM * self._tolerance)
         of_error = self._seer.percent / FEWER * math.pow(share, 1 / self.order)
         return max(of_error, self._seer.counts[-1] * _SHARE, self.least)
@@ -117,7 +117,7 @@ class RadauRuns(FixedStepRuns):
         return f"{self.name} does not resolve all waves, which change little"
 
     def _growth(self, order: float, most: float) -> float:
-        """By what the runs tell; the first one by how far it is from the other kind."""
+        """Return the growth that the runs show; a first run is compared with the other kind."""
         if self.estimates:
             return super()._growth(order, most)
         if not (self._seer.resolved and self._seer.estimates):
@@ -126,7 +126,7 @@ class RadauRuns(FixedStepRuns):
         return min(max(math.pow(far, 1 / order), 2.0), most)
 
     def judged(self) -> list[Estimate]:
-        """Compare the runs; those that contradict the other kind tell nothing."""
+        """Compare the runs; runs that contradict the other kind are left out."""
         return super().judged() if self.agrees(self._seer) else []
 
 

@@ -111,7 +111,7 @@ class Places(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Where the first of them is."""
+        """Description of the first place."""
         left, right, _ = self.parts[0]
         return (
             f"forces or observables change within {right - left:.1g} s at t = {left:.6g} s, which "
@@ -120,7 +120,7 @@ class Places(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """An observable of which places matter, and a sharpness k if exp(k x) is what is integrated."""
+    """An observable whose places matter, and the sharpness k if exp(k x) is integrated."""
 
     observable: Observable
     sharpness: float | None = None
@@ -157,7 +157,7 @@ class _Group(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Witness:
-    """Looks for places that the times of runs pass over, in a system and what is observed.
+    """Looks for places in a system and its observables that the times of runs pass over.
 
     What changes a function by much less than the tolerance, `share`, does not count.
     """

@@ -134,7 +134,7 @@ class Runs(abc.ABC):
         """Return the wanted vectors with bars; none as long as runs do not tell."""
 
     def take(self, sample: Sample) -> None:
-        """Add a run and judge; those before one that failed are no part of a sequence."""
+        """Add a run and judge the sequence, which begins anew after a run that failed."""
         self.samples = [*self.samples, sample] if sample.vectors else []
         self._judge()
 
@@ -173,14 +173,14 @@ class Runs(abc.ABC):
 
     @final
     def apart(self, other: Runs) -> float:
-        """Return how far the last run is from what the other kind of runs estimates."""
+        """Return the distance of the last run from the estimate of the other kind of runs."""
         estimates = [y.x for y in other.estimates]
         gaps = [x - y for x, y in zip(self.samples[-1].vectors, estimates, strict=True)]
         return self.relative(gaps, estimates)
 
     @final
     def agrees(self, other: Runs) -> bool:
-        """Whether the last run is within what the other kind knows, if it knows anything."""
+        """Whether the last run agrees with the estimate of the other kind; True without one."""
         allowed = _CONTRADICTS * other.error + self._tolerance
         return not other.estimates or self.apart(other) <= allowed
 

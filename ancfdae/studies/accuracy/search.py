@@ -81,7 +81,7 @@ class Found:
 @final
 @dataclass(frozen=True)
 class _Spent:
-    """Runs of a search: of which kind, what was seen, and its work."""
+    """Runs of a search: their kind, their values, and their work."""
 
     runs: list[tuple[Runs, Trial, float]]
 
@@ -135,7 +135,7 @@ def _out_of_reach(
 def search(
     wanted: Wanted, measure: Measure, witness: Witness, intervals: int | None, level: int
 ) -> Found:
-    """Search what is wanted; warn where it is out of reach.
+    """Search for the wanted accuracy; warn if it is out of reach.
 
     `DOP853` reports its first run on this number of intervals, and takes no part if that is None.
     `level` is the stack level of the warning, as in `warnings.warn`.

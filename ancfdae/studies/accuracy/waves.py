@@ -119,7 +119,7 @@ class Missed(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """What numbers may miss by waves.
+    """Errors of numbers by waves that steps do not resolve.
 
     `parts` is what a run misses by its numerical damping, `whole` is all that the waves which it
     does not resolve change.
@@ -386,7 +386,7 @@ def pace(system: MechanicalSystem, run: Solution) -> float | None:
 
 
 def _spectra(system: MechanicalSystem, run: Solution, *places: int) -> list[Array]:
-    """Return the eigenvalues about instants of a run, whose numbers are given; none if unknown."""
+    """Return the eigenvalues about the states `places` of a run; an empty list if unknown."""
     if system.n_q > _DENSE:
         return []
     rows = np.array(places)
