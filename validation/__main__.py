@@ -9,8 +9,6 @@ from ancfdae.errors import AncfdaeError
 from validation.catalogue import CATALOGUE, Definition
 from validation.report import Report
 
-__all__ = ["main"]
-
 
 def main(
     arguments: Sequence[str] | None = None, catalogue: Sequence[Definition] = CATALOGUE
@@ -33,7 +31,7 @@ def main(
     chosen = _parser().parse_args(arguments)
     if chosen.command == "list":
         for definition in catalogue:
-            print(f"{definition.name}: {definition.title}\n    {definition.question}")
+            print(f"{definition.name}: {definition.prose.title}\n    {definition.prose.question}")
         return 0
     for definition in catalogue:
         if definition.name == chosen.name:
@@ -60,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
 def _run(definition: Definition, directory: Path, quick: bool) -> int:
     # Without the folder: it belongs to the machine, not to the result.
     command = f"python -m validation run {definition.name}" + " --quick" * quick
-    report = Report(definition.title, definition.question, directory, command, definition.source)
+    report = Report(definition.prose, directory, command)
     if quick:
         report.text("**Made with `--quick`: the figures below are not results.**")
     try:

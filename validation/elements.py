@@ -3,7 +3,6 @@
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import (
     Beam,
@@ -21,16 +20,14 @@ from ancfdae import (
     modes,
 )
 from ancfdae.extend import StrainEnergyFunction
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import observe, shear_force
-from ancfdae.plotting import Panel, Series
+from ancfdae.plotting import Series
 from ancfdae.sections import Rectangle
 from validation import shapes, short_elements, thin_beams
+from validation.drawing import log_log
 from validation.elements_sections import sections
-from validation.report import Agreement, Report
-
-__all__ = ["run"]
-
-Array = npt.NDArray[np.float64]
+from validation.report import Report
 
 _E: Final = 1e9
 _DENSITY: Final = 1000.0
@@ -47,8 +44,7 @@ _ROOT: Final = 1.8751040687119611
 def run(report: Report, quick: bool) -> None:
     """Run the cases of report `elements`; add its text, tables and figures."""
     counts = (1, 2, 4) if quick else (1, 2, 4, 8, 16, 32, 64)
-    report.heading("Method")
-    report.text(_METHOD)
+    report.say("method")
     for nu in (0.0, 0.3):
         _small(report, nu, counts, quick)
     _claims(report, counts[-1])
@@ -59,10 +55,8 @@ def run(report: Report, quick: bool) -> None:
     shapes.fill(report, quick)
     short_elements.fill(report, quick)
     thin_beams.fill(report, quick)
-    report.heading("Verdict")
-    report.text(_VERDICT)
-    report.heading("Limits")
-    report.text(_LIMITS)
+    report.say("verdict")
+    report.say("limits")
 
 
 def _beam(d: int, h: float, n: int, nu: float, energy: StrainEnergyFunction) -> Beam:
@@ -75,8 +69,7 @@ def _beam(d: int, h: float, n: int, nu: float, energy: StrainEnergyFunction) -> 
 def _tip(beam: Beam, load: PointForce | Moment) -> Array:
     """Return where the end comes to rest."""
     rest = equilibrium(Scene([beam], [Clamp(beam.at_start)], loads=[load]))
-    place: Array = rest.solution.position(beam.at_end)[0]
-    return place
+    return rest.solution.position(beam.at_end)[0]
 
 
 def _deflection(d: int, h: float, n: int, nu: float, energy: StrainEnergyFunction) -> float:
@@ -99,10 +92,11 @@ def _small(report: Report, nu: float, counts: tuple[int, ...], quick: bool) -> N
             for h in _SLENDER[1:3] if quick else _SLENDER:
                 errors = [_deflection(d, h, n, nu, energy) for n in counts]
                 rows.append([name, f"{h:g}", *(f"{x:.1e}" for x in errors)])
-                for n, error in zip(counts, errors, strict=True):
-                    report.figure(f"deflection.{d}d.nu{nu:g}.h{h:g}.{_word(name)}.n{n}", error)
+                report.figures(
+                    f"deflection.{d}d.nu{nu:g}.h{h:g}.{_word(name)}.n{{}}", counts, errors
+                )
         title = f"{'planar' if d == 2 else 'spatial'} element, nu = {nu:g}"
-        report.text(f"**{title}**: error of the deflection, by h/L and number of elements.")
+        report.say("small", title=title)
         report.table(["energy", "h/L", *map(str, counts)], rows)
         at = "0.01"
         series = [
@@ -110,13 +104,9 @@ def _small(report: Report, nu: float, counts: tuple[int, ...], quick: bool) -> N
             for row in rows
             if row[1] == at
         ]
-        panels.append(Panel(title, "elements [-]", "error of deflection [-]", series, "log", "log"))
-    report.plot(
-        f"deflection-nu{nu:g}".replace(".", ""),
-        panels,
-        columns=2,
-        title=f"Tip deflection of a cantilever, h/L = 0.01, nu = {nu:g}",
-    )
+        panels.append(log_log(title, "elements [-]", "error of deflection [-]", series))
+    digits = f"{nu:g}".replace(".", "")
+    report.plot("deflection-nu{digits}", panels, 2, digits=digits, nu=nu)
 
 
 def _claims(report: Report, n: int) -> None:
@@ -132,21 +122,19 @@ def _claims(report: Report, n: int) -> None:
         errors = [_deflection(d, 0.01, count, nu, _ENERGIES[name]) for d in (2, 3)]
         # The full law on a finite mesh has the error of its curvature besides.
         near = max(abs(error - expected) for error in errors) < max(0.1 * abs(expected), 1e-6)
-        report.claim(
-            f"{name}, nu = {nu:g}, {count} elements: error of the deflection",
-            f"{expected:.3g}",
-            ", ".join(f"{error:.3g}" for error in errors) + " (planar, spatial)",
-            Agreement.AGREES if near else Agreement.DISAGREES,
+        report.judge(
+            "claims",
+            near,
+            name=name,
+            nu=nu,
+            count=count,
+            expected=expected,
+            errors=", ".join(f"{error:.3g}" for error in errors),
         )
 
 
 def _within(report: Report, counts: tuple[int, ...]) -> None:
-    report.heading("A force within a beam: three-point bending")
-    report.text(
-        "A beam on two supports, planar element, h/L = 0.1, nu = 0, with a force F in its middle, "
-        "where a node is: error of the deflection under it against F L^3/(48 E I) + F L/(4 k G A), "
-        "and of the shear forces just before and after it against -F/2 and F/2, over F."
-    )
+    report.say("within")
     rows, largest = [], {}
     for name, energy in _ENERGIES.items():
         errors = [_bent(n, energy) for n in counts]
@@ -161,12 +149,7 @@ def _within(report: Report, counts: tuple[int, ...]) -> None:
     shear = max(each[1] for each in largest.values())
     # What is left is the square of the deflection over the height, 1e-8.
     for what, error in (("deflection, default energy", deflection), ("shear force, all", shear)):
-        report.claim(
-            f"three-point bending, any mesh: error of the {what}",
-            "0",
-            f"{error:.1e}",
-            Agreement.AGREES if error < 1e-6 else Agreement.DISAGREES,
-        )
+        report.judge("within", error < 1e-6, what=what, error=error)
 
 
 def _bent(n: int, energy: StrainEnergyFunction) -> tuple[float, float]:
@@ -184,11 +167,7 @@ def _bent(n: int, energy: StrainEnergyFunction) -> tuple[float, float]:
 
 
 def _large(report: Report, counts: tuple[int, ...]) -> None:
-    report.heading("A quarter circle by an end moment")
-    report.text(
-        "M = E I (pi/2)/L bends a rod into a quarter circle, end at (2/pi, 2/pi) L. Error of the "
-        "end over L, nu = 0, planar element, h/L = 0.01."
-    )
+    report.say("large")
     exact, rows = np.array([2 / np.pi, 2 / np.pi]), []
     for name, energy in _ENERGIES.items():
         errors = []
@@ -205,11 +184,7 @@ def _large(report: Report, counts: tuple[int, ...]) -> None:
 
 
 def _frequencies(report: Report, counts: tuple[int, ...], quick: bool) -> None:
-    report.heading("First natural frequency")
-    report.text(
-        "Clamped beam, h/L = 0.01, nu = 0.3, against 1.8751^2 sqrt(E I/(rho A L^4)); rotary "
-        "inertia and shear lower it by 2e-4 at most."
-    )
+    report.say("frequencies")
     h, rows = 0.01, []
     exact = _ROOT**2 * np.sqrt(_E * h**2 / (12 * _DENSITY))
     for d in (2, 3):
@@ -227,26 +202,3 @@ def _frequencies(report: Report, counts: tuple[int, ...], quick: bool) -> None:
 def _word(name: str) -> str:
     """Return the name of an energy as part of the name of a figure."""
     return name.split(" (")[0].replace(", ", "-").replace(" ", "-")
-
-
-_METHOD = """
-A cantilever of length 1 m with a square section, clamped at one end (place and turn of the section
-are held, its deformation is not). Deflections by `equilibrium`, frequencies by `modes`. The exact
-deflection is that of Timoshenko's beam, F L^3/(3 E I) + F L/(k G A), with Cowper's k where the
-energy takes shear factors (enhanced) and k = 1 where it does not. All laws cost the same per step:
-they differ in the numbers of one invariant matrix.
-"""
-_VERDICT = """
-- The **full law** of the source paper converges to the wrong stiffness where nu is not zero: 0.74
-  of the deflection at nu = 0.3. At nu = 0 its curvature is constant along an element, which leaves
-  1/(4 n^2) of the deflection whatever the slenderness, and thickness locking in large rotations.
-- **Enhanced with exact strains** has the right limit at every nu and the same slow convergence.
-- **Enhanced with assumed strains**, the default, has the exact deflection with one element,
-  and large rotations of fourth order in the turn of an element.
-- **Section forces** of loads at nodes are exact on any mesh, curved, pretwisted or off the axis.
-"""
-_LIMITS = """
-Straight beams under loads at ends and nodes: loads along the beam leave an error of fourth order in
-the element length, forces between nodes one of first order. What is left of one element at h/L =
-0.001 is the square of the deflection times (L/h)^2: the axis of one cubic cannot keep its length.
-"""

@@ -3,7 +3,6 @@
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import (
     Beam,
@@ -17,15 +16,12 @@ from ancfdae import (
     equilibrium,
 )
 from ancfdae.extend import Section
+from ancfdae.numerics.arrays import Array
 from ancfdae.results import Solution
 from ancfdae.sections import ISection, QuadratureSection, Rectangle
 from ancfdae.sensitivity.observables.observable import observe
 from ancfdae.sensitivity.observables.sections import axial_force, shear_force
-from validation.report import Agreement, Report
-
-__all__ = ["sections"]
-
-Array = npt.NDArray[np.float64]
+from validation.report import Report
 
 _E: Final = 2e11
 _NU: Final = 0.3
@@ -40,8 +36,7 @@ _NONE: Final = (0.0, 0.0, 0.0)
 def sections(report: Report, quick: bool) -> None:
     """Fill in the rows on sections."""
     counts = (8, 16) if quick else (8, 16, 32)
-    report.heading("Section forces and deflections of curved, pretwisted and off-axis beams")
-    report.text(_TEXT)
+    report.say("sections")
     cases = {
         "arc, shear force under F": [_arc_shear(_PLATE, n, _FORCE, _NONE) for n in counts],
         "arc, shear force under M": [_arc_shear(_PLATE, n, _NONE, (1.0, 0.0, 0.0)) for n in counts],
@@ -61,12 +56,7 @@ def sections(report: Report, quick: bool) -> None:
             report.figure(f"section.{word}.n{n}", error)
     report.table(["error of", *map(str, counts)], rows)
     worst = max(abs(errors[-1]) for errors in cases.values())
-    report.claim(
-        f"section forces, deflections and untwist, {counts[-1]} elements: largest error",
-        "below 0.01",
-        f"{worst:.1e}",
-        Agreement.AGREES if worst < 0.01 else Agreement.DISAGREES,
-    )
+    report.judge("sections", worst < 0.01, n=counts[-1], worst=worst)
 
 
 def _curved(section: Section, places: Array, frames: Array) -> CurvedBeam:
@@ -169,15 +159,3 @@ def _properties(section: Section) -> tuple[float, float, float]:
     """Shear factors and torsion constant."""
     k_y, k_z, J = section.properties(np.array([section.sizes()]), np.array([_NU]))
     return float(k_y[0]), float(k_z[0]), float(J[0])
-
-
-_TEXT = """
-Steel, nu = 0.3. A quarter circle of radius 1 m, 20 x 10 mm or an I section of 40 x 30 x 2 x 3 mm,
-with F = 1 N across its plane or M = 1 N m about x at its end: the shear force across the plane
-against F or none, the deflection under F against Castigliano's theorem with bending, torsion and
-shear. A strip of 40 x 4 mm with a pretwist of 2 rad/m under a torque of 1 N m: its axial force (N),
-which is none. A bar of 30 x 20 mm with its centre 50 mm beside the axis of the beam under a force
-through that axis: shear force and twist about the centre. Bars of 40 mm with a pretwist of
-0.1 rad/m under tension, height to width 2, 10 and 40: what they untwist, by the coupling
-E t (I_p - J). Forces at 0.53 of the length.
-"""

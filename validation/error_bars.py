@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import (
     DOP853,
@@ -21,19 +20,17 @@ from ancfdae import (
 from ancfdae.equations import MechanicalSystem
 from ancfdae.extend import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import position, reaction
-from ancfdae.plotting import Panel, Series
+from ancfdae.plotting import Series
 from ancfdae.results import ErrorBars
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import as_system
+from validation.drawing import dots, log_log
 from validation.error_estimates import estimates
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
-from validation.report import Agreement, Report
+from validation.report import Report
 from validation.scenes import crank_slider, pendulum
-
-__all__ = ["run"]
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -63,15 +60,13 @@ class _Found:
 
 def run(report: Report, quick: bool) -> None:
     """Run the cases of report `error-bars`; add its text, tables and figures."""
-    report.heading("Method")
-    report.text(_METHOD)
+    report.say("method")
     found = [row for case in _cases(quick) for row in _measured(case, quick)]
     _table(report, found)
     _pictures(report, found)
     _verdict(report, found)
     estimates(report, quick)
-    report.heading("Limits")
-    report.text(_LIMITS)
+    report.say("limits")
 
 
 def _cases(quick: bool) -> list[_Case]:
@@ -121,36 +116,19 @@ def _pendulums(quick: bool) -> list[_Case]:
 
 
 def _measured(case: _Case, quick: bool) -> list[_Found]:
-    exact = gradient(
-        case.model,
-        case.objective,
-        case.t_end,
-        case.reference,
-        design=case.design,
-        method=DirectDifferentiation(),
-    )
+    asked = case.model, case.objective, case.t_end
+    method = DirectDifferentiation()
+    exact = gradient(*asked, case.reference, design=case.design, method=method)
     rows = []
     for integrator in case.settings:
         for levels in (2,) if quick or integrator.order is None else (2, 3):
-            bars = error_bars(
-                case.model,
-                case.objective,
-                case.t_end,
-                integrator,
-                design=case.design,
-                levels=levels,
-            )
+            bars = error_bars(*asked, integrator, design=case.design, levels=levels)
             rows.append(_row(case, integrator, levels, bars, exact.value, exact.gradient))
     return rows
 
 
 def _row(
-    case: _Case,
-    integrator: Integrator,
-    levels: int,
-    bars: ErrorBars,
-    value: float,
-    slope: Array,
+    case: _Case, integrator: Integrator, levels: int, bars: ErrorBars, value: float, slope: Array
 ) -> _Found:
     # Derivatives times the variable, so that they can be compared with each other.
     scale = np.abs(as_system(case.model, case.design).b)
@@ -171,16 +149,19 @@ def _row(
     )
 
 
+def _joined(rows: Sequence[_Found]) -> tuple[Array, Array, Array]:
+    """Return errors, bars and errors of extrapolated numbers of all rows."""
+    error, bar, better = zip(*((row.error, row.bar, row.better) for row in rows), strict=True)
+    return np.concatenate(error), np.concatenate(bar), np.concatenate(better)
+
+
 def _table(report: Report, found: Sequence[_Found]) -> None:
     report.heading("How often the bars hold")
     rows: list[list[object]] = []
     for kind in dict.fromkeys(row.kind for row in found):
         for case in dict.fromkeys(row.case for row in found if row.kind == kind):
             mine = [row for row in found if row.kind == kind and row.case == case]
-            error, bar, better = (
-                np.concatenate([getattr(row, name) for row in mine])
-                for name in ("error", "bar", "better")
-            )
+            error, bar, better = _joined(mine)
             held, width = np.mean(error <= bar), np.median(bar / error)
             rows.append(
                 [
@@ -193,12 +174,7 @@ def _table(report: Report, found: Sequence[_Found]) -> None:
                     f"{np.median(better / error):.2g}",
                 ]
             )
-    report.text(
-        "*Numbers*: values and derivatives, over all settings of the kind. *Worst*: the largest "
-        "error over its bar; 1 or less where all bars hold. *Width*: the median bar over its "
-        "error. *Extrapolated*: the median error of the extrapolated number over that of the "
-        "finest run."
-    )
+    report.say("table")
     report.table(
         ["runs", "scene and objective", "numbers", "bar holds", "worst", "width", "extrapolated"],
         rows,
@@ -210,21 +186,13 @@ def _pictures(report: Report, found: Sequence[_Found]) -> None:
     series = []
     for kind in kinds:
         mine = [row for row in found if row.kind == kind]
-        error = np.concatenate([row.error for row in mine])
-        bar = np.concatenate([row.bar for row in mine])
+        error, bar, _ = _joined(mine)
         good = (error > 0) & (bar > 0)
-        series.append(Series(kind, error[good], bar[good], marker=True, line=False))
+        series.append(dots(kind, error[good], bar[good]))
     ends = np.array([1e-13, 1.0])
     series.append(Series("bar = error", ends, ends))
-    panel = Panel(
-        "Bars against true errors, relative",
-        "true error [-]",
-        "bar [-]",
-        series,
-        x_scale="log",
-        y_scale="log",
-    )
-    report.plot("bars", [panel], caption="Points below the line are bars that do not hold.")
+    panel = log_log("Bars against true errors, relative", "true error [-]", "bar [-]", series)
+    report.plot("bars", [panel])
 
 
 def _verdict(report: Report, found: Sequence[_Found]) -> None:
@@ -234,7 +202,7 @@ def _verdict(report: Report, found: Sequence[_Found]) -> None:
         mine = [row for row in found if row.kind.endswith(levels) and row.kind.startswith("HHT")]
         if not mine:
             continue
-        error, bar = (np.concatenate([getattr(row, x) for row in mine]) for x in ("error", "bar"))
+        error, bar, _ = _joined(mine)
         held = report.figure(f"held.hht.{levels[0]}", float(np.mean(error <= bar)))
         worst = report.figure(f"worst.hht.{levels[0]}", float(np.max(error / bar)))
         lines.append(
@@ -242,7 +210,7 @@ def _verdict(report: Report, found: Sequence[_Found]) -> None:
             f"{worst:.2g} times its bar."
         )
     mine = [row for row in found if not row.kind.startswith("HHT")]
-    error, bar = (np.concatenate([getattr(row, x) for row in mine]) for x in ("error", "bar"))
+    error, bar, _ = _joined(mine)
     held = report.figure("held.tolerance", float(np.mean(error <= bar)))
     lines.append(f"Runs refined by tolerance: {100 * held:.0f} % of {len(error)} bars hold.")
     report.text("\n".join(f"- {line}" for line in lines))
@@ -260,39 +228,10 @@ def _verdict(report: Report, found: Sequence[_Found]) -> None:
                 f"worst {np.max(over):.2g}, {scenes} scenes and objectives"
             )
     width = report.figure("width", float(np.median(np.concatenate(widths))))
-    report.claim(
-        "The grid convergence index bounds the error, on about 95 % of occasions",
-        "Roache 1994, for grids that resolve the solution",
-        "held where `resolved` says that the steps resolve the waves of the derivatives, and where "
-        "it says that they do not; " + "; ".join(texts),
-        Agreement.AGREES if shares[0] >= 0.95 else Agreement.DISAGREES,
+    report.judge("verdict", shares[0] >= 0.95, texts="; ".join(texts))
+    report.judge(
+        "cost",
+        min(shares) >= 0.95 and width <= 10,
+        shares=" and ".join(f"{100 * x:.0f} %" for x in shares),
+        width=width,
     )
-    report.claim(
-        "Bars hold on 95 % of resolved and of unresolved runs, and are ten times the error at most "
-        "in the median",
-        "asked for; where waves are not resolved, factors are those of other scenes "
-        "(`validation/tolerance/scenes.py`)",
-        f"{' and '.join(f'{100 * x:.0f} %' for x in shares)}; median width {width:.2g}",
-        Agreement.AGREES if min(shares) >= 0.95 and width <= 10 else Agreement.DISAGREES,
-    )
-
-
-_METHOD = """
-`error_bars` runs a gradient at the given setting and once or twice refined: half the step for
-HHT-I3 (the accepted steps halved, if they were controlled), a tenth of the tolerance for the
-others.
-From the differences follow a bar for the finest run and, for HHT-I3, an extrapolated value. Here
-the bars are compared with true errors, taken against `DOP853` at a tolerance of 1e-7 to 1e-11
-(of the damped pendulum, against HHT-I3 at 2⁻¹⁶ s). *resolved* is what `error_bars` says: whether
-the errors of the derivatives of the motion, as each run estimates them, fall at second order.
-Errors of values are relative to the value, errors of derivatives (times their variable) relative to
-the norm of the gradient.
-"""
-
-_LIMITS = """
-- A bar is an estimate, not a proof: where a step does not resolve the waves that decide about
-  derivatives, differences of runs are not reliable; `resolved` is False there.
-- Errors of the model (elements, constitutive law) are not in the bars.
-- `estimate_adjoint_error`, an estimate of the value's error from one run, is compared with it in
-  `tests/studies/test_error_bars.py` (within 15 %), not here.
-"""

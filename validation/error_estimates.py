@@ -4,19 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import DOP853, HHT, AdaptiveSteps, assemble, differentiate
 from ancfdae.extend import Integrator, MechanicalSystem
-from ancfdae.plotting import Panel, Series
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting import Series
 from ancfdae.results import Solution
+from validation.drawing import dots, log_log
 from validation.external.slider_crank import SliderCrank
 from validation.report import Agreement, Report
 from validation.scenes import crank_slider, pendulum
-
-__all__ = ["estimates"]
-
-Array = npt.NDArray[np.float64]
 
 _ALPHAS = (-0.05, -0.3)
 # Runs with larger errors are left out, since no estimate can be right.
@@ -54,8 +51,7 @@ class _Pairs:
 
 def estimates(report: Report, quick: bool) -> None:
     """Fill the section."""
-    report.heading("What one run estimates of its own errors")
-    report.text(_METHOD)
+    report.say("estimates")
     measured = [_measured(case) for case in _cases(quick)]
     rows: list[list[object]] = []
     for each in measured:
@@ -78,17 +74,17 @@ def estimates(report: Report, quick: bool) -> None:
     report.figure("estimate.derivatives.near", float(near))
     least = min(_ratios(x).min() for each in measured for x in (each.motion, each.derivatives))
     good = _within(motion, _NEAR) and _within(derivatives, _FAR) and least > 1 / _FAR
-    report.claim(
-        "What a run of HHT-I3 estimates of its errors is right within a factor of three for the "
-        "motion and ten for the derivatives; where damping is strong it may be too large, not too "
-        "small",
-        "docs/theory/13-errors.md",
-        f"estimated over true on undamped scenes: motion {motion.min():.2g} to {motion.max():.2g}, "
-        f"derivatives {derivatives.min():.2g} to {derivatives.max():.2g}, {100 * near:.0f} % of "
-        f"them within a factor of three; {least:.2g} at least on any scene",
+    report.judge(
+        "estimates",
         Agreement.AGREES if good else Agreement.PARTLY,
+        motion_least=motion.min(),
+        motion_largest=motion.max(),
+        b_least=derivatives.min(),
+        b_largest=derivatives.max(),
+        near=100 * near,
+        least=least,
     )
-    report.text(_NOTES)
+    report.say("estimates.notes")
 
 
 def _within(ratios: Array, factor: float) -> bool:
@@ -144,11 +140,8 @@ def _measured(case: _Case) -> _Pairs:
         of_q, of_q_b = _true(case.system, run, exact)
         motion.append((of_q, run.estimated_errors.motion))
         derivatives += list(zip(of_q_b, run.estimated_errors.derivatives, strict=True))
-    return _Pairs(case, *(_sensible(np.array(pairs).T) for pairs in (motion, derivatives)))
-
-
-def _sensible(pairs: Array) -> Array:
-    return pairs[:, pairs[0] < _LARGEST]
+    columns = (np.array(pairs).T for pairs in (motion, derivatives))
+    return _Pairs(case, *(x[:, x[0] < _LARGEST] for x in columns))
 
 
 def _settings(case: _Case) -> list[Integrator]:
@@ -189,36 +182,9 @@ def _plot(report: Report, measured: Sequence[_Pairs]) -> None:
         series = []
         for each in measured:
             true, estimated = getattr(each, name)
-            series.append(Series(each.case.name, true, estimated, marker=True, line=False))
+            series.append(dots(each.case.name, true, estimated))
         both = np.concatenate([getattr(each, name) for each in measured], axis=1)
         ends = np.array([both[0].min(), both[0].max()])
         series.append(Series("estimated = true", ends, ends))
-        panels.append(
-            Panel(title, "true error [-]", "estimated [-]", series, x_scale="log", y_scale="log")
-        )
-    report.plot(
-        "estimates",
-        panels,
-        columns=2,
-        title="Errors that runs of HHT-I3 estimate themselves, against the true ones",
-        caption="One point per run (and design variable).",
-    )
-
-
-_METHOD = """
-Every solution of HHT-I3 has `estimated_errors`: the errors of its steps, known from the increments
-of its accelerations and their derivatives, added up (docs/theory/13-errors.md). They cost no
-further run. Here they are compared with the largest true error over the run: of q relative to the
-size of the coordinates, of the derivatives q_b (two design variables) relative to their own
-largest size. Runs at fixed steps, under error control of the motion, and of motion and
-derivatives; hht_alpha -0.05 and -0.3. True errors above 1 are left out.
-"""
-
-_NOTES = """
-So a gradient whose waves the steps do not resolve can be recognised: on the stiff pendulum the
-motion is right to 1e-5 and its derivatives are wrong by 6 to 75 %, and the estimates show both. The
-estimate adds magnitudes without signs, which has two consequences. Where damping is strong, errors
-made at the start die out but remain in the sum (stiff damped pendulum at fixed steps,
-thousandfold). And an integral over waves is far better than the waves themselves:
-`estimated_errors` is about the derivatives of the motion, `error_bars` about those of an objective.
-"""
+        panels.append(log_log(title, "true error [-]", "estimated [-]", series))
+    report.plot("estimates", panels, 2)

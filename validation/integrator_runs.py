@@ -12,26 +12,10 @@ from ancfdae.errors import MissingPackageError
 from ancfdae.extend import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.results import Solution
 from validation.scenes import pendulum_deflection
-
-__all__ = [
-    "MANY",
-    "Array",
-    "Errors",
-    "Run",
-    "balance",
-    "cheapest",
-    "common_rows",
-    "differentiated_run",
-    "errors",
-    "family",
-    "label",
-    "motion_errors",
-]
-
-Array = npt.NDArray[np.float64]
 
 #: Steps; more than any run of a report takes.
 MANY = 10_000_000
@@ -41,15 +25,7 @@ _FORMS = {IndexReduction.STABILISED_INDEX_2: "GGL", IndexReduction.INDEX_1: "ind
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run with sensitivities.
-
-    Attributes
-    ----------
-    integrator : Integrator
-    solution : Solution
-    seconds : float
-        Processor time, which other processes disturb less than elapsed time.
-    """
+    """A finished run with sensitivities, and its processor time."""
 
     integrator: Integrator
     solution: Solution
@@ -60,16 +36,9 @@ class Run:
 class Errors:
     """Largest differences to a reference at the common instants.
 
-    Attributes
-    ----------
-    deflection : float
-        In metres.
-    states : float
-        Of any coordinate: positions in m, slopes without unit.
-    multipliers : float
-        Relative to the largest multiplier.
-    sensitivities : array, shape (n_b,)
-        Of the deflection, times the variable; m.
+    The deflection is in m; states are positions in m and slopes without unit. Multipliers are
+    relative to the largest one; sensitivities of the deflection, shape (n_b,), are multiplied by
+    the variable; m.
     """
 
     deflection: float

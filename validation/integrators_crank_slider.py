@@ -10,14 +10,14 @@ from ancfdae import DOP853, HHT, IDA, IDAS, Integral, assemble, gradient
 from ancfdae.assembly.system import AncfSystem
 from ancfdae.errors import MissingPackageError
 from ancfdae.extend import Integrator, MaterialPoint
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import timed
 from ancfdae.observables import position
-from ancfdae.plotting import Panel, Series
+from ancfdae.plotting import Series
 from ancfdae.results import Solution
-from validation.external.runs import Requirement
+from validation.drawing import log_log
 from validation.integrator_runs import (
     MANY,
-    Array,
     balance,
     common_rows,
     differentiated_run,
@@ -28,8 +28,6 @@ from validation.integrator_runs import (
 )
 from validation.report import Report
 from validation.scenes import crank_slider
-
-__all__ = ["run"]
 
 _SYMBOLS = ("E_1", "h_1", "rho_1", "E_2", "h_2", "rho_2")
 _DESIGN = tuple(
@@ -77,40 +75,28 @@ _QUICK = _Extent(
     2.0**-8,
     (10, 11),
     1e-4,
-    (
-        _Objective("short", 2.0**-8, (10, 11), 1e-4),
-        _Objective("whole", 2.0**-7, (8, 9), 1e-4),
-    ),
+    (_Objective("short", 2.0**-8, (10, 11), 1e-4), _Objective("whole", 2.0**-7, (8, 9), 1e-4)),
 )
 
 
-def run(report: Report, quick: bool) -> list[Requirement]:
+def run(report: Report, quick: bool) -> None:
     """Fill the crank-slider's part and return what was required of it."""
     extent = _QUICK if quick else _FULL
     system = assemble(crank_slider(), _DESIGN)
     report.heading("Crank-slider: the first instants by all integrators")
     _early(report, system, extent)
     short, whole = extent.objectives
-    report.heading("Crank-slider: dΨ/db as far as HHT-I3 can resolve the waves")
-    report.text(_PSI)
+    report.say("crank-slider.psi")
     distances, agreed = _objective(report, short)
-    report.text(_SHORT_NOTES)
+    report.say("crank-slider.short")
     report.heading("Crank-slider: dΨ/db over the whole run")
     _, agreed_whole = _objective(report, whole)
-    report.text(_WHOLE_NOTES)
-    requirements = [
-        Requirement(
-            f"crank-slider, {name}: HHT-I3 to SUNDIALS, distance of mean order from 2", 0.1, x
-        )
-        for name, x in zip(_SYMBOLS[3:], distances, strict=True)
-    ]
-    which = f"crank-slider, {', '.join(_SYMBOLS[3:])}: DOP853 from SUNDIALS, relative, up to"
-    requirements.append(Requirement(f"{which} {short.t_end:g} s", 1e-6, agreed))
-    requirements.append(Requirement(f"{which} {whole.t_end:g} s", 1e-6, agreed_whole))
-    return requirements
-
-
-# ---------------------------------------------------------------- early motion
+    report.say("crank-slider.whole")
+    for name, distance in zip(_SYMBOLS[3:], distances, strict=True):
+        report.require("crank-slider.order", distance, name=name)
+    for part, apart in ((short, agreed), (whole, agreed_whole)):
+        names = ", ".join(_SYMBOLS[3:])
+        report.require("crank-slider.agreement", apart, names=names, t_end=part.t_end)
 
 
 def _early(report: Report, system: AncfSystem, extent: _Extent) -> None:
@@ -136,19 +122,11 @@ def _early(report: Report, system: AncfSystem, extent: _Extent) -> None:
         apart = float(np.max(np.abs(x - x_0)))
         ours = [float(np.max(relative[3:])), float(np.max(relative[:3]))]
         cells = [done.seconds, apart, states, multipliers, *ours, drift, energy]
-        for name, value in zip(_COLUMNS, cells, strict=True):
-            report.figure(f"early.{_key(integrator)}.{name}", value)
+        report.figures(f"early.{_key(integrator)}.{{}}", _COLUMNS, cells)
         rows.append([*names, done.solution.statistics.steps, *(f"{c:.2g}" for c in cells)])
-    report.text(
-        f"Six design variables along, up to t = {extent.t_early:g} s; against DOP853 at rtol "
-        f"{1e-2 * rtol:.0e} at {n + 1} common instants. Position of the slider and *states*, the "
-        "largest difference of any coordinate, in metres (slopes without unit); multipliers "
-        "relative to the largest one; sensitivities of the slider's position relative to the "
-        "largest value of each so far, the worst of three variables of the rod and of the crank. "
-        "Drift and energy as above."
-    )
+    report.say("crank-slider.early", extent=extent, fine=0.01 * rtol, times=n + 1)
     report.table(["integrator", "setting", "steps", *_TITLES], rows)
-    report.text(_EARLY_NOTES)
+    report.say("crank-slider.early.notes")
 
 
 _TITLES = (
@@ -162,11 +140,6 @@ _TITLES = (
     "energy [-]",
 )
 _COLUMNS = ("seconds", "slider", "states", "multipliers", "rod", "crank", "drift", "energy")
-_EARLY_NOTES = """
-Multipliers and the crank's sensitivities come last: they follow waves through the section of the
-stiffer beam (the fastest mode has 57,900 rad/s, a period of 0.11 ms), which none of these steps of
-HHT-I3 resolves with more than two steps per period.
-"""
 
 
 def _key(integrator: Integrator) -> str:
@@ -178,15 +151,11 @@ def _slider(solution: Solution, system: AncfSystem, spacing: float) -> tuple[Arr
     """Position of the slider and its derivatives times the variables, at common instants."""
 
     def read(s: Solution) -> Array:
-        x: Array = s.position(MaterialPoint("rod", 1.0))[:, 0]
-        return x
+        return s.position(MaterialPoint("rod", 1.0))[:, 0]
 
     rows = common_rows(solution, spacing)
     x_b = solution.derivative(read)[rows] * system.b
     return read(solution).real[rows], x_b
-
-
-# ---------------------------------------------------------------- the objective
 
 
 @dataclass(frozen=True)
@@ -231,11 +200,10 @@ def _objective(report: Report, extent: _Objective) -> tuple[list[float], float]:
             if np.isfinite(number):
                 report.figure(f"{place}.{_key(each.integrator)}.{name}", number)
     for each, errors in zip(ladder, table, strict=True):
-        for name, error in zip(_NAMES, errors, strict=True):
-            report.figure(f"{place}.{_key(each.integrator)}.{name}", error)
+        report.figures(f"{place}.{_key(each.integrator)}.{{}}", _NAMES, errors)
     for each in (explicit, sundials, *ladder):
         report.figure(f"{place}.{_key(each.integrator)}.seconds", each.seconds)
-    report.text(f"Up to t = {extent.t_end:g} s; {family(sundials.integrator)} and DOP853.")
+    report.say("crank-slider.objective", extent=extent, sundials=family(sundials.integrator))
     orders = _show(report, extent, ladder, table)
     agreed = _values(report, place, explicit, sundials, ladder)
     return [abs(order - 2) for order in orders[4:]], agreed
@@ -254,20 +222,16 @@ def _show(
             f"{e:.2g}" + (f" ({o:.2f})" if k else "") for e, o in zip(table[k], order, strict=True)
         ]
         rows.append([f"2^{int(np.log2(step))}", f"{ladder[k].seconds:.2g}", *cells])
-    report.text(
-        "Relative errors of HHT-I3 (gradient by the discrete adjoint), in brackets the order from "
-        "the step above:"
-    )
+    report.say("crank-slider.errors")
     report.table(["step [s]", "CPU [s]", *names], rows)
     # Over three halvings: single ones are irregular while waves are not resolved.
     orders = [
         report.figure(f"objective.{extent.name}.order.{name}", _mean_order(column))
         for name, column in zip(_NAMES, table.T, strict=True)
     ]
-    report.text(
-        "Mean order over the last three halvings: "
-        + ", ".join(f"{name} {order:.2f}" for name, order in zip(names, orders, strict=True))
-        + "."
+    report.say(
+        "crank-slider.orders",
+        orders=", ".join(f"{name} {order:.2f}" for name, order in zip(names, orders, strict=True)),
     )
     series = [
         Series(name, steps, column, marker=True)
@@ -275,21 +239,9 @@ def _show(
     ]
     anchor = float(np.max(table[-1, 4:]))
     guide = Series("order 2", steps, anchor * (np.array(steps) / steps[-1]) ** 2, dashed=True)
-    report.plot(
-        f"crank-slider-{extent.name}",
-        [
-            Panel(
-                "Relative error of Ψ and of its sensitivities",
-                "step of HHT-I3 [s]",
-                "relative error [-]",
-                [*series, guide],
-                x_scale="log",
-                y_scale="log",
-            )
-        ],
-        title=f"Crank-slider up to t = {extent.t_end:g} s, HHT-I3",
-        caption="Rod (2): against SUNDIALS; crank (1) against DOP853.",
-    )
+    axes = "step of HHT-I3 [s]", "relative error [-]"
+    panel = log_log("Relative error of Ψ and of its sensitivities", *axes, [*series, guide])
+    report.plot("crank-slider-{extent.name}", [panel], extent=extent)
     return orders
 
 
@@ -310,11 +262,11 @@ def _values(
         cells += [_digits(fine[k] / exact - 1), _digits(extrapolated[k] / exact - 1)]
         report.figure(f"{place}.extrapolated.{_NAMES[k]}", abs(extrapolated[k] / exact - 1))
         rows.append([name, *cells])
-    report.text(
-        f"Values. Processor times: {_paid(sundials)} (three variables), {_paid(explicit)} (six), "
-        f"{_paid(ladder[-1])} (six). *Extrapolated*: from the last two steps of HHT-I3, as a "
-        "second-order method. Digits: -log10 of the relative difference, of DOP853 and of "
-        "HHT-I3 from SUNDIALS (for the crank's variables from DOP853)."
+    report.say(
+        "crank-slider.values",
+        sundials=_paid(sundials),
+        explicit=_paid(explicit),
+        hht=_paid(ladder[-1]),
     )
     header = [
         "",
@@ -325,8 +277,7 @@ def _values(
     header += ["digits: DOP853", "digits: HHT-I3", "digits: extrapolated"]
     report.table(header, rows)
     apart = np.abs(explicit.values[4:] / sundials.values[4:] - 1)
-    for name, number in zip(_SYMBOLS[3:], apart, strict=True):
-        report.figure(f"{place}.agreement.{name}", number)
+    report.figures(f"{place}.agreement.{{}}", _SYMBOLS[3:], apart)
     return float(np.max(apart))
 
 
@@ -341,27 +292,3 @@ def _digits(difference: float) -> str:
 def _mean_order(column: Array) -> float:
     first = max(len(column) - 4, 0)
     return float(np.log2(column[first] / column[-1]) / (len(column) - 1 - first))
-
-
-_PSI = """
-Ψ = ∫ (x - 1.8)² dt and b · dΨ/db, in m² s. SUNDIALS is IDAS, or IDA where sundials4py is not
-installed, with the rod's three variables along; HHT-I3 is compared with it, and for the crank's
-variables with DOP853. SUNDIALS and DOP853 integrate Ψ beside the motion, HHT-I3 by the
-trapezoidal rule over its steps.
-"""
-
-_SHORT_NOTES = """
-The fastest mode of the linearised mechanism has 57,900 rad/s, a period of 0.11 ms; 2^-13 s is about
-a period, 2^-17 s a fourteenth of it. Where the smallest steps resolve that mode the order is two
-(h_2, the smallest of the three errors, comes from above: parts of opposite sign cancel at the
-coarser steps, and its mean over three halvings misses the 0.1 asked below; the last is 2.4).
-Both paths of high order agree on more digits than HHT-I3 reaches at any step here.
-"""
-
-_WHOLE_NOTES = """
-Over the whole run a ladder of HHT-I3 that resolves the fastest mode would need 250,000 steps and
-more. At the steps above it does not, and although errors fall by 2 to 4 powers of ten single
-halvings are irregular: parts of an error that come from different modes have different signs, and
-the sum passes through zero (E_2 and rho_2 near 2^-13 s). Extrapolation gains nothing there. The
-order is therefore taken from the short run. What SUNDIALS and DOP853 agree on is not affected.
-"""

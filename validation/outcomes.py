@@ -11,8 +11,6 @@ no element turned inside out, and as many negative eigenvalues of the stiffness,
 keep the constraints, as the outcome says: none if it is stable, one at least if not.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from collections import Counter

@@ -8,21 +8,21 @@ import platform
 import re
 import subprocess
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
 from typing import Final, cast, final
 
+import numpy as np
+import numpy.typing as npt
 from tqdm import tqdm
 
 import ancfdae
 from ancfdae import plotting
 from ancfdae.errors import InvalidInputError
 from ancfdae.numerics.timing import stopwatch
-
-__all__ = ["Agreement", "Report", "environment"]
+from validation.prose import Prose
 
 _FLAT_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
 _PACKAGES: Final = ("numpy", "scipy", "matplotlib", "scikit-sundae")
@@ -37,12 +37,8 @@ class Agreement(Enum):
     NOT_CHECKABLE = "not checkable"
 
 
-@dataclass(frozen=True)
-class _Claim:
-    statement: str
-    paper: str
-    found: str
-    verdict: Agreement
+# A verdict; True agrees and False disagrees.
+Verdict = Agreement | bool | np.bool | npt.NDArray[np.bool]
 
 
 @final
@@ -51,34 +47,27 @@ class Report:
 
     Parameters
     ----------
-    title : str
-        First heading.
-    question : str
-        What the report answers; stands below the title.
+    prose : Prose
+        Title, question, and the words that `say`, `judge` and `plot` take by key.
     directory : Path
         Where `write` puts the files; created if missing.
     command : str
         Command that makes this report; kept with the results.
-    source : str
-        What the claims are compared with, one word.
     """
 
-    def __init__(
-        self, title: str, question: str, directory: Path, command: str, source: str = "paper"
-    ) -> None:
-        self._title = title
-        self._question = question
+    def __init__(self, prose: Prose, directory: Path, command: str) -> None:
+        self._prose = prose
         self._directory = directory
         self._command = command
-        self._source = source
         self._started = datetime.now(UTC)
         self._clock = stopwatch(wall=True)
         self._body: list[str] = []
-        self._claims: list[_Claim] = []
+        self._claims: list[tuple[str, str, str, str]] = []
+        self.requirements: list[tuple[str, float, float | None]] = []
         self._figures: dict[str, float] = {}
         self._plots: dict[str, plotting.Figure] = {}
         # In a terminal only; how many parts there will be nobody knows.
-        self._bar = tqdm(desc=title, disable=None, unit=" parts")
+        self._bar = tqdm(desc=prose.title, disable=None, unit=" parts")
 
     def heading(self, text: str, level: int = 2) -> None:
         """Start a section; `level` is 2 to 4, as 1 is the title of the report."""
@@ -86,6 +75,11 @@ class Report:
             raise InvalidInputError("Report.heading", "level must be 2, 3 or 4", level)
         self._body.append(f"{'#' * level} {text}")
         self._bar.update()
+
+    def say(self, key: str, **values: object) -> None:
+        """Add a block of the report's Markdown file, its places filled with the values."""
+        self._body.append(self._prose.blocks[key].format(**values))
+        self._bar.update(self._body[-1].startswith("#"))
 
     def text(self, markdown: str) -> None:
         """Add a paragraph, list or other block of Markdown."""
@@ -118,15 +112,14 @@ class Report:
         InvalidInputError
             If the name is taken or is not letters, digits, ``_``, ``.`` and ``-`` from a letter on.
         """
-        if name in self._figures or not _FLAT_NAME.fullmatch(name):
-            raise InvalidInputError(
-                "Report.figure",
-                "a name must be new and consist of letters, digits, '_', '.' and '-'",
-                repr(name),
-                "Choose another name, for example motion_2.",
-            )
+        _check_name("Report.figure", name, name in self._figures)
         self._figures[name] = float(value)
         return self._figures[name]
+
+    def figures(self, name: str, keys: Iterable[object], values: Iterable[float]) -> None:
+        """Keep numbers under a name whose ``{}`` is replaced by the key of each."""
+        for key, value in zip(keys, values, strict=True):
+            self.figure(name.format(key), value)
 
     def plot(
         self,
@@ -135,27 +128,32 @@ class Report:
         columns: int = 1,
         title: str = "",
         caption: str = "",
+        **values: object,
     ) -> None:
         """Add a plot, written as name.svg (embedded) and name.png.
+
+        Title and caption come from the report's Markdown file if it names the plot; places in all
+        three are filled with the values.
 
         Raises
         ------
         InvalidInputError
             If the name is taken or cannot be a file name, or if `plotting.draw` refuses the panels.
         """
-        if name in self._plots or not _FLAT_NAME.fullmatch(name):
-            raise InvalidInputError(
-                "Report.plot",
-                "a name must be new and consist of letters, digits, '_', '.' and '-'",
-                repr(name),
-                "Choose another name, for example motion_2.",
-            )
+        words = self._prose.plots.get(name, (title, caption))
+        name, title, caption = (x.format(**values) for x in (name, *words))
+        _check_name("Report.plot", name, name in self._plots)
         self._plots[name] = plotting.draw(panels, columns, title)
         self._body.append(f"![{title or panels[0].title}]({name}.svg)")
         if caption:
             self._body.append(f"*{caption.strip()}*")
 
-    def claim(self, statement: str, paper: str, found: str, verdict: Agreement) -> None:
+    def judge(self, key: str, verdict: Verdict, **values: object) -> None:
+        """Add a claim of the report's Markdown file, its places filled with the values."""
+        statement, source, found = (x.format(**values) for x in self._prose.claims[key])
+        self.claim(statement, source, found, verdict)
+
+    def claim(self, statement: str, paper: str, found: str, verdict: Verdict) -> None:
         """Add a row to the table that compares the source with what is found here.
 
         Parameters
@@ -166,10 +164,34 @@ class Report:
             What the paper, or another source, says, with its place.
         found : str
             What this run shows.
-        verdict : Agreement
+        verdict : Agreement or bool
             Whether the two agree.
         """
-        self._claims.append(_Claim(statement, paper, found, verdict))
+        if not isinstance(verdict, Agreement):
+            verdict = Agreement.AGREES if verdict else Agreement.DISAGREES
+        self._claims.append((statement, paper, found, verdict.value))
+
+    def require(self, key: str, found: float | None, **values: object) -> None:
+        """Ask a figure to be at most the limit that the report's Markdown file names."""
+        what, limit = self._prose.requirements[key]
+        self.requirement(what.format(**values), float(limit), found)
+
+    def requirement(self, what: str, limit: float, found: float | None) -> None:
+        """Ask a figure to be at most a limit; it is None where a package is not installed."""
+        self.requirements.append((what, limit, found))
+
+    def verdict(self, quick: bool) -> bool:
+        """Add how many required figures are reached, and their table; return whether all are."""
+        measured = [(limit, found) for _, limit, found in self.requirements if found is not None]
+        reached = self.figure("verdict.reached", sum(found <= limit for limit, found in measured))
+        self.figure("verdict.required", len(self.requirements))
+        missing = len(self.requirements) - len(measured)
+        lost = f"; {missing} could not be measured for want of a package" if missing else ""
+        settings = " (coarse settings: not results)" if quick else ""
+        self.text(f"{reached:.0f} of {len(measured)} figures are reached{settings}{lost}.")
+        header = ["figure", "limit", "found", "reached"]
+        self.table(header, [_required(*each) for each in self.requirements])
+        return reached == len(measured)
 
     def write(self) -> Path:
         """Write plots, results.json and report.md, and return the path of the last.
@@ -208,11 +230,11 @@ class Report:
         return json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n"
 
     def _markdown(self, meta: dict[str, object]) -> str:
-        blocks = [f"# {self._title}", self._question]
+        source = self._prose.source
+        blocks = [f"# {self._prose.title}", self._prose.question]
         if self._claims:
-            rows = [(c.statement, c.paper, c.found, c.verdict.value) for c in self._claims]
-            header = ("claim", f"what the {self._source} says", "what we see", "agrees?")
-            blocks += [f"## The {self._source} and this run", _table(header, rows)]
+            header = ("claim", f"what the {source} says", "what we see", "agrees?")
+            blocks += [f"## The {source} and this run", _table(header, self._claims)]
         blocks += self._body
         lost = {name: value for name, value in self._figures.items() if not math.isfinite(value)}
         if lost:
@@ -222,6 +244,23 @@ class Report:
                 _table(("figure", "value"), list(lost.items())),
             ]
         return "\n\n".join([*blocks, _colophon(meta)]) + "\n"
+
+
+def _required(what: str, limit: float, found: float | None) -> list[object]:
+    """Return the row of a requirement."""
+    if found is None:
+        return [what, limit, "-", "sundials4py is not installed"]
+    return [what, limit, found, "yes" if found <= limit else "NO"]
+
+
+def _check_name(where: str, name: str, taken: bool) -> None:
+    if taken or not _FLAT_NAME.fullmatch(name):
+        raise InvalidInputError(
+            where,
+            "a name must be new and consist of letters, digits, '_', '.' and '-'",
+            repr(name),
+            "Choose another name, for example motion_2.",
+        )
 
 
 def environment() -> dict[str, object]:
@@ -267,11 +306,7 @@ def _git(*words: str) -> str | None:
     """Return what git says about the checkout of this file, or None if it has nothing to say."""
     try:
         answer = subprocess.run(
-            ["git", *words],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
+            ["git", *words], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
         )
     except (OSError, subprocess.CalledProcessError):
         return None

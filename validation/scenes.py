@@ -8,10 +8,13 @@ import numpy.typing as npt
 
 from ancfdae import (
     Beam,
+    Clamp,
+    CurvedBeam,
     InitialVelocity,
     Material,
     NodalState,
     Pin,
+    PointForce,
     PointOnLine,
     Revolute,
     SaintVenantKirchhoff,
@@ -21,8 +24,6 @@ from ancfdae import (
 from ancfdae.extend import MaterialPoint
 from ancfdae.results import Solution
 from ancfdae.sections import Rectangle
-
-__all__ = ["crank_slider", "pendulum", "pendulum_deflection"]
 
 
 def pendulum(
@@ -51,6 +52,12 @@ def pendulum(
     return Scene([beam], [Pin(beam.at_start)], gravity=gravity, start=start)
 
 
+def cantilever(beam: Beam | CurvedBeam, force: Sequence[float]) -> Scene:
+    """Return a beam clamped at its start with a dead force, called `load`, at its end."""
+    load = PointForce(beam.at_end, tuple(force), name="load")
+    return Scene([beam], [Clamp(beam.at_start)], loads=[load])
+
+
 def pendulum_deflection(solution: Solution) -> npt.NDArray[Any]:
     """Return the deflection of the free end in the pendulum's body frame, shape (n_t,); m.
 
@@ -63,8 +70,7 @@ def pendulum_deflection(solution: Solution) -> npt.NDArray[Any]:
     )
     length = np.sqrt(np.sum(tangent * tangent, axis=1))
     across = tangent[:, 0] * arm[:, 1] - tangent[:, 1] * arm[:, 0]
-    result: npt.NDArray[Any] = across / length
-    return result
+    return across / length
 
 
 def crank_slider() -> Scene:

@@ -2,10 +2,8 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ancfdae import (
@@ -20,14 +18,12 @@ from ancfdae import (
     assemble,
     equilibrium,
 )
+from ancfdae.numerics.arrays import Array
 from ancfdae.sections import Circle, Rectangle
 from ancfdae.sensitivity.observables.observable import States
 from ancfdae.sensitivity.observables.quantities import strain_energy
 from validation.report import Report
-
-__all__ = ["fill"]
-
-Array = npt.NDArray[np.float64]
+from validation.scenes import cantilever
 
 _E, _NU, _R = 1e9, 0.3, 0.001
 _G = _E / (2 * (1 + _NU))
@@ -48,25 +44,20 @@ def fill(report: Report, quick: bool) -> None:
         "column at 1.02 times its critical load": partial(column, 1.02),
         "column at 1.5 times its critical load": partial(column, 1.5),
     }
-    report.heading("Helices, shafts and columns")
-    report.text(_INTRODUCTION)
+    report.say("shapes")
     rows = []
     for title, error in cases.items():
         errors = [error(n) for n in counts]
-        rows.append([title, *map(_number, errors)])
+        rows.append([title, *("none found" if np.isnan(x) else f"{x:.1e}" for x in errors)])
         short = title.split(" critical")[0].split(",")[0].replace(" ", "-")
         for n, value in zip(counts, errors, strict=True):
             if not np.isnan(value):
                 report.figure(f"shape.{short}.n{n}", value)
     report.table(["relative error, by elements", *map(str, counts)], rows)
-    report.text(_CURVED)
+    report.say("shapes.stretched")
     strains = (-0.02, -0.01, 0.01, 0.02)
     changes = [f"{(arc_stiffness(32, strain) - 1) / strain:.3f}" for strain in strains]
     report.table(["axial strain", *map(str, strains)], [["change over the strain", *changes]])
-
-
-def _number(error: float) -> str:
-    return "none found" if np.isnan(error) else f"{error:.1e}"
 
 
 def helix(a_turn: int) -> float:
@@ -79,8 +70,7 @@ def helix(a_turn: int) -> float:
     positions, frames = _coil(angle)
     wire = CurvedBeam("wire", positions, frames, _WIRE, _RUBBER)
     F = 1e-6 * _GJ / _COIL**2
-    force = PointForce(wire.at_end, (0.0, 0.0, F))
-    bent = equilibrium(Scene([wire], [Clamp(wire.at_start)], loads=[force]))
+    bent = equilibrium(cantilever(wire, (0.0, 0.0, F)))
     moved = bent.solution.position(wire.at_end)[0, 2] - positions[-1, 2]
     fine, weights = np.polynomial.legendre.leggauss(400)
     at = np.pi * _TURNS * (fine + 1)
@@ -145,8 +135,7 @@ def column(share: float, n: int) -> float:
     EI = _E * h**4 / 12
     P = share * np.pi**2 / 4 * EI
     rod = Beam("rod", (0, 0), (1, 0), n, Rectangle(h, h), Material(1000.0, _E, 0.0))
-    load = PointForce(rod.at_end, (-P, 1e-3 * P))
-    bent = equilibrium(Scene([rod], [Clamp(rod.at_start)], loads=[load]))
+    bent = equilibrium(cantilever(rod, (-P, 1e-3 * P)))
     if not bent.outcome.success:
         return float("nan")
     moved = bent.solution.position(rod.at_end)[0, 1]
@@ -196,22 +185,3 @@ def _circle(n: int, turn: float, length: float) -> tuple[Array, Array]:
     c, s = np.cos(angle), np.sin(angle)
     frames = np.stack([np.stack([c, s], 1), np.stack([-s, c], 1)], 1)
     return length / turn * np.stack([s, 1 - c], 1), frames
-
-
-_INTRODUCTION: Final = """
-A helix of three turns of a wire (radius 1 mm, coil 50 mm, rise 20 mm) against Castigliano's
-theorem; a shaft 1 m long and 2 mm thick under torque, clamped, its far end free to turn and
-slide, against the equation of Greenhill (critical torque 8.987 E I/L); a clamped column with h/L
-= 0.001 under a load and a thousandth of it across, against Euler's elastica. What counts is the
-turn and the twist of an element in its *reference* (helix) or by the load (a shaft at its
-critical torque is twisted by 11.7 rad): their squares shift stiffness and critical loads, and
-near a critical load deflections grow by the inverse of the distance. *None found*: `equilibrium`
-ends without success, since the mesh has its critical load before.
-"""
-
-_CURVED: Final = """
-**Curved references that stretch.** The bending stiffness of a quarter circle (h/R = 0.08, 32
-elements) that is stretched along its axis, by its energy in prescribed states: E I (1 + 3 times
-the axial strain), where rods have E I. A straight beam is free of it
-(`docs/theory/02-strain-energy.md`, point 4).
-"""

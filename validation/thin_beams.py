@@ -1,7 +1,5 @@
 """Part of the report on the elements: very thin beams, of which matrices hold few digits."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import scipy
@@ -22,22 +20,15 @@ from ancfdae import (
 )
 from ancfdae.observables import position
 from ancfdae.sections import Circle, Rectangle
-from validation.report import Agreement, Report
-
-__all__ = ["cantilever_frequencies", "euler_frequencies", "fill", "thin_cantilever"]
+from validation.report import Report
+from validation.scenes import cantilever
 
 _E, _RHO = 1e9, 1000.0
 
 
 def fill(report: Report, quick: bool) -> None:
     """Add the tables and their claims."""
-    report.heading("Very thin beams")
-    report.text(
-        "A cantilever of 1 m, E = 1e9 Pa, with 4 or 8 elements. Frequencies in the plane against "
-        "cubic Hermite elements of Euler's beam on the same mesh, pairs of a round bar against each"
-        " other; d ln v/d ln L of the tip under a small force, 3 in theory; and two halves of very "
-        "short elements welded together against Timoshenko's deflection."
-    )
+    report.say("thin-beams")
     slendernesses = (1e-4, 1e-5) if quick else (1e-4, 1e-5, 1e-6)
     columns = ["frequencies", "pairs", "length: direct", "adjoint", "complex step"]
     rows, worst = [], np.zeros(5)
@@ -61,8 +52,7 @@ def fill(report: Report, quick: bool) -> None:
         ("Gradients in the length of thin beams", float(np.max(worst[2:])), 1e-6),
         ("Deflection of welded halves of short elements", halves, 1e-9),
     ):
-        verdict = Agreement.AGREES if error <= limit else Agreement.DISAGREES
-        report.claim(f"{name} are right to", f"{limit:.0e}", f"{error:.1e}", verdict)
+        report.judge("thin-beams", error <= limit, name=name, limit=limit, error=error)
 
 
 def cantilever_frequencies(elements: int) -> npt.NDArray[np.float64]:
@@ -126,7 +116,7 @@ def _length_gradients(slenderness: float) -> list[float]:
     """Return errors of d ln v/d ln L under a force that bends by a millionth, by each method."""
     rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 4, Rectangle(slenderness, slenderness), _material())
     force = 1e-6 * 3 * _E * slenderness**4 / 12
-    scene = Scene([rod], [Clamp(rod.at_start)], loads=[PointForce(rod.at_end, (0.0, force))])
+    scene = cantilever(rod, (0.0, force))
     errors = []
     tip, length = position(rod.at_end, 1), ["rod.length"]
     for method in (DirectDifferentiation(), Adjoint(), ComplexStep()):

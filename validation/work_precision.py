@@ -4,8 +4,9 @@ import itertools
 from collections.abc import Sequence
 
 from ancfdae import DOP853
-from ancfdae.plotting import Panel, Series
+from ancfdae.plotting import Panel
 from ancfdae.results import MeasuredSetting, WorkPrecision
+from validation.drawing import error_over_work
 from validation.report import Agreement, Report
 from validation.work_precision_control import gains, newton, trust
 from validation.work_precision_findings import (
@@ -16,15 +17,7 @@ from validation.work_precision_findings import (
     fixed,
     short_name,
 )
-from validation.work_precision_scenes import (
-    ALPHAS,
-    OBJECTIVES,
-    Measured,
-    cases,
-    measured,
-)
-
-__all__ = ["run"]
+from validation.work_precision_scenes import ALPHAS, OBJECTIVES, Measured, cases, measured
 
 # Lines that a plot shows; the others are in the tables.
 _SHOWN = (-0.05, -0.3)
@@ -42,8 +35,7 @@ _GROUPS = {
 
 def run(report: Report, quick: bool) -> None:
     """Run the cases of report `work-precision`; add its text, tables and figures."""
-    report.heading("Method")
-    report.text(_METHOD)
+    report.say("method")
     found = [measured(case, quick) for case in cases(quick)]
     report.heading("Which to choose")
     _choice(report, found)
@@ -59,11 +51,7 @@ def run(report: Report, quick: bool) -> None:
     report.heading("Scene by scene")
     for each in found:
         _scene(report, each)
-    report.heading("Limits")
-    report.text(_LIMITS)
-
-
-# ---------------------------------------------------------------- which to choose
+    report.say("limits")
 
 
 def _choice(report: Report, found: Sequence[Measured]) -> None:
@@ -79,7 +67,7 @@ def _choice(report: Report, found: Sequence[Measured]) -> None:
                 cells.append(f"{short_name(best)} ({best.seconds:.2g} s)")
                 report.figure(f"choice.{each.case.name}.{kind}.{target:.0e}", best.seconds)
             rows.append([each.case.title, kind, *cells])
-    report.text(_CHOICE)
+    report.say("choice")
     report.table(["scene", "gradient", *(f"{target:.0e}" for target in _TARGETS)], rows)
     rows = []
     for each in found:
@@ -92,14 +80,10 @@ def _choice(report: Report, found: Sequence[Measured]) -> None:
                     key = f"cheapest.{each.case.name}.{kind}.{name.replace(' ', '_')}.{target:.0e}"
                     report.figure(key, best.seconds)
             rows.append([each.case.title, kind, *cells])
-    report.text("Processor time in seconds of the cheapest setting of each kind:")
+    report.say("choice.kinds")
     names = [f"{name}, {target:.0e}" for name in _GROUPS for target in _GROUP_TARGETS]
     report.table(["scene", "gradient", *names], rows)
-    report.text(_ANSWER)
-
-
-def _named(found: Sequence[Measured], name: str) -> Measured | None:
-    return next((each for each in found if each.case.name == name), None)
+    report.say("answer")
 
 
 def _within(table: WorkPrecision, seconds: float) -> MeasuredSetting | None:
@@ -114,7 +98,7 @@ def _within(table: WorkPrecision, seconds: float) -> MeasuredSetting | None:
 
 def _pointwise(report: Report, found: Sequence[Measured]) -> None:
     """Compare second and high order on the soft, undamped pendulum."""
-    soft = _named(found, "soft")
+    soft = next((each for each in found if each.case.name == "soft"), None)
     if soft is None:
         return
     texts, factors = [], []
@@ -132,13 +116,7 @@ def _pointwise(report: Report, found: Sequence[Measured]) -> None:
             f"{explicit.seconds:.2g} s, {best.error('gradient'):.1g} by {short_name(best)} in "
             f"{best.seconds:.2g} s"
         )
-    report.claim(
-        "On soft undamped scenes second order loses by orders of magnitude for pointwise "
-        "sensitivities",
-        "expected",
-        "error of the gradient for the same time, " + "; ".join(texts),
-        Agreement.AGREES if factors and factors[-1] > 100 else Agreement.DISAGREES,
-    )
+    report.judge("pointwise", bool(factors) and factors[-1] > 100, texts="; ".join(texts))
 
 
 def _stiff(report: Report, found: Sequence[Measured]) -> None:
@@ -157,15 +135,7 @@ def _stiff(report: Report, found: Sequence[Measured]) -> None:
             texts.append(f"{each.case.name}, {kind}: {who}, high order {whom}")
     if texts:
         verdict = Agreement.AGREES if all(wins) else Agreement.PARTLY
-        report.claim(
-            "On stiff scenes second order wins",
-            "expected",
-            "cheapest with a gradient right to 1e-2: " + "; ".join(texts),
-            verdict if any(wins) else Agreement.DISAGREES,
-        )
-
-
-# ---------------------------------------------------------------- hht_alpha
+        report.judge("stiff", verdict if any(wins) else Agreement.DISAGREES, texts="; ".join(texts))
 
 
 def _alphas(report: Report, found: Sequence[Measured]) -> None:
@@ -180,12 +150,9 @@ def _alphas(report: Report, found: Sequence[Measured]) -> None:
                     key = f"alpha.{each.case.name}.{kind}.{abs(damping):g}"
                     report.figure(f"{key}.gradient", last.error("gradient"))
             rows.append([each.case.title, kind, *cells])
-    report.text(_ALPHA_TEXT)
+    report.say("alpha")
     report.table(["scene", "gradient", *(f"{x:g}" for x in ALPHAS)], rows)
-    report.text(_ALPHA_NOTES)
-
-
-# ---------------------------------------------------------------- scenes
+    report.say("alpha.notes")
 
 
 def _scene(report: Report, each: Measured) -> None:
@@ -195,14 +162,7 @@ def _scene(report: Report, each: Measured) -> None:
     panels.append(_panel("Error of the states", first, "states"))
     for kind, table in zip(OBJECTIVES, each.tables, strict=True):
         panels.append(_panel(f"Error of the {kind} gradient", table, "gradient"))
-    report.plot(
-        each.case.name,
-        panels,
-        columns=3,
-        title=f"Error against processor time: {each.case.title}",
-        caption="From left to right smaller steps or tolerances. Errors relative to the reference; "
-        "what is above 10 is cut off.",
-    )
+    report.plot("{case.name}", panels, 3, case=each.case)
     header = ["integrator", "setting", "CPU [s]", "states", "multipliers", "drift", "energy"]
     header += [f"{what} {kind}" for kind in OBJECTIVES for what in ("objective", "gradient")]
     rows: list[list[object]] = []
@@ -239,11 +199,7 @@ def _panel(title: str, table: WorkPrecision, of: str) -> Panel:
         if alpha(row) not in (None, *_SHOWN):
             continue
         lines.setdefault(_line(row), []).append((row.seconds, error))
-    series = [
-        Series(name, [x for x, _ in points], [y for _, y in points], marker=True)
-        for name, points in lines.items()
-    ]
-    return Panel(title, "processor time [s]", "relative error [-]", series, "log", "log")
+    return error_over_work(title, lines, "relative error [-]")
 
 
 def _line(row: MeasuredSetting) -> str:
@@ -252,80 +208,3 @@ def _line(row: MeasuredSetting) -> str:
     kind = "both controlled" if controlled_both(row) else "fixed"
     kind = "controlled" if controlled(row) else kind
     return f"HHT {kind}, alpha = {alpha(row):g}"
-
-
-_METHOD = """
-Every number comes from `ancfdae.work_precision`, with which users measure their own scenes.
-Each setting runs with two design variables along (direct differentiation) for two objectives: the
-gradient of a time integral (*integrated*) and of a value at the end time (*pointwise*). Errors
-are relative to a reference, the last row of each table: states and multipliers the largest over
-201 common times over the largest of the reference, gradients in the Euclidean norm after
-multiplication by the design values. Processor time is that of motion and gradient, the smaller of
-two runs where one takes less than a second; on a shared machine read ratios, to a third.
-
-*HHT fixed* and *HHT controlled* are HHT-I3 with `step` or with `rtol`, each at four values of
-hht_alpha; *both* stands for `sensitivities=True`, where the tolerance bounds the errors
-of the derivatives as well as those of the motion. *IDA*, *IDAS* (needs Python 3.12; a row says so
-where it is missing) and *DOP853* are of high order. End times are short where the beam is
-stiff: at E = 2e11 N/m² the fastest wave has 6e5 rad/s, so high order takes half a million steps
-for a second; 2⁻⁶ s hold two and a half periods of the first bending mode (1.1e3 rad/s). With
-damping the waves die out, but their decay, up to 1e8 1/s, is out of reach of an explicit step, so
-that the reference is HHT itself at a small step; seconds of motion are affordable there.
-"""
-
-_CHOICE = """
-The cheapest measured setting whose gradient has at most the relative error on top, as
-`recommend(error)` returns it:
-"""
-
-_ALPHA_TEXT = """
-Error of the gradient / of the multipliers at the smallest fixed step of each scene:
-"""
-
-_ANSWER = """
-In words:
-
-- **Soft, undamped.** Up to an error of 1 % of either gradient, HHT-I3 at a fixed step, 30 times
-  cheaper than high order. For a pointwise gradient better than 1e-3: DOP853. In the same time its
-  errors are a thousand times smaller, because each halving of the step gains HHT a factor of four
-  at best and the undamped waves, whose phases a pointwise sensitivity counts, need a step far below
-  their periods first. An integral averages waves out, so HHT remains the cheaper one down to
-  1e-4.
-- **Soft, damped.** HHT-I3 to 1e-4, then IDAS, for both gradients: the waves that made the
-  difference are gone.
-- **Stiff, undamped.** HHT-I3 for a few per cent, 40 times cheaper; IDA from 1e-3 on. The
-  states are misleading here: they are right to 6e-6 at a step at which the pointwise gradient is
-  wrong by its own size.
-- **Stiff or medium, damped.** HHT-I3, with error control at rtol of 3e-4 or less. An explicit
-  step is out of the question, and IDA at 1e-5 stops at its limit of steps below (run to the end
-  it took 50 s, 200 times as long, for an error of 0.2).
-- **Rigid (slider-crank).** HHT-I3 to 1e-3, DOP853 for more: 18 steps give five digits.
-- **Paper's crank-slider.** Soft and undamped: HHT-I3 for a per cent, DOP853 beyond.
-- **Any scene, and a gradient that has to keep a tolerance without a reference at hand.** HHT-I3
-  with `sensitivities=True` (up to fifteen times the time of the best fixed step), or
-  DOP853 where it finishes.
-
-A coarse setting in the column 1e-01 may be right by chance: on undamped scenes errors do not fall
-steadily before waves are resolved. Look at the tables below, or ask for two settings in a row.
-"""
-
-_ALPHA_NOTES = """
-At equal small steps -0.05 is as accurate as 0 and up to twice as accurate as -0.3. Damping helps
-where fast motion should die out: multipliers of the stiff damped pendulum are right to 7e-6 at
--0.3, to 4e-3 at -0.05, and at 0 they are 7e-3 off, oscillating, as the warning of that setting
-says; the gradient is not affected in these short runs. Coarse steps show the reverse: at -0.3 a
-start that is not resolved excites the beam more strongly (damped stiff pendulum at 2⁻⁹ s: gradient
-wrong by 4, at -0.05 by 3e-4). With error control hht_alpha matters little, but 0 takes up to five
-times the steps. So: -0.05 for gradients at fixed steps, -0.3 where multipliers of stiff scenes are
-wanted, 0 never.
-"""
-
-_LIMITS = """
-- Seven scenes, one objective of each kind, two variables: `work_precision` is for others.
-- An error below that of the reference means nothing. References of high order are good to 1e-7 or
-  better, those of the damped pendulums of larger modulus are HHT at 2⁻¹⁴ of the end time, good to
-  about 1e-6.
-- Processor times are of NumPy code with small matrices, on a shared machine.
-- Derivatives with error control are those at frozen steps. What the choice of steps itself would
-  contribute is below the tolerance.
-"""

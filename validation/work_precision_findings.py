@@ -10,20 +10,6 @@ from ancfdae import HHT, AdaptiveSteps
 from ancfdae.errors import TargetNotReachedError
 from ancfdae.results import MeasuredSetting, WorkPrecision
 
-__all__ = [
-    "Gain",
-    "alpha",
-    "best_gain",
-    "cheapest_of",
-    "controlled",
-    "controlled_both",
-    "fixed",
-    "largest_ratio",
-    "seconds_for",
-    "settled",
-    "short_name",
-]
-
 ModelChoice = Callable[[MeasuredSetting], bool]
 
 
@@ -109,15 +95,7 @@ def seconds_for(table: WorkPrecision, error: float, choice: ModelChoice) -> floa
 
 @dataclass(frozen=True)
 class Gain:
-    """Where the controlled step gains most.
-
-    Attributes
-    ----------
-    row : MeasuredSetting
-        The controlled setting.
-    fixed_seconds : float
-        What the best fixed step needs for the same error.
-    """
+    """The controlled setting that gains most, and the time of the best fixed step for its error."""
 
     row: MeasuredSetting
     fixed_seconds: float
@@ -133,16 +111,9 @@ def best_gain(
 ) -> Gain | None:
     """Return the controlled setting that gains most against the best fixed step.
 
-    Parameters
-    ----------
-    table : WorkPrecision
-    floor, ceiling : float
-        Errors below the first are not known, for the reference is no better; errors above the
-        second are not counted.
-    same_alpha : bool
-        Whether the fixed step must have the same hht_alpha; otherwise the best of all counts.
-    choice : callable
-        Which settings are considered.
+    Settings that `choice` takes are considered. Errors below the floor are not known, for the
+    reference is no better; errors above the ceiling are not counted. With `same_alpha` the fixed
+    step must have the same hht_alpha; otherwise the best of all counts.
     """
     gains = []
     for row in settled(table).rows:

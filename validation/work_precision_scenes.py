@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from ancfdae import (
     DOP853,
@@ -22,10 +23,8 @@ from ancfdae.observables import custom, position
 from ancfdae.results import WorkPrecision
 from ancfdae.sensitivity.objectives import Objective
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
-from validation.integrator_runs import MANY, Array
+from validation.integrator_runs import MANY
 from validation.scenes import crank_slider, pendulum
-
-__all__ = ["ALPHAS", "OBJECTIVES", "Case", "Measured", "cases", "measured", "newton_tolerances"]
 
 #: Numerical damping of HHT-I3.
 ALPHAS = (0.0, -0.05, -0.1, -0.3)
@@ -39,27 +38,25 @@ _REPEATS = 2
 _LOOSE = 1e-3
 
 
+class Settings(NamedTuple):
+    """Integrators that are measured on a scene.
+
+    `steps` are numbers of steps of HHT, as powers of two; `rtols` are tolerances of HHT and Radau
+    under control of the motion, `both` tolerances of HHT under control of motion and derivatives;
+    `high` are integrators of high order.
+    """
+
+    steps: range
+    rtols: Sequence[float]
+    both: Sequence[float] = ()
+    high: Sequence[Integrator] = ()
+
+
 @dataclass(frozen=True)
 class Case:
-    """A scene with what is asked of it and how.
+    """A scene with what is asked of it and how; objectives are in the order of `OBJECTIVES`.
 
-    Attributes
-    ----------
-    name : str
-        For keys of figures and names of plots.
-    title : str
-    system : MechanicalSystem
-    t_end : float
-    objectives : tuple of Objective
-        In the order of `OBJECTIVES`.
-    steps : int
-        Numbers of steps of HHT, as powers of two.
-    rtols, both : sequence of float
-        Tolerances of HHT and Radau under control of the motion, and of HHT under control of motion
-        and derivatives.
-    high : sequence of Integrator
-        Settings of high order.
-    reference : Integrator
+    The name is for keys of figures and names of plots.
     """
 
     name: str
@@ -67,10 +64,7 @@ class Case:
     system: MechanicalSystem
     t_end: float
     objectives: tuple[Objective, Objective]
-    steps: range
-    rtols: Sequence[float]
-    both: Sequence[float]
-    high: Sequence[Integrator]
+    settings: Settings
     reference: Integrator
 
 
@@ -84,7 +78,8 @@ class Measured:
 
 def measured(case: Case, quick: bool) -> Measured:
     """Measure every setting for both objectives."""
-    settings = [*_second_order(case, ALPHAS), *(Radau(rtol=x) for x in case.rtols), *case.high]
+    radau = [Radau(rtol=x) for x in case.settings.rtols]
+    settings = [*_second_order(case, ALPHAS), *radau, *case.settings.high]
     tables = tuple(
         work_precision(
             case.system,
@@ -100,16 +95,11 @@ def measured(case: Case, quick: bool) -> Measured:
 
 
 def newton_tolerances(rtols: Sequence[float], quick: bool) -> tuple[str, list[WorkPrecision]]:
-    """Measure the controlled step with a loose tolerance of Newton's method and with the default.
+    """Measure the controlled step with a loose tolerance of Newton's method and the default.
 
-    Returns
-    -------
-    str
-        The scene.
-    list of WorkPrecision
-        One for each tolerance; the loose one, rtol/1000, first.
+    Return the scene in words, and one table for each tolerance; the loose one, rtol/1000, first.
     """
-    case = _pendulum("newton", 2e11, 1e-3, 2.0**-6 if quick else 1.0, range(1), rtols, (), ())
+    case = _pendulum("newton", 2e11, 1e-3, 2.0**-6 if quick else 1.0, Settings(range(1), rtols))
     reference = HHT(rtol=1e-4 if quick else 1e-6, newton_tolerance=1e-12)
     settings: list[Integrator] = []
     settings += [HHT(rtol=rtol, newton_tolerance=_LOOSE * rtol) for rtol in rtols]
@@ -127,10 +117,11 @@ def _second_order(case: Case, alphas: Sequence[float]) -> list[Integrator]:
         # At hht_alpha = 0 it is the subject of this report.
         warnings.simplefilter("ignore", StabilityWarning)
         for alpha in alphas:
-            settings += [HHT(case.t_end / 2**k, hht_alpha=alpha) for k in case.steps]
-            controls = [AdaptiveSteps(rtol, max_steps=_FEW) for rtol in case.rtols]
+            settings += [HHT(case.t_end / 2**k, hht_alpha=alpha) for k in case.settings.steps]
+            controls = [AdaptiveSteps(rtol, max_steps=_FEW) for rtol in case.settings.rtols]
             controls += [
-                AdaptiveSteps(rtol, max_steps=_FEW_BOTH, sensitivities=True) for rtol in case.both
+                AdaptiveSteps(rtol, max_steps=_FEW_BOTH, sensitivities=True)
+                for rtol in case.settings.both
             ]
             settings += [HHT(steps, alpha) for steps in controls]
     return settings
@@ -148,38 +139,27 @@ def _high(
 def cases(quick: bool) -> list[Case]:
     """Return the scenes; quick ones are short and coarse."""
     if quick:
+        coarse = (1e-2, 1e-3), (1e-2,), [IDA(1e-5), DOP853(1e-5)]
         return [
-            _pendulum("soft", 1e7, 0.0, 2.0**-6, range(2, 5), (1e-2, 1e-3), (1e-2,), _QUICK_HIGH),
-            _slider("slider-crank", 0.5, range(4, 7), (1e-2, 1e-3), (1e-2,), _QUICK_HIGH),
+            _pendulum("soft", 1e7, 0.0, 2.0**-6, Settings(range(2, 5), *coarse)),
+            _slider(0.5, Settings(range(4, 7), *coarse)),
         ]
     rtols, high = (1e-2, 1e-3, 1e-4, 1e-5), _high((1e-5, 1e-7), (1e-5, 1e-7))
     dense = (1e-2, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
     three, two, one = (1e-2, 1e-3, 1e-4), (1e-2, 1e-3), (1e-2,)
     stiff, few = _high((1e-4,), (1e-5,)), [IDA(1e-5, max_steps=1000)]
     return [
-        _pendulum("soft", 1e7, 0.0, 0.25, range(5, 11), rtols, three, high),
-        _pendulum("soft-damped", 1e7, 1e-3, 0.25, range(4, 10), rtols, three, high),
-        _pendulum("stiff", 2e11, 0.0, 2.0**-6, range(3, 11), rtols, one, stiff),
-        _pendulum("medium-damped", 1e9, 4e-3, 2.0, range(8, 13), dense, three, ()),
-        _pendulum("stiff-damped", 2e11, 1e-3, 1.0, range(9, 13), dense, three, few),
-        _slider("slider-crank", 10.0, range(7, 12), rtols, three, high),
-        _crank(0.125, range(4, 9), rtols, two, stiff),
+        _pendulum("soft", 1e7, 0.0, 0.25, Settings(range(5, 11), rtols, three, high)),
+        _pendulum("soft-damped", 1e7, 1e-3, 0.25, Settings(range(4, 10), rtols, three, high)),
+        _pendulum("stiff", 2e11, 0.0, 2.0**-6, Settings(range(3, 11), rtols, one, stiff)),
+        _pendulum("medium-damped", 1e9, 4e-3, 2.0, Settings(range(8, 13), dense, three)),
+        _pendulum("stiff-damped", 2e11, 1e-3, 1.0, Settings(range(9, 13), dense, three, few)),
+        _slider(10.0, Settings(range(7, 12), rtols, three, high)),
+        _crank(0.125, Settings(range(4, 9), rtols, two, stiff)),
     ]
 
 
-_QUICK_HIGH = [IDA(1e-5), DOP853(1e-5)]
-
-
-def _pendulum(
-    name: str,
-    modulus: float,
-    damping: float,
-    t_end: float,
-    steps: range,
-    rtols: Sequence[float],
-    both: Sequence[float],
-    high: Sequence[Integrator],
-) -> Case:
+def _pendulum(name: str, modulus: float, damping: float, t_end: float, settings: Settings) -> Case:
     """Return the flexible pendulum; height and density are its design."""
     scene = pendulum(youngs_modulus=modulus, damping_time=damping)
     system = assemble(scene, ("pendulum.height", "pendulum.density"))
@@ -188,66 +168,24 @@ def _pendulum(
     reference: Integrator = DOP853(1e-10 if modulus < 1e8 else 1e-7, max_steps=MANY)
     if modulus > 1e8 and damping:
         reference = Radau(t_end / 2**10)
-    return Case(
-        name,
-        f"Pendulum, E = {modulus:.0e} N/m²{words}, {t_end:g} s",
-        system,
-        t_end,
-        (Integral((tip + 0.5) ** 2), Terminal(tip)),
-        steps,
-        rtols,
-        both,
-        high,
-        reference,
-    )
+    title = f"Pendulum, E = {modulus:.0e} N/m²{words}, {t_end:g} s"
+    objectives = Integral((tip + 0.5) ** 2), Terminal(tip)
+    return Case(name, title, system, t_end, objectives, settings, reference)
 
 
-def _crank(
-    t_end: float,
-    steps: range,
-    rtols: Sequence[float],
-    both: Sequence[float],
-    high: Sequence[Integrator],
-) -> Case:
+def _crank(t_end: float, settings: Settings) -> Case:
     """Return the paper's crank-slider; height and density of the rod are its design."""
     slider = position(MaterialPoint("rod", 1.0), 0)
     middle = position(MaterialPoint("rod", 0.5), 1)
-    return Case(
-        "crank",
-        f"Crank-slider of the paper, {t_end:g} s",
-        assemble(crank_slider(), ("rod.height", "rod.density")),
-        t_end,
-        (Integral((slider - 1.8) ** 2), Terminal(middle)),
-        steps,
-        rtols,
-        both,
-        high,
-        DOP853(1e-7, max_steps=MANY),
-    )
+    system = assemble(crank_slider(), ("rod.height", "rod.density"))
+    objectives = Integral((slider - 1.8) ** 2), Terminal(middle)
+    title, exact = f"Crank-slider of the paper, {t_end:g} s", DOP853(1e-7, max_steps=MANY)
+    return Case("crank", title, system, t_end, objectives, settings, exact)
 
 
-def _slider(
-    name: str,
-    t_end: float,
-    steps: range,
-    rtols: Sequence[float],
-    both: Sequence[float],
-    high: Sequence[Integrator],
-) -> Case:
+def _slider(t_end: float, settings: Settings) -> Case:
     """Return the slider-crank of SUNDIALS; stiffness and damping of its spring are its design."""
-    return Case(
-        name,
-        f"Slider-crank of SUNDIALS, {t_end:g} s",
-        SliderCrank(),
-        t_end,
-        (kinetic_energy_integral(), Terminal(custom(_crank_angle, "crank angle"))),
-        steps,
-        rtols,
-        both,
-        high,
-        DOP853(1e-10, max_steps=MANY),
-    )
-
-
-def _crank_angle(t: Array, q: Array, v: Array, lam: Array, b: Array) -> Array:
-    return q[:, 0]
+    angle = custom(lambda t, q, v, lam, b: q[:, 0], "crank angle")
+    objectives = kinetic_energy_integral(), Terminal(angle)
+    title, exact = f"Slider-crank of SUNDIALS, {t_end:g} s", DOP853(1e-10, max_steps=MANY)
+    return Case("slider-crank", title, SliderCrank(), t_end, objectives, settings, exact)

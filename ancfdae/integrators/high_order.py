@@ -135,7 +135,7 @@ class March(abc.ABC):
     def _steps(self, times: Array) -> list[float] | Verdict:
         """Take steps, the last one of which may pass the first of ascending times.
 
-        Return their ends, or why there are none.
+        Return their ends, or why no step is taken.
         """
 
     @abc.abstractmethod
@@ -143,7 +143,7 @@ class March(abc.ABC):
         """Interpolate in the last step."""
 
     def _reported(self, times: Array) -> Array:
-        """Return states at times behind, of which the first lies in the last step, or of some."""
+        """Return states at times in the last step, or at the first of them, (k, 2, rows, n_q)."""
         return self._states(times)
 
     @abc.abstractmethod
@@ -173,6 +173,7 @@ class HighOrder(QuadratureIntegrator):
 
     # The solvers are real wherever the start is, and would drop imaginary parts of the forces.
     real_only: ClassVar[bool] = True
+    checks_contacts: ClassVar[bool] = True
 
     rtol: float = 1e-8
     intervals: int | None = None

@@ -292,7 +292,7 @@ py_trace_placed(Kept<OperationTrace> trace, Places outputs, Places inputs)
             array_of(to),         array_of(calls), array_of(functions)};
 }
 
-/* Outputs at inputs that stand in parts, one behind the other: rows of instants, or one row for all. */
+/* Outputs at inputs in consecutive parts: a row for each time point, or one row for all. */
 template <class T> Array<T> py_list_values(Kept<OperationList> of, Rest<Array<T, 1>> parts)
 {
     const Operations *p = &of->list;
@@ -301,7 +301,7 @@ template <class T> Array<T> py_list_values(Kept<OperationList> of, Rest<Array<T,
     Size rows = -1;
     for (const auto &x : parts) {
         must(x.axes < 3 && (x.axes == 1 || rows < 0 || rows == x.length(0)),
-             "parts of inputs must have the same instants");
+             "parts of inputs must have equally many rows");
         rows = x.axes == 1 ? rows : x.length(0);
         for (Size j = 0; j < x.length(-1); j++)
             from.push_back(x.data + j), step.push_back(x.axes == 1 ? 0 : x.length(-1));
@@ -481,7 +481,7 @@ using ExplicitTolerances = std::tuple<double, Array<double, 3>, Array<double, 1>
 using ExplicitKept =
     std::tuple<InPlace<double>, InPlace<double>, InPlace<double>, Array<int32_t, 1>>;
 
-/* Why no more steps are taken, how many were, and states at those of the times that lie behind. */
+/* Why the march ends, the number of steps, and states at the times that lie behind. */
 std::tuple<int, Size, Array<double>>
 py_explicit_march(Ref of_equations, ExplicitTables tables, ExplicitState state,
                   ExplicitTolerances tolerances, Array<double, 1> times, double stop, Size count,

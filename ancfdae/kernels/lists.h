@@ -32,7 +32,7 @@ template <class T> void list_evaluated(const Operations *p, Size lanes, T *x)
     widely<T>([=]() ALWAYS { return list_evaluated_<T>(p, lanes, x); });
 }
 
-/* Outputs, (k, n_outputs), of inputs: number j at instant i is from[j][i * step[j]]. Work holds
+/* Outputs, (k, n_outputs), of inputs: number j in row i is from[j][i * step[j]]. Work holds
  * n_numbers times LIST_LANES. */
 template <class T>
 void list_values(const Operations *p, const T *constants, Size count, const T *const *from,

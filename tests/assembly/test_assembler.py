@@ -546,7 +546,7 @@ def test_pull_back_of_a_start_is_the_transpose_of_its_derivatives(setting):
     for i, (name, x) in enumerate(zip("qval", state[1:], strict=True)):
         size = np.max(np.abs(x), initial=0.0)
         if size < 1e-6:
-            continue  # At rest: derivatives of what is left are round-off.
+            continue  # At rest: velocities are round-off, and so are their derivatives.
         on = rng.normal(size=x.shape) / size
         covectors = Covectors(*none[:i], on, *none[i + 1 :], np.zeros(system.n_b))
         found, partial = pull_back_start(system, matrices, state, covectors), partials[i]

@@ -138,11 +138,13 @@ def _of_c(path: Path, name: str) -> Iterator[Text]:
 
 def _of_markdown(path: Path, name: str) -> Iterator[Text]:
     line = 1
+    # The words of reports are templates of strings, with places for figures.
+    kind = "string" if name.startswith("validation/") else "markdown"
     blank, source = lambda m: "\n" * m[0].count("\n"), path.read_text()
     source = re.sub(r"^```.*?^```", blank, source, flags=re.S | re.M)
     for paragraph in re.split(r"\n\s*\n", source):
         if paragraph.strip():
-            yield Text("markdown", name, line, paragraph.strip())
+            yield Text(kind, name, line, paragraph.strip())
         line += paragraph.count("\n") + 2
 
 

@@ -30,6 +30,6 @@ def test_quick_report_is_written_with_its_figures_and_plots(
     missing = [key for key, value in results["figures"].items() if value is None]
     assert not missing
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
-    assert f"| what the {definition.source} says |" in text
+    assert f"| what the {definition.prose.source} says |" in text
     for plot in tmp_path.glob("*.svg"):
         assert plot.name in text

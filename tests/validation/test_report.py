@@ -17,6 +17,7 @@ from ancfdae.errors import InvalidInputError
 from ancfdae.plotting import Panel, Series
 from validation.__main__ import main
 from validation.catalogue import CATALOGUE, Definition
+from validation.prose import Prose
 from validation.report import Agreement, Report, environment
 
 REPORTS = Path(__file__).resolve().parents[2] / "docs" / "reports"
@@ -25,7 +26,7 @@ PANEL = Panel("Line", "t [s]", "y [m]", [Series("y", [0.0, 1.0], [0.0, 2.0])])
 
 @pytest.fixture
 def report(tmp_path: Path) -> Report:
-    return Report("A title", "A question?", tmp_path / "out", "python -m validation run it")
+    return Report(Prose("A title", "A question?"), tmp_path / "out", "python -m validation run it")
 
 
 def written(report: Report) -> tuple[str, dict[str, dict[str, object]]]:
@@ -160,7 +161,7 @@ def test_failed_write_leaves_the_older_report_as_it_was(
     report.write()
     folder = tmp_path / "out"
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    second = Report("Another title", "Why?", folder, "python")
+    second = Report(Prose("Another title", "Why?"), folder, "python")
     second.figure("tip_x", 2.0)
     second.plot("motion", [PANEL], title="Another")
     second.plot("zebra", [PANEL])
@@ -180,7 +181,7 @@ def test_failed_write_leaves_the_older_report_as_it_was(
 def test_second_write_replaces_the_first(report: Report, tmp_path: Path) -> None:
     fill(report)
     report.write()
-    second = Report("Another title", "Why?", tmp_path / "out", "python")
+    second = Report(Prose("Another title", "Why?"), tmp_path / "out", "python")
     text, results = written(second)
     assert text.startswith("# Another title\n")
     assert results["figures"] == {}
@@ -206,15 +207,15 @@ def test_commit_is_that_of_the_checkout(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def definition(run: Callable[[Report, bool], None]) -> Definition:
-    return Definition("sample", "A sample", "Does it run?", run)
+    return Definition("sample", Prose("A sample", "Does it run?"), run)
 
 
 def test_list_names_every_report_and_its_question(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list"]) == 0
     listed = capsys.readouterr().out
     for entry in CATALOGUE:
-        assert f"{entry.name}: {entry.title}\n" in listed
-        assert entry.question in listed
+        assert f"{entry.name}: {entry.prose.title}\n" in listed
+        assert entry.prose.question in listed
 
 
 def test_names_in_the_catalogue_are_unique() -> None:

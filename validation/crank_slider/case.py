@@ -8,12 +8,11 @@ import numpy.typing as npt
 
 from ancfdae import HHT, Integral, assemble, gradient
 from ancfdae.extend import MaterialPoint
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import position
 from ancfdae.results import Solution
 from ancfdae.sensitivity.method import GradientMethod
 from validation.scenes import crank_slider
-
-Array = npt.NDArray[np.float64]
 
 SYMBOLS = ("h_1", "rho_1", "E_1", "h_2", "rho_2", "E_2")
 DESIGN = tuple(
@@ -49,8 +48,7 @@ def scaled(solution: Solution) -> Array:
     """Sensitivities of the slider's position times the variable, shape (n_t, 6); m."""
     sensitivities = solution.sensitivities
     assert sensitivities is not None
-    scaled: Array = solution.derivative(slider) * sensitivities.values
-    return scaled
+    return solution.derivative(slider) * sensitivities.values
 
 
 def relative(x: Array, reference: Array) -> float:
@@ -61,7 +59,4 @@ def relative(x: Array, reference: Array) -> float:
 def scaled_gradient(t_end: float, integrator: HHT, method: GradientMethod) -> Array:
     """Return b dPsi/db, shape (6,)."""
     system = assemble(crank_slider(), DESIGN)
-    scaled: Array = (
-        gradient(system, paper_objective(), t_end, integrator, method=method).gradient * system.b
-    )
-    return scaled
+    return gradient(system, paper_objective(), t_end, integrator, method=method).gradient * system.b

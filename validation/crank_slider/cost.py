@@ -4,7 +4,6 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import (
     HHT,
@@ -19,16 +18,9 @@ from ancfdae import (
 )
 from ancfdae.numerics.timing import timed
 from ancfdae.sensitivity.method import GradientMethod
-from validation.crank_slider.case import (
-    DESIGN,
-    STEP,
-    Extent,
-    paper_objective,
-)
-from validation.report import Agreement, Report
+from validation.crank_slider.case import DESIGN, STEP, Extent, paper_objective
+from validation.report import Report
 from validation.scenes import crank_slider
-
-Array = npt.NDArray[np.float64]
 
 _PAPER_SECONDS = {"finite difference": 2922.2, "direct": 700.3, "adjoint": 794.5}
 
@@ -65,18 +57,9 @@ def cost(report: Report, extent: Extent) -> None:
     per_step = report.figure(
         "cost.microseconds_per_step", 1e6 * float(np.median(seconds["dynamics alone"])) / steps
     )
-    report.text(
-        f"Six design variables, {t_end:g} s at step 2⁻⁸ s, processor time, medians of "
-        f"{extent.repeats} alternating runs; dynamics alone {per_step:.0f} µs per step. The "
-        "paper's figures are from MATLAB on a processor of about 2009; only ratios can be "
-        "compared. The targets set for this report are 1.4 (direct) and 1.5 (adjoint) "
-        "times dynamics alone."
-    )
+    report.say("cost", t_end=t_end, extent=extent, per_step=per_step)
     direct, adjoint = (float(np.median(seconds[name])) for name in ("direct", "adjoint"))
     finite = float(np.median(seconds["finite difference"]))
-    report.claim(
-        "Direct differentiation costs about as much as the adjoint, finite differences far more",
-        "700.3 s, 794.5 s, 2922.2 s (ratios 1 : 1.13 : 4.17)",
-        f"ratios 1 : {adjoint / direct:.2f} : {finite / direct:.2f}",
-        Agreement.AGREES if finite > 2 * max(direct, adjoint) else Agreement.DISAGREES,
+    report.judge(
+        "cost", finite > 2 * max(direct, adjoint), adjoint=adjoint / direct, finite=finite / direct
     )

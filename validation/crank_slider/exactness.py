@@ -1,7 +1,6 @@
 """Gradients of all methods against each other, energy and constraints."""
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import (
     HHT,
@@ -27,8 +26,6 @@ from validation.crank_slider.case import (
 )
 from validation.report import Report
 from validation.scenes import crank_slider
-
-Array = npt.NDArray[np.float64]
 
 
 def exactness(report: Report, solution: Solution, extent: Extent) -> None:
@@ -57,10 +54,7 @@ def exactness(report: Report, solution: Solution, extent: Extent) -> None:
     forward = sum(np.tensordot(x, y, axes=2) for x, y in pairs)
     size = sum(np.linalg.norm(x) * np.linalg.norm(y, axis=(0, 1)) for x, y in pairs)
     worst = report.figure("exact.dot_product", float(np.max(np.abs(forward - back) / size)))
-    report.text(
-        f"Dot-product identity of the forward and the transposed operator with random covectors: "
-        f"{worst:.1g}, relative to the product of the norms, worst variable."
-    )
+    report.say("exactness", worst=worst)
 
 
 def continuous(report: Report, extent: Extent) -> None:
@@ -78,13 +72,7 @@ def continuous(report: Report, extent: Extent) -> None:
         rows.append([f"2^-{exponent}", error, f"{order:.2f}" if previous else "-"])
         previous = error
     report.table(["step [s]", "relative difference of dΨ/db", "order"], rows)
-    report.text(
-        "The continuous adjoint discretises the adjoint equations of the paper, with the corrected "
-        "end condition; it meets the discrete one at second order on average. Single halvings are "
-        "irregular as long as waves of the section are not resolved; at steps that resolve them "
-        "the order is 1.9 to 2.0, for objectives of q and of lam "
-        "(`tests/sensitivity/test_adjoint.py`)."
-    )
+    report.say("continuous")
 
 
 def balance(report: Report, solution: Solution) -> None:
@@ -100,25 +88,8 @@ def balance(report: Report, solution: Solution) -> None:
     swing = float(np.max(kinetic))
     loss = report.figure("balance.energy", float(np.max(np.abs(total)) / swing))
     worst = report.figure("balance.drift", float(np.max(drift)))
-    report.plot(
-        "energy",
-        [
-            Panel(
-                "Energies, undamped scene",
-                "time t [s]",
-                "energy [J]",
-                [
-                    Series("kinetic", solution.t, kinetic),
-                    Series("strain", solution.t, strain),
-                    Series("gravity", solution.t, gravity - gravity[0]),
-                    Series("total", solution.t, total),
-                ],
-            )
-        ],
-        title="Energy balance at step 2⁻⁸ s",
-    )
-    report.text(
-        f"The total energy, zero at the start, stays within {loss:.1g} of the largest kinetic "
-        f"energy: what HHT-I3 (hht_alpha = -0.3) takes out of unresolved waves. Constraints hold "
-        f"to {worst:.1g} m at position level, the round-off of coordinates of this size."
-    )
+    energies = {"kinetic": kinetic, "strain": strain, "gravity": gravity - gravity[0]}
+    series = [Series(name, solution.t, y) for name, y in (energies | {"total": total}).items()]
+    axes = "time t [s]", "energy [J]"
+    report.plot("energy", [Panel("Energies, undamped scene", *axes, series)])
+    report.say("balance", loss=loss, worst=worst)

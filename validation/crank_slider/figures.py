@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ancfdae import HHT, Adjoint, ContinuousAdjoint, FiniteDifference, differentiate, simulate
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import Solution
 from validation.crank_slider.case import (
@@ -16,10 +17,9 @@ from validation.crank_slider.case import (
     scaled_gradient,
     slider,
 )
+from validation.drawing import dots
 from validation.report import Agreement, Report
 from validation.scenes import crank_slider
-
-Array = npt.NDArray[np.float64]
 
 
 def position_sensitivities(report: Report, solution: Solution, extent: Extent) -> None:
@@ -28,54 +28,29 @@ def position_sensitivities(report: Report, solution: Solution, extent: Extent) -
     check = differentiate(
         crank_slider(), extent.t_end, HHT(STEP), design=DESIGN, method=FiniteDifference(0.01)
     )
-    report.plot(
-        "slider",
-        [
-            Panel(
-                "Slider position",
-                "time t [s]",
-                "x [m]",
-                [Series("slider", solution.t, slider(solution).real)],
-            )
-        ],
-        title="Crank-slider of Table 1, HHT-I3, step 2⁻⁸ s",
-    )
+    position = [Series("slider", solution.t, slider(solution).real)]
+    report.plot("slider", [Panel("Slider position", "time t [s]", "x [m]", position)])
     ours, theirs = scaled(solution), scaled(check)
     panels: list[Panel] = []
     difference: dict[str, float] = {}
     for i, symbol in enumerate(SYMBOLS):
-        panels.append(
-            Panel(
-                f"Sensitivity to {symbol}",
-                "time t [s]",
-                f"{symbol} · dx/d{symbol} [m]",
-                [
-                    Series("direct differentiation", solution.t, ours[:, i]),
-                    Series("forward difference, 1 %", check.t, theirs[:, i]),
-                ],
-            )
-        )
+        series = [
+            Series("direct differentiation", solution.t, ours[:, i]),
+            Series("forward difference, 1 %", check.t, theirs[:, i]),
+        ]
+        axes = "time t [s]", f"{symbol} · dx/d{symbol} [m]"
+        panels.append(Panel(f"Sensitivity to {symbol}", *axes, series))
         error = relative(theirs[:, i], ours[:, i])
         difference[symbol] = report.figure(f"fig8.difference.{symbol}", error)
-    report.plot(
-        "position-sensitivities",
-        panels,
-        columns=3,
-        title="Sensitivities of the slider position",
-        caption="Both differentiate the same discrete motion.",
-    )
+    report.plot("position-sensitivities", panels, 3)
     report.table(
         ["variable", "1 % difference against direct (norm over time)"], list(difference.items())
     )
     far = [symbol for symbol, value in difference.items() if value > 0.2]
-    report.claim(
-        "Direct and 1 % finite-difference sensitivities of x differ much for E_1 and h_2 only",
-        "a big difference for E_1 and h_2 (Fig. 8)",
-        "more than a fifth of the norm apart: " + (", ".join(far) or "none"),
-        Agreement.AGREES
-        if set(far) == {"E_1", "h_2"}
-        else (Agreement.PARTLY if {"E_1", "h_2"} & set(far) else Agreement.DISAGREES),
-    )
+    both = {"E_1", "h_2"}
+    partly = Agreement.PARTLY if both & set(far) else Agreement.DISAGREES
+    verdict = Agreement.AGREES if set(far) == both else partly
+    report.judge("position-sensitivities", verdict, far=", ".join(far) or "none")
 
 
 def objective_over_time(report: Report, solution: Solution, extent: Extent) -> None:
@@ -94,7 +69,7 @@ def objective_over_time(report: Report, solution: Solution, extent: Extent) -> N
         [symbol, direct[-1, i], discrete[-1, i], continuous[-1, i], difference[-1, i]]
         for i, symbol in enumerate(SYMBOLS)
     ]
-    report.text(f"At t = {extent.t_end:g} s, b · dΨ/db in m² s:")
+    report.say("objective-over-time", extent=extent)
     report.table(
         ["variable", "direct", "discrete adjoint", "continuous adjoint", "1 % difference"], rows
     )
@@ -103,12 +78,7 @@ def objective_over_time(report: Report, solution: Solution, extent: Extent) -> N
         report.figure(f"fig9.finite_difference.{symbol}", difference[-1, i])
     agreement = report.figure("fig9.adjoint_direct", relative(discrete, direct[_rows(times)]))
     also = report.figure("fig9.continuous_direct", relative(continuous, direct[_rows(times)]))
-    report.claim(
-        "Direct differentiation and adjoint variable method agree",
-        "good agreement (Fig. 9)",
-        f"discrete adjoint to {agreement:.1g}, continuous adjoint to {also:.1g} (relative norm)",
-        Agreement.AGREES if max(agreement, also) < 0.05 else Agreement.DISAGREES,
-    )
+    report.judge("objective-over-time", max(agreement, also) < 0.05, agreement=agreement, also=also)
 
 
 def _over_time(solution: Solution, extent: Extent) -> tuple[Array, Array]:
@@ -126,30 +96,16 @@ def _over_time(solution: Solution, extent: Extent) -> tuple[Array, Array]:
 
 
 def _plot_objective(
-    report: Report,
-    lines: tuple[Array, dict[str, Array]],
-    markers: tuple[Array, dict[str, Array]],
+    report: Report, lines: tuple[Array, dict[str, Array]], markers: tuple[Array, dict[str, Array]]
 ) -> None:
     """Plot times and, by label, values of shape (n_t, 6)."""
-    report.plot(
-        "objective-sensitivities",
-        [
-            Panel(
-                f"Sensitivity to {symbol}",
-                "upper limit t [s]",
-                f"{symbol} · dΨ/d{symbol} [m² s]",
-                [Series(label, lines[0], y[:, i]) for label, y in lines[1].items()]
-                + [
-                    Series(label, markers[0], y[:, i], line=False, marker=True)
-                    for label, y in markers[1].items()
-                ],
-            )
-            for i, symbol in enumerate(SYMBOLS)
-        ],
-        columns=3,
-        title="Sensitivities of Ψ(t) = ∫₀ᵗ (x - 1.8)² dt by every method",
-        caption="An adjoint yields one upper limit per run: markers.",
-    )
+    panels = []
+    for i, symbol in enumerate(SYMBOLS):
+        series = [Series(label, lines[0], y[:, i]) for label, y in lines[1].items()]
+        series += [dots(label, markers[0], y[:, i]) for label, y in markers[1].items()]
+        axes = "upper limit t [s]", f"{symbol} · dΨ/d{symbol} [m² s]"
+        panels.append(Panel(f"Sensitivity to {symbol}", *axes, series))
+    report.plot("objective-sensitivities", panels, 3)
 
 
 def _rows(times: Array) -> npt.NDArray[np.int64]:

@@ -7,10 +7,9 @@ from typing import Final, final
 import numpy as np
 from scipy.optimize import nnls
 
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel
-from validation.design.optimisation import Array, Optimisation
-
-__all__ = ["Case", "Comparison", "Response", "gradient_check", "optimality"]
+from validation.design.optimisation import Optimisation
 
 # Distances to a bound or a limit below which it counts as reached, relative; a limit of zero is
 # one on a logarithm.
@@ -20,13 +19,7 @@ _ACTIVE: Final = 1e-3
 @final
 @dataclass(frozen=True)
 class Response:
-    """A computed quantity: the objective, or a constraint if it has an upper limit.
-
-    Attributes
-    ----------
-    name, unit : str
-    limit : float or None
-    """
+    """A computed quantity: the objective, or a constraint if it has an upper limit."""
 
     name: str
     unit: str
@@ -40,18 +33,10 @@ class Response:
 @final
 @dataclass(frozen=True)
 class Comparison:
-    """The optimum held against another one.
+    """The optimum held against another one, from a source.
 
-    Attributes
-    ----------
-    what : str
-    found, other : float
-    source : str
-        Where the other comes from.
-    tolerance : float
-        By how much `found` may differ, relative to `other`.
-    lower : bool
-        Whether less than `other` is as good.
+    `found` may differ from `other` by the tolerance, relative to `other`; with `lower`, less is as
+    good.
     """
 
     what: str
@@ -88,39 +73,20 @@ class Comparison:
 class Case:
     """One optimisation as reported.
 
-    Attributes
-    ----------
-    key : str
-        First word of the figures, and name of the plot.
-    title : str
-    question : str
-        What is optimised, under which constraints, and after whom; Markdown.
-    method : str
-    variables : sequence of str
-        One name with unit per variable.
-    responses : sequence of Response
-        One per row of the evaluated values.
-    found : Optimisation
-    comparisons : sequence of Comparison
-    panels : sequence of Panel
-        Mechanism and optimum.
-    caption : str
-    findings : str
-        What is to be seen; Markdown.
-    sizes : array, shape (n,), or None
-        Of the variables, for the steps of differences; the start, where it is not zero, if None.
+    The key is the first word of its figures, the name of its plot and of its words in `report.md`.
+    There is one variable for each number, with its unit, and one response for each row of the
+    evaluated values. Panels show mechanism and optimum; findings are Markdown. `sizes` of the
+    variables serve for the steps of differences; if None, the start counts where it is not zero.
     """
 
     key: str
     title: str
-    question: str
     method: str
     variables: Sequence[str]
     responses: Sequence[Response]
     found: Optimisation
     comparisons: Sequence[Comparison]
     panels: Sequence[Panel]
-    caption: str
     findings: str
     sizes: Array | None = None
 

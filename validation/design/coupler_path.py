@@ -8,15 +8,15 @@ from scipy.optimize import least_squares
 from ancfdae import HHT, Beam, Material, Misfit, Pin, PointMass, RotationDriver, Scene, simulate
 from ancfdae.extend import MaterialPoint
 from ancfdae.laws import ConstantAcceleration
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.observables import position
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import RunResidualFunction
 from ancfdae.sections import Rectangle
 from validation.design.case import Case, Comparison, Response
-from validation.design.optimisation import Array, Once, Optimisation, searched
-
-__all__ = ["coupler_path"]
+from validation.design.optimisation import Once, Optimisation, searched
+from validation.drawing import dots
 
 # Hoeken's linkage has crank, ground, half coupler and rocker of 1, 2, 2.5 and 2.5 units.
 _UNIT, _SPEED = 0.1, 20.0
@@ -98,7 +98,6 @@ def coupler_path(quick: bool) -> Case:
     return Case(
         key="coupler-path",
         title="Joints of a four-bar with a flexible coupler",
-        question=_QUESTION,
         method="least squares (trust region, reflective)",
         variables=[f"{name} over 0.1 m" for name in _DESIGN],
         responses=[Response("half the sum of squares, over 100 mm^2", "-")],
@@ -115,7 +114,6 @@ def coupler_path(quick: bool) -> Case:
             ),
         ],
         panels=_panels(fit, found),
-        caption="The linkage at its start, and the path of the coupler point.",
         findings=f"With a flexible coupler Hoeken's proportions miss the path by {before:.3g} mm "
         f"rms; at the optimum {after:.3g} mm are left, the vibration of the coupler.",
     )
@@ -128,7 +126,7 @@ def _rms(fit: RunResidualFunction, x: Array) -> float:
 
 def _panels(fit: RunResidualFunction, found: Optimisation) -> list[Panel]:
     wanted = np.array(fit.misfit.data)
-    bars, paths = [], [Series("wanted", wanted[0], wanted[1], line=False, marker=True)]
+    bars, paths = [], [dots("wanted", wanted[0], wanted[1])]
     for name, x in (("Hoeken's proportions", found.start), ("optimum", found.optimum)):
         solution = fit.solution(_UNIT * x)
         right = (2.0 * _UNIT, 0.0) if name != "optimum" else tuple(_UNIT * found.optimum[3:])
@@ -144,12 +142,3 @@ def _panels(fit: RunResidualFunction, found: Optimisation) -> list[Panel]:
         Panel("Linkage at the start", "x [m]", "y [m]", bars),
         Panel("Path of the coupler point", "x [m]", "y [m]", paths),
     ]
-
-
-_QUESTION = """
-*After* Hoeken's straight-line linkage (crank, ground, half coupler and rocker as 1, 2, 2.5, 2.5):
-while its crank makes half a turn, the end of the coupler follows a line within 0.3 % of its
-length. Here the crank turns at 20 rad/s and the coupler, a plastic strip with 20 g at its end,
-bends. Lengths of the links and the place of the right pin are found by least squares so that the
-point passes the line at the instants at which the rigid linkage does.
-"""

@@ -27,14 +27,14 @@ from ancfdae import (
 )
 from ancfdae.extend import MaterialPoint, Observable
 from ancfdae.laws import ConstantAcceleration
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import mass, maximum_von_mises, observe, position
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import AncfSystem, Solution
 from ancfdae.sections import Circle
 from validation.design.case import Case, Comparison, Response
-from validation.design.optimisation import Array, Once, Optimisation, constrained, searched
-
-__all__ = ["crank_rod"]
+from validation.design.optimisation import Once, Optimisation, constrained, searched
+from validation.drawing import dots
 
 # Jonker's slider-crank: lengths, speed, steel, rod of 6 mm, slider of half its mass.
 _CRANK, _ROD, _SPEED, _SLIDER = 0.15, 0.30, 150.0, 0.033
@@ -119,7 +119,6 @@ def crank_rod(quick: bool) -> Case:
     return Case(
         key="crank-rod",
         title="Lightest connecting rod of a slider-crank",
-        question=_QUESTION,
         method="SLSQP in boxes",
         variables=[f"radius {k} [mm]" for k in range(elements)],
         responses=[
@@ -140,7 +139,6 @@ def crank_rod(quick: bool) -> Case:
             ),
         ],
         panels=_panels(found, radius, elements, steps),
-        caption="The mechanism after a quarter of a turn, and radii along the rod.",
         findings=_findings(lightest / (radius / _RADIUS) ** 2, found, elements, steps),
     )
 
@@ -166,7 +164,7 @@ def _panels(found: Optimisation, uniform: float, elements: int, steps: int) -> l
     series = [
         Series("crank", [0, x[0]], [0, y[0]], marker=True),
         Series("rod", x, y),
-        Series("slider", [x[-1]], [y[-1]], line=False, marker=True),
+        dots("slider", [x[-1]], [y[-1]]),
     ]
     along = np.repeat(np.linspace(0, _ROD, elements + 1), 2)[1:-1]
     radii = [
@@ -192,14 +190,3 @@ def _findings(ratio: float, found: Optimisation, elements: int, steps: int) -> s
         f"{furthest:.3f} times that allowed: the smooth maximum exceeds the largest over the "
         "places, and is less than that over time."
     )
-
-
-_QUESTION = """
-*After*: J. B. Jonker, *Comput. Methods Appl. Mech. Engrg.* 76 (1989) 297-319: a crank of 0.15 m
-turns at 150 rad/s, a steel rod of 0.3 m and 6 mm diameter drives a slider of 0.033 kg, and the
-rod starts straight, with the velocities of a rigid mechanism. He asked for its vibration; here it
-is turned to the lightest rod: one radius per element, von Mises' stress at most 150 MPa and the
-middle at most 1.4 mm from the line through the ends, over rod and one turn, as smooth maxima
-(Kreisselmeier and Steinhauser). No optimum of this rod was found in print, so it is held against a
-search without gradients, and against the uniform rod. Damping is 1e-5 s (Kelvin-Voigt).
-"""

@@ -6,15 +6,15 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ancfdae import HHT, Beam, Clamp, DesignVariable, Material, Misfit, Scene, simulate
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.observables import position
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import RunResidualFunction
 from ancfdae.sections import Rectangle
 from validation.design.case import Case, Comparison, Response
-from validation.design.optimisation import Array, Once, Optimisation, searched
-
-__all__ = ["identification"]
+from validation.design.optimisation import Once, Optimisation, searched
+from validation.drawing import dots
 
 _TRUE: Final = np.array([2e6, 4e-3])
 _NOISE, _STEP, _STEPS = 2e-3, 2.0**-6, 32
@@ -110,7 +110,6 @@ def identification(quick: bool) -> Case:
     return Case(
         key="identification",
         title="Stiffness and damping from a noisy record",
-        question=_QUESTION,
         method="least squares (trust region, reflective)",
         variables=["Young's modulus over the true one", "damping time over the true one"],
         responses=[Response("half the sum of squares over the noise", "-")],
@@ -124,7 +123,6 @@ def identification(quick: bool) -> Case:
             ),
         ],
         panels=_panels(fit, found, estimates),
-        caption="Record and motion, and what is found from each record.",
         findings=f"The 95 % intervals from the Jacobian have half widths of {half[0]:.2g} % of the "
         f"modulus and {half[1]:.2g} % of the damping time. Of {len(holds)} records ({runs} runs of "
         f"Gauss and Newton's method) {shares[0]:.0f} % of the intervals hold the true modulus and "
@@ -135,23 +133,15 @@ def identification(quick: bool) -> Case:
 
 def _panels(fit: RunResidualFunction, found: Optimisation, estimates: Array) -> list[Panel]:
     tip = cantilever().beams[0].at_end
-    series = [Series("record", fit.misfit.times, fit.misfit.data[0], line=False, marker=True)]
+    series = [dots("record", fit.misfit.times, fit.misfit.data[0])]
     for name, x in (("start", found.start), ("found", found.optimum)):
         solution = fit.solution(_TRUE * x)
         series.append(Series(name, solution.t, solution.position(tip)[:, 1]))
     cloud = [
-        Series("one of the records", estimates[:, 0], estimates[:, 1], line=False, marker=True),
-        Series("truth", [1.0], [1.0], line=False, marker=True),
+        dots("one of the records", estimates[:, 0], estimates[:, 1]),
+        dots("truth", [1.0], [1.0]),
     ]
     return [
         Panel("Tip of the strip", "t [s]", "y [m]", series),
         Panel("Estimates", "modulus over the true one [-]", "damping time [-]", cloud),
     ]
-
-
-_QUESTION = """
-A clamped rubber strip falls under its weight; the height of its tip is recorded 64 times a second
-for half a second with noise of 2 mm. Young's modulus and the damping time are found from the
-record by least squares, with their covariance from the Jacobian; over 100 records it is counted
-how often the 95 % intervals hold the truth.
-"""

@@ -9,11 +9,9 @@ import numpy.typing as npt
 from scipy.optimize import OptimizeResult, minimize
 
 from ancfdae.errors import UnfinishedRunError
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
 
-__all__ = ["Array", "Evaluation", "Once", "Optimisation", "constrained", "searched"]
-
-Array = npt.NDArray[np.float64]
 Evaluation = Callable[[Array], tuple[Array, Array]]
 
 
@@ -22,12 +20,8 @@ class Once:
     """A function that answers again without a run where it was asked before.
 
     SciPy asks for the objective, the constraints and the derivatives of both one after the other;
-    one run answers all.
-
-    Parameters
-    ----------
-    function : callable
-        Takes x, shape (n,); returns values, shape (m,), and their Jacobian, shape (m, n).
+    one run answers all. The function takes x, shape (n,), and returns values, shape (m,), and their
+    Jacobian, shape (m, n).
     """
 
     def __init__(self, function: Evaluation) -> None:
@@ -48,20 +42,11 @@ class Once:
 @final
 @dataclass(frozen=True)
 class Optimisation:
-    """What SciPy was given and what it found.
+    """A problem as SciPy was given it, and what it found.
 
-    Attributes
-    ----------
-    evaluate : callable
-        As for `Once`. Row 0 is the objective; the others are constraints where they have a limit.
-    start, optimum : array, shape (n,)
-    iterations, runs : int
-        A run is one simulation with the gradients of everything asked for.
-    seconds : float
-        Processor time of the optimisation.
-    success : bool
-        Whether SciPy's own test of convergence was met.
-    bounds : array, shape (n, 2), or None
+    `evaluate` is as for `Once`: row 0 is the objective; the others are constraints where they have
+    a limit. A run is one simulation with all its gradients; seconds are processor time of the
+    optimisation; `success` is whether SciPy's own test of convergence was met.
     """
 
     evaluate: Evaluation
@@ -106,20 +91,10 @@ def constrained(
     """Minimise row 0 with every other row at most 1, by SLSQP in boxes.
 
     Its line search believes what the linear model promises far away, where mechanisms vibrate
-    differently or runs do not finish. So it may go by `move` from where it stands, then on from
-    where it ended, until it ends inside the box; a run that does not finish halves the box.
-
-    Parameters
-    ----------
-    evaluate : Once
-    start : array_like, shape (n,)
-    bounds : array_like, shape (n, 2)
-    move : float
-        Half a side of a box, in the unit of the variables.
-    iterations : int
-        In all boxes together.
-    tolerance : float, optional
-        Change of the objective at which SLSQP ends.
+    differently or runs do not finish. So it may go by `move`, half a side of a box, from where
+    it stands, then on from where it ended, until it ends inside the box; a run that does not
+    finish halves the box. Bounds have shape (n, 2); iterations count in all boxes together;
+    SLSQP ends where the objective changes by less than the tolerance.
     """
     x, limits, clock = np.asarray(start, dtype=float), np.asarray(bounds, dtype=float), stopwatch()
     done, inside = 0, False
@@ -163,16 +138,8 @@ def searched(
 ) -> Optimisation:
     """Minimise row 0 with every other row at most 1 by COBYQA, which asks for no derivatives.
 
-    Parameters
-    ----------
-    evaluate : callable
-        As for `Once`.
-    start : array_like, shape (n,)
-    radius : float
-        Radius of the first trust region; the search ends at a thousandth of it.
-    runs : int
-        Largest number of runs.
-    bounds : array_like, shape (n, 2), optional
+    The trust region has the given radius at first; the search ends at a thousandth of it, or at the
+    largest number of runs. Bounds have shape (n, 2).
     """
     once, clock = Once(evaluate), stopwatch()
     rows = len(once(start)[0])

@@ -24,14 +24,13 @@ from ancfdae import (
 )
 from ancfdae.extend import Joint, Load, MaterialPoint, Objective
 from ancfdae.laws import SmoothStep, Spline
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import driver_torque, mass, maximum_von_mises, observe, position
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import Solution
 from ancfdae.sections import Rectangle
 from validation.design.case import Case, Comparison, Response
-from validation.design.optimisation import Array, Once, Optimisation, constrained, searched
-
-__all__ = ["two_link_arm"]
+from validation.design.optimisation import Once, Optimisation, constrained, searched
 
 _LENGTH, _WIDTH, _WEIGHT = 0.5, 0.02, 0.5  # m, m, kg of elbow motor and payload
 _ALUMINIUM: Final = Material(2700.0, 7e10, 0.33, damping_time=1e-4)
@@ -122,7 +121,6 @@ def two_link_arm(quick: bool) -> Case:
     return Case(
         key="two-link-arm",
         title="Light two-link arm, links and torques together",
-        question=_QUESTION,
         method="SLSQP in boxes",
         variables=[f"height of the {link} link [cm]" for link in _LINKS]
         + [f"torque {k} of the {motor} [10 N m]" for motor in _MOTORS for k in (1, 2, 3)],
@@ -140,7 +138,6 @@ def two_link_arm(quick: bool) -> Case:
             ),
         ],
         panels=_panels(found, given, elements, step),
-        caption="The arm on its way at five instants, and torques of both motors.",
         findings=_findings(found, elements, step),
     )
 
@@ -199,17 +196,3 @@ def _findings(found: Optimisation, elements: int, step: float) -> str:
         "after the manoeuvre, also between the three instants. The motors may deviate from the "
         "path, and so start and stop the links more gently than any links on the path can be."
     )
-
-
-_QUESTION = """
-*After* S. Oral and S. K. Ider, *Comput. Struct.* 65 (1997) 255-259, who ask for the lightest links
-of a fast arm whose motors hold it to a given motion, under limits of stress and of the tip's
-deviation. Here the motors need not: two aluminium links of 0.5 m and 2 cm width, with 0.5 kg at
-elbow and tip, are turned by 60 and 30 degrees within half a second, from rest to rest. Heights of
-the links and torques of both motors, splines through three values each between zeros at both ends,
-are optimised together for the least mass of the links, at 40 MPa at most (a smooth maximum over
-place and time), with x and y of the tip within 2 mm of the target when the manoeuvre ends and 0.05
-and 0.1 s after it. Nothing holds the joints then. Their tables could not be had; so the
-optimum is held against a search without gradients that starts there, and against the lightest
-links, found without gradients, of an arm led on a given path (a polynomial of degree seven).
-"""

@@ -21,13 +21,12 @@ from ancfdae import (
 )
 from ancfdae.extend import MaterialPoint
 from ancfdae.laws import UserLaw
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import deflection, mass
 from ancfdae.plotting import Panel, Series
 from ancfdae.sections import Rectangle
 from validation.design.case import Case, Comparison, Response
-from validation.design.optimisation import Array, Once, Optimisation, constrained, searched
-
-__all__ = ["whirling_beam"]
+from validation.design.optimisation import Once, Optimisation, constrained, searched
 
 _SPEED, _DURATION, _HEIGHT, _MASS = 6.0, 1.0, 0.02, 0.48
 _POLYMER: Final = Material(1200.0, 2e8, 0.35, damping_time=2e-3)
@@ -82,7 +81,6 @@ def whirling_beam(quick: bool) -> Case:
     return Case(
         key="whirling-beam",
         title="Heights of a whirling beam",
-        question=_QUESTION,
         method="SLSQP in boxes",
         variables=[f"height {k} over that of the uniform beam" for k in range(elements)],
         responses=[
@@ -97,10 +95,9 @@ def whirling_beam(quick: bool) -> Case:
                 search,
                 1e-3,
                 lambda ln: float(np.exp(ln / 2)),
-            ),
+            )
         ],
         panels=_panels(found, elements, steps),
-        caption="The beams when their tips bend most, and the heights along them.",
         findings=f"At equal mass the tip bends {best / uniform:.3f} times as much as that of the "
         f"uniform beam (rms {best:.4g} m and {uniform:.4g} m).",
         sizes=np.ones(elements),
@@ -126,13 +123,3 @@ def _panels(found: Optimisation, elements: int, steps: int) -> list[Panel]:
         Panel("Shape in the frame of the hub", "along [m]", "across [m]", shapes),
         Panel("Height along the beam", "from the hub [m]", "height [mm]", heights),
     ]
-
-
-_QUESTION = """
-*After* the spin-up of J. C. Simo and L. Vu-Quoc, *J. Appl. Mech.* 53 (1986) 855-863: a beam of 1 m
-is brought from rest to 6 rad/s within 1 s by a hub whose angular acceleration is
-W (1 - cos(2 pi t)). Their question was the motion; here the mass is held, or less, and the
-mean-square deflection of the tip in the frame of the hub is least over the heights of the
-elements. No optimum of this beam was found in print, so it is held against a search without
-gradients.
-"""

@@ -8,26 +8,23 @@ import numpy as np
 
 from ancfdae import HHT, IDA, IDAS, Adjoint, DirectDifferentiation
 from ancfdae.integrators.integrator import Integrator
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import Solution
+from validation.drawing import dots, error_over_work
 from validation.external import published
 from validation.external.runs import (
     Attempt,
     Problem,
-    Requirement,
     compare_methods,
     controlled,
     differentiated,
     key,
     rows_at,
     setting,
-    work_precision,
 )
-from validation.external.scleronomic import Array
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
-from validation.report import Agreement, Report
-
-__all__ = ["slider_crank"]
+from validation.report import Report
 
 _T_END: Final = 10.0
 # The times of the table of the trajectory are the ends of the intervals.
@@ -53,22 +50,22 @@ class _Run:
         return None if value is None else value - published.CRANK_G
 
 
-def slider_crank(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section of the slider-crank; return the requirements and whether they are met."""
+def slider_crank(report: Report, quick: bool) -> None:
+    """Fill the section of the slider-crank."""
     rtols = (1e-3, 1e-4) if quick else (1e-6, 1e-8, 1e-10)
     steps = (0.2, 0.1) if quick else (0.02, 0.01, 0.005, 0.0025)
-    report.heading("Slider-crank (SUNDIALS, idasSlCrank_FSA_dns)")
-    report.text(_TEXT)
+    report.say("crank")
     runs = _ladder(rtols, steps)
     _table(report, runs)
     orders, extrapolated = _extrapolation(report, runs)
     _plots(report, runs)
-    report.heading("Every method", level=3)
-    report.text(_METHODS)
+    report.say("crank.methods")
     rtol = rtols[0] if quick else rtols[-1]
     compare_methods(report, _PROBLEM, [HHT(steps[1]), *controlled((rtol,), _INTERVALS)])
     _published(report, runs)
-    return [*_required(runs, rtols[-1]), *_required_of_hht(orders, extrapolated)]
+    _require(report, runs, rtols[-1])
+    report.require("crank.order", max(abs(order - 2) for order in orders))
+    report.require("crank.extrapolated", extrapolated)
 
 
 def _ladder(rtols: Sequence[float], steps: Sequence[float]) -> list[_Run]:
@@ -98,8 +95,7 @@ def _table(report: Report, runs: Sequence[_Run]) -> None:
         path = _path_error(solution)
         end = _end_error(solution)
         name = key("crank", run.integrator, run.method)
-        for symbol, error in zip(("G", "G_k", "G_c"), errors, strict=True):
-            report.figure(f"{name}.{symbol}", error)
+        report.figures(f"{name}.{{}}", ("G", "G_k", "G_c"), errors)
         report.figure(f"{name}.path", path)
         if end is not None:
             report.figure(f"{name}.end", end)
@@ -111,11 +107,7 @@ def _table(report: Report, runs: Sequence[_Run]) -> None:
         )
     header = ["integrator", "setting", "method", *_NAMES, "end", "path", "CPU [s]", "outcome"]
     report.table(header, rows)
-    report.text(
-        "Absolute errors against the recomputed values. *End*: the largest of q, q', dq/dk and "
-        "dq/dc of the crank at t = 10 (an adjoint yields none); *path*: the largest of q, x and p "
-        "over the 26 times of the table."
-    )
+    report.say("crank.table")
 
 
 def _path_error(solution: Solution) -> float:
@@ -143,10 +135,7 @@ def _extrapolation(report: Report, runs: Sequence[_Run]) -> tuple[list[float], f
         report.figure(f"crank.HHT.order.{symbol}", order)
         report.figure(f"crank.HHT.extrapolated.{symbol}", error)
         rows.append([name, order, f"{abs(error):.1e}"])
-    report.text(
-        "HHT between its two smallest steps: the observed order, and the error left when the two "
-        "are extrapolated as a second-order method (Richardson):"
-    )
+    report.say("crank.extrapolation")
     report.table(["", "observed order", "error after extrapolation"], rows)
     return orders, float(np.max(np.abs(left)))
 
@@ -161,7 +150,7 @@ def _plots(report: Report, runs: Sequence[_Run]) -> None:
         motion.append(Series(name, t, best.q[:, i]))
     for i in range(3):
         label = f"recomputed {'qxp'[i]}"
-        motion.append(Series(label, table[:, 0], table[:, 1 + i], line=False, marker=True))
+        motion.append(dots(label, table[:, 0], table[:, 1 + i]))
     slopes = [Series(f"dq/d{name}", t, q_b[:, 0, i]) for i, name in enumerate("kc")]
     points: dict[str, list[tuple[float, float]]] = {}
     for run in runs:
@@ -169,31 +158,14 @@ def _plots(report: Report, runs: Sequence[_Run]) -> None:
             name = f"{type(run.integrator).__name__}, {run.method}"
             error = float(np.max(np.abs(run.errors)))
             points.setdefault(name, []).append((run.attempt.seconds, error))
-    report.plot(
-        "slider-crank",
-        [
-            Panel("Motion", "time t [s]", "coordinate [rad or m]", motion),
-            Panel(
-                "Sensitivity of the crank angle",
-                "time t [s]",
-                "derivative of q [rad per unit]",
-                slopes,
-            ),
-        ],
-        columns=2,
-        title="Slider-crank: DOP853 at its tightest tolerance",
-        caption="Marks: the recomputed table.",
-    )
-    report.plot(
-        "slider-crank-work",
-        [
-            work_precision(
-                "Slider-crank: error against work", points, "largest error of G, dG/dk, dG/dc [-]"
-            )
-        ],
-        caption="Every mark is one setting of the table above; from left to right smaller steps or "
-        "tolerances.",
-    )
+    axes = "time t [s]", "derivative of q [rad per unit]"
+    panels = [
+        Panel("Motion", "time t [s]", "coordinate [rad or m]", motion),
+        Panel("Sensitivity of the crank angle", *axes, slopes),
+    ]
+    report.plot("slider-crank", panels, 2)
+    title, what = "Slider-crank: error against work", "largest error of G, dG/dk, dG/dc [-]"
+    report.plot("slider-crank-work", [error_over_work(title, points, what)])
 
 
 def _published(report: Report, runs: Sequence[_Run]) -> None:
@@ -203,48 +175,25 @@ def _published(report: Report, runs: Sequence[_Run]) -> None:
     assert value is not None
     for name, printed, ours in zip(_NAMES, published.CRANK_G_PUBLISHED, value, strict=True):
         difference = float(abs(ours - printed))
-        report.claim(
-            f"Slider-crank, {name}",
-            f"{printed:.8g} (SUNDIALS example, 5 digits)",
-            f"{ours:.9g}: {difference:.1e} apart, 1e-4 allowed (IDA, {setting(run.integrator)})",
-            Agreement.AGREES if difference <= 1e-4 else Agreement.DISAGREES,
+        report.judge(
+            "crank.published",
+            difference <= 1e-4,
+            name=name,
+            printed=printed,
+            ours=ours,
+            difference=difference,
+            setting=setting(run.integrator),
         )
 
 
-def _required(runs: Sequence[_Run], rtol: float) -> list[Requirement]:
-    requirements = []
+def _require(report: Report, runs: Sequence[_Run], rtol: float) -> None:
     for run in runs:
         if not isinstance(run.integrator, IDA | IDAS) or run.integrator.rtol != rtol:
             continue
-        what = f"slider-crank, {type(run.integrator).__name__} {run.method}, rtol {rtol:.0e}"
+        who = f"{type(run.integrator).__name__} {run.method}, rtol {rtol:.0e}"
         error = None if run.errors is None else float(np.max(np.abs(run.errors)))
-        requirements.append(Requirement(f"{what}: G, dG/dk, dG/dc", 1e-6, error))
+        report.require("crank", error, who=who)
         solution = run.attempt.solution
         end = None if solution is None else _end_error(solution)
         if end is not None and solution is not None:
-            worst = max(end, _path_error(solution))
-            requirements.append(Requirement(f"{what}: crank at t = 10, path", 1e-4, worst))
-    return requirements
-
-
-def _required_of_hht(orders: Sequence[float], extrapolated: float) -> list[Requirement]:
-    distance = max(abs(order - 2) for order in orders)
-    return [
-        Requirement("slider-crank, HHT: distance of the observed order from 2", 0.1, distance),
-        Requirement("slider-crank, HHT extrapolated: G, dG/dk, dG/dc", 1e-6, extrapolated),
-    ]
-
-
-_TEXT = """
-Crank (0.5 m), rod (1 m) and slider with a damped spring between the middles of crank and rod:
-three coordinates, two constraints, constant mass, forces that depend on position and velocity.
-Design variables are stiffness k and damping c of the spring; G is the integral of the kinetic
-energy over 10 s.
-"""
-
-_METHODS = """
-Largest error of dG/dk and dG/dc against the recomputed values, and the distance from direct
-differentiation with the same integrator. Central differences perturb by 0.1 %; with error control
-they also differentiate the choice of steps, which limits their accuracy. The continuous
-adjoint discretises its own equations, so it differs from the others by O(h²).
-"""
+            report.require("crank.path", max(end, _path_error(solution)), who=who)

@@ -11,6 +11,7 @@ from ancfdae import HHT, Integral
 from ancfdae.errors import StabilityWarning
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import custom
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import Solution
@@ -20,7 +21,6 @@ from validation.external.rods import double_four_bar, four_bar_minimal
 from validation.external.runs import (
     Attempt,
     Problem,
-    Requirement,
     compare_methods,
     controlled,
     key,
@@ -28,10 +28,7 @@ from validation.external.runs import (
     run,
     setting,
 )
-from validation.external.scleronomic import Array
-from validation.report import Agreement, Report
-
-__all__ = ["four_bar"]
+from validation.report import Report
 
 _LIMIT: Final = 1e-5
 # Corrections of the accelerations near a singular position are round-off up to this size.
@@ -60,20 +57,19 @@ class _Run:
         return type(x).__name__
 
 
-def four_bar(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
+def four_bar(report: Report, quick: bool) -> None:
+    """Fill the section."""
     with warnings.catch_warnings():
         # The singular positions that runs warn of are the subject of this section.
         warnings.simplefilter("ignore", StabilityWarning)
-        return _filled(report, quick)
+        _fill(report, quick)
 
 
-def _filled(report: Report, quick: bool) -> list[Requirement]:
+def _fill(report: Report, quick: bool) -> None:
     t_end = 1.0 if quick else 10.0
     steps = (8e-3, 4e-3) if quick else (4e-4, 2e-4, 1e-4)
     rtols = (1e-4,) if quick else (1e-6, 1e-8, 1e-10, 1e-12)
-    report.heading("Double four-bar (IFToMM library, A02)")
-    report.text(_TEXT)
+    report.say("four-bar")
     tolerant = [HHT(step, newton_tolerance=_TOLERANCE) for step in steps]
     integrators: list[Integrator] = [*tolerant, *(HHT(step) for step in steps)]
     # Every time of the table ends an interval, and no interval ends at a singular position.
@@ -87,9 +83,8 @@ def _filled(report: Report, quick: bool) -> list[Requirement]:
     intervals = round(4 * t_slopes)
     others = controlled(loose, intervals, _MAX_STEPS * intervals)
     slopes = _sensitivities(report, [*tolerant, *others], t_slopes)
-    report.text(_WHY)
-    report.heading("Every method", level=3)
-    report.text(_METHODS)
+    report.say("four-bar.why")
+    report.say("four-bar.methods")
     state, state_b = four_bar_minimal(np.array([1.0]))
     exact = np.array([state[0, 0], *state_b[0, 0]])
     problem = Problem("four-bar", double_four_bar(), Integral(custom(speed, "speed")), 1.0, exact)
@@ -97,7 +92,7 @@ def _filled(report: Report, quick: bool) -> list[Requirement]:
     compare_methods(
         report, problem, [step, *controlled((1e-4 if quick else 1e-6,), 4, 4 * _MAX_STEPS)]
     )
-    return _verdict(report, runs, steps[-1], slopes)
+    _verdict(report, runs, steps[-1], slopes)
 
 
 def _motion(integrator: Integrator, t_end: float) -> _Run:
@@ -137,11 +132,7 @@ def _table(report: Report, runs: Sequence[_Run]) -> None:
         rows.append([*row, *cells, reached, f"{each.attempt.seconds:.1f}", _judged(each)])
     header = ["integrator", "setting", *(f"t = {t:g}" for t in published.FOUR_BAR[:, 0])]
     report.table([*header, "bent", "multiplier", "reached [s]", "CPU [s]", "outcome"], rows)
-    report.text(
-        "Largest absolute error of x, y [m] and their rates [m/s] of point B₀ at the times of the "
-        "table. *Bent*: largest departure of coupler B₀B₁ from horizontal, m, which would show "
-        "that a run has branched off; *multiplier*: the largest of the run."
-    )
+    report.say("four-bar.table")
 
 
 def _judged(each: _Run) -> str:
@@ -160,34 +151,17 @@ def _plot(report: Report, each: _Run) -> None:
     ]
     exact = four_bar_minimal(t[1:])[0]
     largest = np.max(np.abs(solution.lam[::stride]), axis=1)
-    report.plot(
-        "four-bar",
-        [
-            Panel(
-                "Point B₀",
-                "time t [s]",
-                "x [m]",
-                [
-                    Series("six coordinates, HHT", t, q[:, 0]),
-                    Series("minimal form", t[1:], exact[:, 0]),
-                ],
-            ),
-            Panel(
-                "Distance from a singular position",
-                "time t [s]",
-                "singular value in m, multiplier in N/m",
-                [
-                    Series("smallest singular value of Phi_q", t, rank),
-                    Series("largest multiplier", t, largest),
-                ],
-                y_scale="log",
-            ),
-        ],
-        columns=2,
-        title=f"Double four-bar, HHT, {setting(each.integrator)}",
-        caption="Two of five constraints become dependent twice per turn; multipliers do not "
-        "converge there, while positions pass.",
-    )
+    point = [Series("six coordinates, HHT", t, q[:, 0]), Series("minimal form", t[1:], exact[:, 0])]
+    near = [
+        Series("smallest singular value of Phi_q", t, rank),
+        Series("largest multiplier", t, largest),
+    ]
+    axes = "time t [s]", "singular value in m, multiplier in N/m"
+    panels = [
+        Panel("Point B₀", "time t [s]", "x [m]", point),
+        Panel("Distance from a singular position", *axes, near, y_scale="log"),
+    ]
+    report.plot("four-bar", panels, 2, setting=setting(each.integrator))
 
 
 def _sensitivities(
@@ -209,11 +183,7 @@ def _sensitivities(
         errors[integrator] = float(np.max(error))
         report.figure(key("four-bar", "derivatives", integrator, "error"), errors[integrator])
         rows.append([*row, *(f"{x:.1e}" for x in error), *last])
-    report.text(
-        f"Derivatives of x, y and their rates at t = {t_end:g} s by direct differentiation, "
-        f"HHT with newton_tolerance = {_TOLERANCE:.0e}, against the variational equations of the "
-        "minimal form (largest absolute error):"
-    )
+    report.say("four-bar.sensitivities", t_end=t_end, tolerance=_TOLERANCE)
     header = ["integrator", "setting", "in L", "in g", "reached [s]", "CPU [s]", "outcome"]
     report.table(header, rows)
     return errors
@@ -224,72 +194,18 @@ def _slope_error(solution: Solution | None, exact: Array) -> Array | None:
         return None
     b = solution.sensitivities
     mine = np.concatenate([b.q_b[-1, :2], b.v_b[-1, :2]])
-    error: Array = np.max(np.abs(mine - exact), axis=0)
-    return error
+    return np.max(np.abs(mine - exact), axis=0)
 
 
 def _verdict(
     report: Report, runs: Sequence[_Run], step: float, slopes: Mapping[Integrator, float]
-) -> list[Requirement]:
+) -> None:
     tolerant = HHT(step, newton_tolerance=_TOLERANCE)
     chosen = next(each for each in runs if each.integrator == tolerant)
     error = float(np.max(chosen.errors)) if chosen.attempt.finished else float("inf")
     slope = slopes.get(chosen.integrator, float("inf"))
     silent = sum(_judged(each).endswith("WRONG") for each in runs)
-    report.claim(
-        "Double four-bar through its singular positions",
-        "table of the IFToMM problem A02, recomputed; 1e-5 at h = 1e-4",
-        f"{error:.1e} (HHT, h = {step:g}, newton_tolerance = {_TOLERANCE:.0e})",
-        Agreement.AGREES if error <= _LIMIT else Agreement.DISAGREES,
-    )
-    what = f"four-bar, HHT, h = {step:g}"
-    return [
-        Requirement(f"{what}: x, y and their rates at the times of the table", _LIMIT, error),
-        Requirement(f"{what}: derivatives in L and g", _LIMIT, slope),
-        Requirement("four-bar: runs that finish with a wrong motion", 0.0, float(silent)),
-    ]
-
-
-_TEXT = """
-Three cranks of L = 1 m on bearings 1 m apart and two couplers of 1 m, five uniform bars of 1 kg,
-g = 9.81 m/s²; it starts upright at 1 rad/s. Coordinates are the positions of the three points B_i
-(natural coordinates): six, with five constraints for one degree of freedom. Twice per turn all
-bars lie in one line: Phi_q has rank 3 there, multipliers are not determined, and motions other
-than the parallelogram branch off. The comparison is the *minimal form*
-phi'' = (3.5/3) (g/L) sin phi, which is not singular; it reproduces the table to 1e-11.
-"""
-
-_WHY = """
-Which integrators pass, and why:
-
-- **In the motion itself** the multipliers have a pole: evaluated on the minimal form they grow as
-  0.27/s newtons per metre with the smallest singular value s of Phi_q, and change sign at s = 0.
-  The forces Phi_q^T lam stay bounded. No method can converge in the multipliers there; the
-  question is whether the positions pass.
-- **HHT** never evaluates the singular position itself, only instants up to one step away, where s
-  is about h/2 times the angular velocity. Round-off of the constraints (1e-16) enters the
-  accelerations as 1e-16/(beta h² s): at h = 1e-4 and s = 1.4e-4 measured corrections stop at 2e-4
-  of the motion. With its default newton_tolerance HHT takes round-off above 1e-6 of the motion for
-  a failure, stops, and says so. That the default passes at a larger step and stops at a smaller
-  one is no contradiction: this round-off grows as 1/h³. With newton_tolerance = 1e-5 a correction
-  is accepted once its estimated successor is below that; since Newton's method converges
-  quadratically until then, positions lose nothing, and every step passes.
-- **IDA and IDAS** pass as long as the tolerance allows a step across the position. The tighter it
-  is, the closer to the pole they must step, and Newton's method fails there; they shrink the step
-  until they give up, and report it. Sensitivities of the multipliers have a pole of higher order,
-  so with them they stop at looser tolerances already.
-- **DOP853** solves for accelerations, whose equations lose the digits of 1/s²; its error
-  estimate sees that noise at the tightest tolerance only and runs into the limit of steps. Down to
-  1e-8 it is the cheapest by far, positions and derivatives alike: it takes few, long steps.
-
-A run that stops keeps what it has, and that is right to its tolerance. Whether a variable
-step passes depends on where it falls; a fixed step of HHT with newton_tolerance = 1e-5 does
-not depend on that. The safe way is a minimal form, or HHT checked against DOP853.
-"""
-
-_METHODS = """
-Objective: the integral of the horizontal speed of B₀ over 1 s, that is x(1), past the first
-singular position (t = 0.71 s). Columns as for the slider-crank; the exact gradient is that of the
-minimal form. IDAS stops at the singular position as soon as sensitivities come along, as above;
-central differences of IDA and IDAS divide errors of the motion by the perturbation.
-"""
+    report.judge("four-bar.verdict", error <= _LIMIT, error=error, step=step, tolerance=_TOLERANCE)
+    report.require("four-bar", error, step=step)
+    report.require("four-bar.derivatives", slope, step=step)
+    report.require("four-bar.wrong", float(silent))

@@ -8,28 +8,25 @@ import numpy as np
 
 from ancfdae import DOP853, HHT, IDA, IDAS, Integral
 from ancfdae.integrators.integrator import Integrator
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import custom
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import Solution
+from validation.drawing import dots, error_over_work
 from validation.external import published
 from validation.external.rods import cartesian_pendulum
 from validation.external.runs import (
     Attempt,
     Problem,
-    Requirement,
     compare_methods,
     controlled,
     key,
     rows_at,
     run,
     setting,
-    work_precision,
 )
-from validation.external.scleronomic import Array
 from validation.integrator_runs import MANY
-from validation.report import Agreement, Report
-
-__all__ = ["pendulum", "speed"]
+from validation.report import Report
 
 _LIMIT: Final = 1e-8
 # See `_NOTES`.
@@ -54,32 +51,29 @@ class _Run:
 
 def speed(t: Array, q: Array, v: Array, lam: Array, b: Array) -> Array:
     """Return the first velocity; its integral is a change of position."""
-    first: Array = v[:, 0]
-    return first
+    return v[:, 0]
 
 
-def pendulum(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
+def pendulum(report: Report, quick: bool) -> None:
+    """Fill the section."""
     table = published.PENDULUM[:3] if quick else published.PENDULUM
     rtols = (1e-3, 1e-4) if quick else (1e-8, 1e-10, 1.5e-12)
     tightest = 1e-5 if quick else _TIGHTEST_IDA
     steps = (0.01, 0.005) if quick else (0.01, 0.005, 0.0025, 0.00125)
-    report.heading("Cartesian pendulum (IFToMM library, A01)")
-    report.text(_TEXT)
+    report.say("pendulum")
     runs = _ladder(table, rtols, tightest, steps)
     _table(report, runs)
-    report.text(_NOTES)
+    report.say("pendulum.notes")
     orders = _order(report, runs)
     _columns(report, runs)
     _plots(report, runs, table)
-    report.heading("Every method", level=3)
-    report.text(_METHODS)
+    report.say("pendulum.methods")
     row = dict(zip(published.PENDULUM_COLUMNS, published.PENDULUM[2, 1:], strict=True))
     exact = np.array([row["x"] + 1, row["dx/dL"] + 1, row["dx/dg"]])
     travel = Integral(custom(speed, "speed"))
     problem = Problem("pendulum", cartesian_pendulum(), travel, 1.0, exact)
     compare_methods(report, problem, [HHT(steps[-2]), *controlled((rtols[1],), 4)])
-    return _verdict(report, runs, orders)
+    _verdict(report, runs, orders)
 
 
 def _ladder(
@@ -110,8 +104,7 @@ def _errors(solution: Solution, table: Array) -> Array:
         columns += [b.q_b[..., i], b.lam_b[..., i]]
     exact = table[:, 1:]
     apart = np.abs(np.column_stack([x[rows] for x in columns]) - exact)
-    errors: Array = np.max(apart / np.maximum(1.0, np.abs(exact)), axis=0)
-    return errors
+    return np.max(apart / np.maximum(1.0, np.abs(exact)), axis=0)
 
 
 def _table(report: Report, runs: Sequence[_Run]) -> None:
@@ -138,10 +131,7 @@ def _order(report: Report, runs: Sequence[_Run]) -> Array:
     orders: Array = np.log2(coarse / fine)
     report.figure("pendulum.HHT.order.least", float(np.min(orders)))
     report.figure("pendulum.HHT.order.most", float(np.max(orders)))
-    report.text(
-        "Order of HHT between its two smallest steps, over the eleven columns: "
-        f"{np.min(orders):.3f} to {np.max(orders):.3f}."
-    )
+    report.say("pendulum.order", least=np.min(orders), largest=np.max(orders))
     return orders
 
 
@@ -152,7 +142,7 @@ def _columns(report: Report, runs: Sequence[_Run]) -> None:
     for k, name in enumerate(published.PENDULUM_COLUMNS):
         cells = [f"{each.errors[k]:.1e}" for each in last.values() if each.errors is not None]
         rows.append([name, *cells])
-    report.text("Every column of the table, at the last setting of each integrator:")
+    report.say("pendulum.columns")
     header = [f"{name}, {setting(each.integrator)}" for name, each in last.items()]
     report.table(["column", *header], rows)
 
@@ -167,62 +157,25 @@ def _plots(report: Report, runs: Sequence[_Run], table: Array) -> None:
     for (label, i), column, factor in zip(curves, (6, 9), (1.0, 10.0), strict=True):
         series.append(Series(label, best.t, factor * b.q_b[:, 0, i]))
         marks = factor * table[:, column]
-        series.append(Series(f"recomputed {label}", table[:, 0], marks, line=False, marker=True))
+        series.append(dots(f"recomputed {label}", table[:, 0], marks))
     panels.append(Panel("Sensitivity of x", "time t [s]", "dx/dL, 10 dx/dg [-]", series))
     points: dict[str, list[tuple[float, float]]] = {}
     for each in runs:
         if each.errors is not None:
             pair = (each.attempt.seconds, float(np.max(each.errors)))
             points.setdefault(type(each.integrator).__name__, []).append(pair)
-    panels.append(work_precision("Error against work", points, "largest error of the table [-]"))
-    report.plot(
-        "cartesian-pendulum",
-        panels,
-        columns=2,
-        title="Cartesian pendulum: sensitivities, published and computed, and cost",
-        caption="Left: the sensitivities grow because a change of L or g changes the period.",
-    )
+    panels.append(error_over_work("Error against work", points, "largest error of the table [-]"))
+    report.plot("cartesian-pendulum", panels, 2)
 
 
-def _verdict(report: Report, runs: Sequence[_Run], orders: Array) -> list[Requirement]:
+def _verdict(report: Report, runs: Sequence[_Run], orders: Array) -> None:
     tightest = {type(each.integrator): each for each in runs}
-    requirements = []
     for kind in (IDA, IDAS, DOP853):
         each = tightest[kind]
-        what = f"pendulum, {kind.__name__}, {setting(each.integrator)}: every column of the table"
         missing = "not installed" in each.attempt.note
         worst = float("inf") if each.errors is None else float(np.max(each.errors))
-        requirements.append(Requirement(what, _LIMIT, None if missing else worst))
-    first = requirements[0].found
-    assert first is not None
-    report.claim(
-        "Cartesian pendulum, states and sensitivities",
-        "table of the IFToMM problem A01, recomputed; 1e-8",
-        f"{first:.1e} (IDA, {setting(tightest[IDA].integrator)}), largest of all columns",
-        Agreement.AGREES if first <= _LIMIT else Agreement.DISAGREES,
-    )
-    distance = float(np.max(np.abs(orders - 2)))
-    return [
-        *requirements,
-        Requirement("pendulum, HHT: distance of the order from 2", 0.1, distance),
-    ]
-
-
-_TEXT = """
-A point of 1 kg on a rod of L = 1 m in Cartesian coordinates, g = 9.81 m/s², released from rest at
-(-L, 0), so that the start depends on L. Errors are relative to max(1, |value|), because the
-derivatives of the multiplier reach 200; the largest over the times of the table counts.
-"""
-
-_NOTES = """
-IDA has one setting more, for a margin: at 3e-12 round-off decides on which side of 1e-8 its error
-at t = 10 s falls (3e-9 in one build, 2e-8 in another), since what Newton's iteration leaves behind
-is in proportion to the tolerance and adds up over the steps. IDAS is given a tighter test of that
-iteration (`_NEWTON` in `ancfdae/integrators/sundials/bindings.py`), IDA does not offer one.
-From about 3e-13 on (IDA) and 1.2e-12 (IDAS) round-off ends the iteration at some tolerances.
-"""
-
-_METHODS = """
-Objective: the integral of the horizontal speed over 1 s, that is x(1) + L, whose gradient stands
-in the table. Columns as for the slider-crank.
-"""
+        found, words = None if missing else worst, setting(each.integrator)
+        report.require("pendulum", found, kind=kind.__name__, setting=words)
+        if kind is IDA:
+            report.judge("pendulum.verdict", worst <= _LIMIT, first=worst, setting=words)
+    report.require("pendulum.order", float(np.max(np.abs(orders - 2))))

@@ -15,34 +15,18 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from ancfdae.extend import StateDirection, SystemProperties
-from validation.external.scleronomic import Array, Scleronomic
-
-__all__ = ["Rods", "cartesian_pendulum", "double_four_bar", "four_bar_minimal"]
+from ancfdae.numerics.arrays import Array
+from validation.external.scleronomic import Scleronomic
 
 
 @final
 @dataclass(frozen=True)
 class Geometry:
-    """What of a system of rods no design variable changes.
+    """Numbers of a system of rods that no design variable changes.
 
-    Attributes
-    ----------
-    mass_matrix : array, shape (n_q, n_q)
-    ends : array, shape (n_lam, 2, n_q)
-        P_k.
-    offsets : array, shape (n_lam, 2)
-        c_k.
-    shares : array, shape (n_lam,)
-        Lengths are l_k = 1 + shares_k (L - 1): one for a rod of length L, zero for length 1.
-    weight : array, shape (n_q,)
-        Force at g = 1.
-    rest : array, shape (n_q,)
-    along : array, shape (n_q,)
-        The start is q = rest + L along.
-    across : array, shape (n_q,)
-        It moves with v = L across.
-    names : tuple of str
-        Of the rods.
+    `ends` are P_k, shape (n_lam, 2, n_q), and `offsets` c_k, shape (n_lam, 2). Lengths of rods are
+    l_k = 1 + shares_k (L - 1): a share is one for a rod of length L, zero for length 1. `weight`
+    is the force at g = 1. The start is q = rest + L along, v = L across. Names are of the rods.
     """
 
     mass_matrix: Array
@@ -86,8 +70,7 @@ class Rods(Scleronomic):
 
     def force(self, t: float, q: Array, v: Array) -> Array:
         """Return the force Q, shape (n_q,)."""
-        Q: Array = self.b[1] * self._geometry.weight
-        return Q
+        return self.b[1] * self._geometry.weight
 
     def force_along(self, t: float, q: Array, v: Array, direction: StateDirection) -> Array:
         """Return the derivative of the force along a direction: zero, since it is constant."""
@@ -100,8 +83,7 @@ class Rods(Scleronomic):
         d, *rates = self._along(motion[0]) + self._c, *map(self._along, motion[1:])
         if not rates:
             lengths = 1 + self._geometry.shares * (self.b[0] - 1)
-            Phi: Array = 0.5 * (_dot(d, d) - lengths**2)
-            return Phi
+            return 0.5 * (_dot(d, d) - lengths**2)
         rate: Array = _dot(d, rates[-1])
         if len(rates) == 2:
             rate = rate + _dot(rates[0], rates[0])
@@ -120,8 +102,7 @@ class Rods(Scleronomic):
 
     def _matrix(self, d: Array) -> Array:
         """Rows d_k^T P_k."""
-        rows: Array = (d[:, None, :] @ self._P)[:, 0, :]
-        return rows
+        return (d[:, None, :] @ self._P)[:, 0, :]
 
     def _gradient(self, d: Array) -> Array:
         return self._matrix(d).ravel()
@@ -129,8 +110,7 @@ class Rods(Scleronomic):
 
 def _dot(x: Array, y: Array) -> Array:
     """Products row by row."""
-    products: Array = np.sum(x * y, axis=1)
-    return products
+    return np.sum(x * y, axis=1)
 
 
 def cartesian_pendulum(
@@ -191,21 +171,8 @@ def four_bar_minimal(times: Array, b: npt.ArrayLike = (1.0, 9.81)) -> tuple[Arra
     """Return point B_0 of the double four-bar from its only degree of freedom.
 
     With phi from the upright position, phi'' = s sin phi and s = 3.5 g/(3 L), nothing is singular;
-    the variational equations come along.
-
-    Parameters
-    ----------
-    times : array, shape (k,)
-        Rising, from zero.
-    b : array_like
-        L and g.
-
-    Returns
-    -------
-    states : array, shape (k, 4)
-        x, y and their rates.
-    states_b : array, shape (k, 4, 2)
-        Their derivatives in L and g.
+    the variational equations come along. Times, shape (k,), rise from zero; b holds L and g. Return
+    x, y and their rates, shape (k, 4), and their derivatives in L and g, shape (k, 4, 2).
     """
     L, g = np.asarray(b, dtype=float)
     s = 3.5 * g / (3 * L)

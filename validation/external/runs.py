@@ -30,30 +30,13 @@ from ancfdae.errors import (
 from ancfdae.extend import MechanicalSystem
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
-from ancfdae.plotting import Panel, Series
 from ancfdae.results import Solution
 from ancfdae.sensitivity.method import GradientMethod
 from ancfdae.sensitivity.objectives import Objective
-from validation.external.scleronomic import Array
 from validation.integrator_runs import MANY, step_of
 from validation.report import Report
-
-__all__ = [
-    "FINISHED",
-    "Attempt",
-    "Problem",
-    "Requirement",
-    "add_verdict",
-    "compare_methods",
-    "controlled",
-    "differentiated",
-    "key",
-    "rows_at",
-    "run",
-    "setting",
-    "work_precision",
-]
 
 FINISHED: Final = "finished"
 _REFUSED: Final = "refused"
@@ -69,18 +52,10 @@ _METHODS: Final[Mapping[str, GradientMethod]] = {
 
 @dataclass(frozen=True)
 class Attempt:
-    """A run or a gradient.
+    """A run or a gradient, and its processor time.
 
-    Attributes
-    ----------
-    note : str
-        `FINISHED`, or why there is no result.
-    seconds : float
-        Processor time.
-    solution : Solution or None
-        What was computed, also if the run ended early.
-    value : array or None
-        Objective and its gradient, where one was asked for and computed.
+    The note is `FINISHED`, or why there is no result. The solution is kept if the run ended early;
+    the value is the objective with its gradient, where one was asked for and computed.
     """
 
     note: str
@@ -103,15 +78,7 @@ class Attempt:
 class Problem:
     """A system with an objective whose value and gradient are known.
 
-    Attributes
-    ----------
-    name : str
-        For the keys of figures.
-    system : MechanicalSystem
-    objective : Objective
-    t_end : float
-    exact : array, shape (1 + n_b,)
-        Objective, then its gradient.
+    The name is for keys of figures; `exact` holds the objective and its gradient, shape (1 + n_b,).
     """
 
     name: str
@@ -119,40 +86,6 @@ class Problem:
     objective: Objective
     t_end: float
     exact: Array
-
-
-@dataclass(frozen=True)
-class Requirement:
-    """A figure that had to be reached.
-
-    Attributes
-    ----------
-    what : str
-    limit : float
-    found : float or None
-        None where the package is not installed.
-    """
-
-    what: str
-    limit: float
-    found: float | None
-
-    def row(self) -> list[object]:
-        """Return the row of the verdict."""
-        if self.found is None:
-            return [self.what, self.limit, "-", "sundials4py is not installed"]
-        return [self.what, self.limit, self.found, "yes" if self.found <= self.limit else "NO"]
-
-
-def add_verdict(report: Report, requirements: Sequence[Requirement], quick: bool) -> bool:
-    """Add how many figures are reached, and their table; return whether all are."""
-    reached = sum(r.found is not None and r.found <= r.limit for r in requirements)
-    report.figure("verdict.required", len(requirements))
-    report.figure("verdict.reached", reached)
-    settings = " (coarse settings: not results)" if quick else ""
-    report.text(f"{reached} of {len(requirements)} figures are reached{settings}.")
-    report.table(["figure", "limit", "found", "reached"], [r.row() for r in requirements])
-    return reached == len(requirements)
 
 
 def controlled(
@@ -261,24 +194,3 @@ def compare_methods(report: Report, problem: Problem, integrators: Sequence[Inte
     )
     which = (f"{name} ({', '.join(families)})" for name, families in refused.items())
     report.text(f"Refused by the package: {'; '.join(which)}.")
-
-
-def work_precision(
-    title: str, errors: Mapping[str, Sequence[tuple[float, float]]], what: str
-) -> Panel:
-    """Return error over processor time, one series per integrator.
-
-    Parameters
-    ----------
-    title : str
-    errors : mapping
-        Pairs (seconds, error) by name of the series; empty ones are left out.
-    what : str
-        Label of the error.
-    """
-    series = [
-        Series(name, [p[0] for p in points], [p[1] for p in points], marker=True)
-        for name, points in errors.items()
-        if points
-    ]
-    return Panel(title, "processor time [s]", what, series, x_scale="log", y_scale="log")

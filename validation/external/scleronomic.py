@@ -4,24 +4,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ancfdae.extend import MechanicalSystem, SystemProperties
-
-__all__ = ["Array", "Scleronomic"]
-
-Array = npt.NDArray[np.float64]
+from ancfdae.numerics.arrays import Array
 
 
 class Scleronomic(MechanicalSystem):
     """A mass matrix that nothing changes, constraints Phi(q, b) = 0, forces Q(q, v, b).
 
-    Parameters
-    ----------
-    mass_matrix : array, shape (n_q, n_q)
-        Symmetric; no design variable changes it.
-    constraint_names : tuple of str
-        One per constraint.
-    design_names : tuple of str
-    b : array_like, shape (n_b,)
-        Values of the design variables.
+    The mass matrix is symmetric, shape (n_q, n_q); each constraint and each design variable has a
+    name; `b` holds the values of the design variables.
     """
 
     traits = SystemProperties(constant_mass=True)

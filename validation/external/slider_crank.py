@@ -21,11 +21,10 @@ import numpy.typing as npt
 
 from ancfdae import Integral
 from ancfdae.extend import StateDirection
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import custom
 from ancfdae.sensitivity.objectives import Objective
-from validation.external.scleronomic import Array, Scleronomic
-
-__all__ = ["SliderCrank", "kinetic_energy_integral"]
+from validation.external.scleronomic import Scleronomic
 
 _CRANK: Final = 0.5  # Length of the crank, a; that of the rod is 1.
 _INERTIA: Final = np.array([1.0, 1.0, 2.0])  # J_1, m_2, J_2.
@@ -76,8 +75,7 @@ class SliderCrank(Scleronomic):
         n_s = s.H @ dq
         f_s = s.f_N * (s.n @ dq) + s.f_w * (v @ n_s + s.n @ dv)
         push = np.array([0.0, 0.0, -_PUSH * np.cos(q[2]) * dq[2]])
-        Q_s: Array = -0.5 * (f_s * s.n + s.f * n_s) + push
-        return Q_s
+        return -0.5 * (f_s * s.n + s.f * n_s) + push
 
     def _spring(self, q: Array, v: Array) -> _Spring:
         a, k, c, x = _CRANK, self.b[0], self.b[1], q[1]
@@ -87,11 +85,7 @@ class SliderCrank(Scleronomic):
         n = np.array([a * (x * s_q + 0.5 * s_21), 2 * x - c_p - a * c_q, x * s_p - 0.5 * a * s_21])
         bend = 0.5 * a * c_21
         H = np.array(
-            [
-                [a * x * c_q - bend, a * s_q, bend],
-                [a * s_q, 2.0, s_p],
-                [bend, s_p, x * c_p - bend],
-            ]
+            [[a * x * c_q - bend, a * s_q, bend], [a * s_q, 2.0, s_p], [bend, s_p, x * c_p - bend]]
         )
         w = n @ v
         stretch, rate = 1 - _FREE_LENGTH / np.sqrt(N), w / (2 * N)
@@ -110,8 +104,7 @@ class SliderCrank(Scleronomic):
             turned.append(turns[0] * normal - w**2 * e)
         if len(rates) > 2:
             turned.append((turns[1] - w**3) * normal - 3 * w * turns[0] * e)
-        Phi: Array = np.array([motion[-1][1], 0.0]) - turned[len(rates)] @ _ARMS
-        return Phi
+        return np.array([motion[-1][1], 0.0]) - turned[len(rates)] @ _ARMS
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
         """Return Phi_q and dPhi_q/dt."""

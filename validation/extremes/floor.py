@@ -1,26 +1,20 @@
 """The floor of round-off as the step goes to zero."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from ancfdae import DOP853, HHT, differentiate, simulate
 from ancfdae.equations import reaction
 from ancfdae.extend import MaterialPoint
-from ancfdae.plotting import Panel, Series
-from ancfdae.results import Solution
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting import Series
+from validation.drawing import log_log
 from validation.external.rods import cartesian_pendulum
 from validation.extremes.scenes import SI, Crank, Rod
 from validation.report import Report
-
-__all__ = ["round_off"]
-
-Array = npt.NDArray[np.float64]
 
 _ALPHAS = (-0.05, -0.3)
 # Start of the rigid pendulum: neither along an axis nor at rest.
@@ -41,8 +35,7 @@ def round_off(report: Report, quick: bool) -> float:
     """Add the section; return the largest error at 1e-6 s."""
     steps = 40 if quick else 1000
     exponents = (3, 6) if quick else (2, 3, 4, 5, 6, 7, 8)
-    report.heading("The floor of round-off as the step goes to zero")
-    report.text(_EXPLANATION)
+    report.say("floor")
     makers: tuple[tuple[str, str, Callable[[float, float, int], _Errors]], ...] = (
         ("rigid", "rigid Cartesian pendulum", _rigid),
         ("pendulum", "flexible pendulum, E = 2e11 Pa", _pendulum),
@@ -56,44 +49,31 @@ def round_off(report: Report, quick: bool) -> float:
             errors = [make(float(x), alpha, steps) for x in h]
             for name in ("a", "lam"):
                 values = np.array([getattr(e, name) for e in errors])
-                for exponent, value in zip(exponents, values, strict=True):
-                    report.figure(f"floor.{key}.alpha{alpha:g}.{name}.1e-{exponent}", value)
+                report.figures(f"floor.{key}.alpha{alpha:g}.{name}.1e-{{}}", exponents, values)
                 at_aim = max(at_aim, float(values[list(exponents).index(6)]))
                 symbol = "accelerations" if name == "a" else "multipliers"
                 label = f"{symbol}, hht_alpha = {alpha:g}"
                 series.append(Series(label, h, np.maximum(values, 1e-17), marker=True))
                 rows.append([title, label, *(f"{value:.0e}" for value in values)])
-        old = _PHI_NOISE / (_beta(-0.3) * h**2) / 9.81
+        beta = (1 + 0.3) ** 2 / 4
+        old = _PHI_NOISE / (beta * h**2) / 9.81
         series.append(Series(r"$\varepsilon L/(\beta h^2 g)$", h, old))
-        panels.append(
-            Panel(title, "step [s]", "relative error [-]", series, x_scale="log", y_scale="log")
-        )
+        panels.append(log_log(title, "step [s]", "relative error [-]", series))
     report.table(["system", "quantity", *(f"1e-{k} s" for k in exponents)], rows)
-    report.plot(
-        "floor",
-        panels,
-        columns=3,
-        title="The floor of round-off: accelerations and multipliers as the step goes to zero",
-        caption=f"Largest errors over {steps} steps, of the flexible systems {min(steps, 200)}. "
-        "Left against the exact motion: truncation falls with the step, the floor is flat. "
-        "In the middle the difference to the same scene in other units, right to the same "
-        "mechanism turned by 1 rad: round-off alone. The last line is what a step that takes "
-        "Phi(q) from q itself costs, where L = 1 m.",
-    )
+    report.plot("floor", panels, 3, steps=steps, flexible=min(steps, 200))
     _add_derivatives(report, exponents, steps)
     return report.figure("floor.worst_at_1e-6", at_aim)
 
 
 def _add_derivatives(report: Report, exponents: Sequence[int], steps: int) -> None:
     """Add the errors of the derivatives of the rigid pendulum at the end, per step."""
-    report.text(_DERIVATIVES)
+    report.say("floor.derivatives")
     rows: list[list[object]] = []
     for alpha in _ALPHAS:
         by_step = [_derivatives(10.0**-k, alpha, steps) for k in exponents]
         for name in _QUANTITIES:
             values = [errors[name] for errors in by_step]
-            for k, value in zip(exponents, values, strict=True):
-                report.figure(f"floor.derivatives.alpha{alpha:g}.{name}.1e-{k}", value)
+            report.figures(f"floor.derivatives.alpha{alpha:g}.{name}.1e-{{}}", exponents, values)
             rows.append([f"{name}, hht_alpha = {alpha:g}", *(f"{value:.0e}" for value in values)])
     report.table(["derivative", *(f"1e-{k} s" for k in exponents)], rows)
 
@@ -106,10 +86,6 @@ def _derivatives(h: float, alpha: float, steps: int) -> dict[str, float]:
         for integrator in (HHT(h, hht_alpha=alpha), DOP853(1e-12))
     ]
     return {name: _largest(*(getattr(run, name)[-1] for run in runs)) for name in _QUANTITIES}
-
-
-def _beta(alpha: float) -> float:
-    return (1 - alpha) ** 2 / 4
 
 
 def _rigid(h: float, alpha: float, steps: int) -> _Errors:
@@ -156,36 +132,10 @@ def _stiff(h: float, alpha: float, steps: int) -> _Errors:
     if not all(run.outcome.success for run in runs):
         return _Errors(np.nan, np.nan)
     sizes = [np.linalg.norm(run.reaction("elbow"), axis=1) for run in runs]
-    lengths = [np.linalg.norm(_elbow(run), axis=1) for run in runs]
+    elbow = MaterialPoint("crank", 1.0)
+    lengths = [np.linalg.norm(run.acceleration(elbow), axis=1) for run in runs]
     return _Errors(_largest(lengths[1], lengths[0]), _largest(sizes[1], sizes[0]))
-
-
-def _elbow(run: Solution) -> Array:
-    return run.acceleration(MaterialPoint("crank", 1.0))
 
 
 def _largest(x: Array, exact: Array) -> float:
     return float(np.max(np.abs(x - exact)) / np.max(np.abs(exact)))
-
-
-_EXPLANATION = """
-Constraints stand in the equations as Phi/(beta h²). Computed from q they carry the round-off eps
-L, so that the accelerations that keep them carry eps L/(beta h²): at h = 1e-6 s, L = 1 m and beta
-= 0.28, 8e-4 m/s² in a single step, which the recurrence amplifies; measured before this was
-changed, the rigid pendulum lost a factor of 100 with every factor of 10 (3e-5 at 1e-5 s,
-hht_alpha = -0.05) and below, like the crank-slider, did not converge at all. Instead the step
-takes the *increment* of Phi, which is Phi_q dq integrated along dq = h v + O(h²), and so has the
-round-off eps h v alone. What accumulates in Phi(q_n) itself is removed slowly enough to cost no
-more than 1e-9 of the motion (docs/theory/05-hht-i3.md). The floor is then flat, at that part times
-the amplification of the recurrence, and rises again where eps v/(beta h) exceeds it, at 1e-8 s.
-The stiff flexible systems have a floor of their own, which no formulation of constraints can
-lower: their elastic forces have the round-off eps |K| |q|, and where the step resolves the waves
-across the section, below 1e-6 s, it passes fully into the accelerations.
-"""
-
-_DERIVATIVES = """
-The derivatives take the increment as well: Phi_q dq_b + G q_b + g in place of Phi_q q_b + Phi_b,
-which would leave 1e-2 of a_b and lambda_b at 1e-6 s and nothing at 1e-7 s. Largest relative errors
-of the derivatives of the rigid pendulum in its length and in gravity at the end of the same runs;
-the discrete adjoint is the transpose of these lines (`tests/integrators/test_extremes.py`).
-"""

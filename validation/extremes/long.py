@@ -1,24 +1,18 @@
 """Runs of 100 s: energy and constraints of the pendulum, with numerical damping and without."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import HHT, assemble, simulate
 from ancfdae.errors import StabilityWarning
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import Solution
 from validation.external.rods import cartesian_pendulum
 from validation.report import Report
 from validation.scenes import pendulum
-
-__all__ = ["Long", "long_runs"]
-
-Array = npt.NDArray[np.float64]
 
 _ALPHAS = (-0.3, -0.05, 0.0)
 _PART = 2.0  # s, of a run of 100 s; one point of a curve
@@ -28,17 +22,9 @@ _PART = 2.0  # s, of a run of 100 s; one point of a curve
 class Long:
     """A run and its balance.
 
-    Attributes
-    ----------
-    label : str
-    alpha : float
-    run : Solution
-    energy : array
-        Change of the total energy, relative to what a fall to the lowest point sets free.
-    drift : float
-        Largest violation of the constraints in lengths of the pendulum.
-    warning : str
-        What was warned about.
+    `energy` is the change of the total energy relative to the energy that a fall to the lowest
+    point sets free; `drift` is the largest violation of the constraints in lengths of the
+    pendulum.
     """
 
     label: str
@@ -55,8 +41,7 @@ class Long:
 
     def multipliers(self) -> Array:
         """Return the size of the multipliers at every instant."""
-        size: Array = np.linalg.norm(self.run.lam, axis=1)
-        return size
+        return np.linalg.norm(self.run.lam, axis=1)
 
     @property
     def size(self) -> float:
@@ -67,24 +52,16 @@ class Long:
 def long_runs(report: Report, quick: bool) -> list[Long]:
     """Add the section; return what was found."""
     t_end = 1.0 if quick else 100.0
-    report.heading("100 s")
-    report.text(
-        "The paper's pendulum (E = 1e7 Pa and 1e9 Pa, step 2⁻⁷ s) and the rigid Cartesian pendulum "
-        f"(step 0.01 s), from rest, horizontal, {t_end:g} s. Energy: largest change of the total, "
-        "relative to what the fall to the lowest point sets free; the bodies are undamped, so that "
-        "what is lost is lost by the method. Constraints: largest violation, in lengths of the "
-        "pendulum. "
-        "Multipliers: their largest size in the last tenth of the run, relative to the first."
-    )
+    report.say("long", t_end=t_end)
     runs = [_flexible(E, alpha, t_end) for E in (1e7, 1e9) for alpha in _ALPHAS]
     runs += [_rigid(alpha, t_end) for alpha in _ALPHAS]
     report.table(
         ["pendulum", "hht_alpha", "outcome", "energy", "constraints", "multipliers", "iterations"],
         [_row(report, long) for long in runs],
     )
-    report.text(
-        "What hht_alpha = 0 says, once per integrator: "
-        + " ".join(sorted({f"*{long.warning}*" for long in runs if long.warning}))
+    report.say(
+        "long.warnings",
+        warnings=" ".join(sorted({f"*{long.warning}*" for long in runs if long.warning})),
     )
     _plot(report, runs)
     return runs
@@ -155,14 +132,7 @@ def _plot(report: Report, runs: list[Long]) -> None:
                 y_scale="log",
             )
         )
-    report.plot(
-        "long",
-        panels,
-        columns=3,
-        title="Pendulum over 100 s: size of the change of the total energy",
-        caption="Largest change within every two seconds, relative to what the fall "
-        "sets free. With damping it stays below a few per cent; without, the rigid one blows up.",
-    )
+    report.plot("long", panels, 3)
 
 
 def _thinned(long: Long) -> tuple[Array, Array]:

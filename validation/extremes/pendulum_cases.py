@@ -1,7 +1,5 @@
 """Cases of a pendulum: moduli, shapes, steps, numbers of elements, places, sizes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ancfdae import HHT, simulate
@@ -12,7 +10,17 @@ from validation.extremes.scenes import Rod
 _STEP = 2.0**-7
 
 
-def _against_natural(rod: Rod, step: float, steps: int, alpha: float = -0.3) -> Case:
+def _against(label: str, rod: Rod, step: float, steps: int, other: Rod) -> Case:
+    """Case of a rod whose error is the difference to another at the same steps."""
+
+    def error(run: Solution) -> float:
+        exact = simulate(other.scene(), step * steps, HHT(step))
+        return float(np.max(np.abs(other.arm(run) - other.arm(exact))))
+
+    return Case(label, rod.scene, step, steps, error=error)
+
+
+def _against_natural(label: str, rod: Rod, step: float, steps: int, alpha: float = -0.3) -> Case:
     """Case of a rod whose error is the difference to the run in natural units."""
 
     def error(run: Solution) -> float:
@@ -23,11 +31,7 @@ def _against_natural(rod: Rod, step: float, steps: int, alpha: float = -0.3) -> 
             return np.inf
         return float(np.max(np.abs(rod.arm(run) - rod.arm(other, units))))
 
-    return Case("", rod.scene, step, steps, alpha, error)
-
-
-def _named(label: str, case: Case) -> Case:
-    return Case(label, case.make, case.step, case.steps, case.alpha, case.error)
+    return Case(label, rod.scene, step, steps, alpha, error)
 
 
 def _against_half_step(label: str, rod: Rod, step: float, steps: int) -> Case:
@@ -45,8 +49,7 @@ def moduli(quick: bool) -> list[Case]:
     exponents = (3, 7, 13) if quick else (*range(3, 14), 16)
     steps = 16 if quick else 128
     return [
-        _named(f"E = 1e{k} Pa", _against_natural(Rod(modulus=10.0**k), _STEP, steps))
-        for k in exponents
+        _against_natural(f"E = 1e{k} Pa", Rod(modulus=10.0**k), _STEP, steps) for k in exponents
     ]
 
 
@@ -58,11 +61,11 @@ def slenderness(quick: bool) -> list[Case]:
         for E in (1e7, 2e11):
             rod = Rod(modulus=E, slenderness=ratio)
             label = f"h/L = {ratio:g}, E = {E:.0e} Pa"
-            cases.append(_named(label, _against_natural(rod, _STEP, steps)))
+            cases.append(_against_natural(label, rod, _STEP, steps))
     if not quick:
         thin = Rod(modulus=2e11, slenderness=1e-4)
         label = "the last with the step 2^-11 s"
-        cases.append(_named(label, _against_natural(thin, 2.0**-11, 1024)))
+        cases.append(_against_natural(label, thin, 2.0**-11, 1024))
     return cases
 
 
@@ -80,7 +83,7 @@ def alphas(quick: bool) -> list[Case]:
     steps = 16 if quick else 128
     rod = Rod()
     cases = [
-        _named(f"hht_alpha = {name}", _against_natural(rod, _STEP, steps, alpha))
+        _against_natural(f"hht_alpha = {name}", rod, _STEP, steps, alpha)
         for name, alpha in (("-1/3", -1 / 3), ("-1e-6", -1e-6), ("0", 0.0))
     ]
     refused = [Case(f"hht_alpha = {a}", rod.scene, _STEP, steps, a) for a in (-0.34, 1e-3)]
@@ -89,37 +92,18 @@ def alphas(quick: bool) -> list[Case]:
 
 def elements(quick: bool) -> list[Case]:
     """Take one element to many."""
-    steps, reference = 10, Rod(elements=20)
-
-    def error(run: Solution) -> float:
-        other = simulate(reference.scene(), _STEP * steps, HHT(_STEP))
-        return float(np.max(np.abs(reference.arm(run) - reference.arm(other))))
-
-    counts = (1, 100) if quick else (1, 10, 100, 1000, 10000)
+    counts, reference = (1, 100) if quick else (1, 10, 100, 1000, 10000), Rod(elements=20)
     return [
-        Case(
-            f"{n} element{'s' if n > 1 else ''}",
-            Rod(elements=n).scene,
-            _STEP,
-            steps,
-            error=error,
-        )
+        _against(f"{n} element{'s' if n > 1 else ''}", Rod(elements=n), _STEP, 10, reference)
         for n in counts
     ]
 
 
 def far(quick: bool) -> list[Case]:
     """Stand far from the origin."""
-    steps, near = 16 if quick else 64, Rod()
-
-    def error(run: Solution) -> float:
-        other = simulate(near.scene(), _STEP * steps, HHT(_STEP))
-        return float(np.max(np.abs(near.arm(run) - near.arm(other))))
-
-    distances = (1e6,) if quick else (1.0, 1e3, 1e6, 1e9, 1e12)
+    steps, distances = 16 if quick else 64, (1e6,) if quick else (1.0, 1e3, 1e6, 1e9, 1e12)
     return [
-        Case(f"{at:g} m from the origin", Rod(at=at).scene, _STEP, steps, error=error)
-        for at in distances
+        _against(f"{at:g} m from the origin", Rod(at=at), _STEP, steps, Rod()) for at in distances
     ]
 
 
@@ -127,10 +111,7 @@ def lengths(quick: bool) -> list[Case]:
     """Take rods from tiny to huge."""
     steps, cases = 16 if quick else 64, []
     for length in (1e-6, 1e4):
-        rod = Rod(length=length, spin=0.0)
-        fitting = _STEP * np.sqrt(length)
-        label = f"L = {length:g} m, step {fitting:.1e} s"
-        cases.append(_named(label, _against_natural(rod, fitting, steps)))
-        label = f"L = {length:g} m, step {_STEP:.1e} s"
-        cases.append(_named(label, _against_natural(rod, _STEP, steps)))
+        for step in (_STEP * np.sqrt(length), _STEP):
+            label = f"L = {length:g} m, step {step:.1e} s"
+            cases.append(_against_natural(label, Rod(length=length, spin=0.0), step, steps))
     return cases

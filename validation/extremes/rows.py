@@ -1,14 +1,11 @@
 """One row of the report `extremes`: run a case, and say how it ended and how right it is."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import HHT, Scene, assemble, simulate
 from ancfdae.equations import MechanicalSystem, reaction
@@ -16,12 +13,9 @@ from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import AncfdaeError, StabilityWarning
 from ancfdae.extend import MaterialPoint
 from ancfdae.integrators.hht.equations import Coefficients
+from ancfdae.numerics.arrays import Array
 from ancfdae.results import Solution
 from validation.report import Report
-
-__all__ = ["HEADER", "Case", "Row", "add_table", "against_sixteenth", "measure"]
-
-Array = npt.NDArray[np.float64]
 
 HEADER = (
     "case",
@@ -51,21 +45,11 @@ _CRASHES = (ArithmeticError, AttributeError, LookupError, MemoryError, RuntimeEr
 
 @dataclass(frozen=True)
 class Case:
-    """What is run.
+    """A run that becomes a row of a table.
 
-    Parameters
-    ----------
-    label : str
-        First cell of the row.
-    make : callable
-        Returns the scene or the system; may be refused.
-    step : float
-    steps : int
-    alpha : float
-    error : callable, optional
-        Error of the finished run against a reference; free of units.
-    in_time : bool
-        Whether it is the error of the steps, which the run must then show in its estimate.
+    `make` returns the scene or the system and may be refused. `error` of the finished run against
+    a reference is free of units. `in_time` says that it is the error of the steps, which the run
+    must then show in its estimate.
     """
 
     label: str
@@ -79,18 +63,10 @@ class Case:
 
 @dataclass(frozen=True)
 class Row:
-    """What was found.
+    """The findings of a case; a number is None where there is nothing to measure.
 
-    Attributes
-    ----------
-    case : Case
-    message : str
-        How the run ended, or with which message it was refused.
-    clean : bool
-        Whether the ending is one that the package promises.
-    solution : Solution or None
-    error, estimated, equations, constraints, condition, iterations : float or None
-        None where there is nothing to measure.
+    The message says how the run ended or why it was refused; `clean` is whether the package
+    promises such an end.
     """
 
     case: Case

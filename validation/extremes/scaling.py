@@ -1,22 +1,17 @@
 """Similarity scaling: one scene in units over sixteen orders of magnitude."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import HHT, differentiate
 from ancfdae.extend import MaterialPoint
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import Solution
+from validation.drawing import log_log
 from validation.extremes.scenes import SI, Rod, Units
 from validation.report import Report
-
-__all__ = ["scaling"]
-
-Array = npt.NDArray[np.float64]
 
 _DESIGN = ("rod.youngs_modulus", "rod.height", "rod.density", "rod.length")
 _STEP, _STEPS = 2.0**-7, 64
@@ -27,13 +22,7 @@ def scaling(report: Report, quick: bool) -> float:
     """Add the section; return the largest difference."""
     exponents = (-8, 8) if quick else range(-8, 9)
     steps = 16 if quick else _STEPS
-    report.heading("The same scene in other units")
-    report.text(
-        "Pendulum with a moving start, planar and spatial, differentiated in E, h, rho and L "
-        f"directly, {steps} steps; the unit of length, of mass or of time is 10^k times smaller. "
-        "Largest difference of the dimensionless results to those in SI, relative to the largest "
-        "value; Newton iterations are the same to the last one unless said."
-    )
+    report.say("scaling", steps=steps)
     panels, rows, worst = [], [], 0.0
     for dimension in (2, 3):
         rod = Rod(dimension=dimension)
@@ -42,7 +31,8 @@ def scaling(report: Report, quick: bool) -> float:
             table, others = [], 0
             for k in exponents:
                 scaled, count = _dimensionless(rod, Units(**{unit: 10.0**k}), steps)
-                table.append([_difference(x, y) for x, y in zip(scaled, base, strict=True)])
+                pairs = zip(scaled, base, strict=True)
+                table.append([np.max(np.abs(x - y)) / np.max(np.abs(y)) for x, y in pairs])
                 others += count != iterations
             errors = np.array(table)
             worst = max(worst, float(np.max(errors)))
@@ -52,14 +42,7 @@ def scaling(report: Report, quick: bool) -> float:
             rows.append([kind, unit, *(f"{x:.0e}" for x in np.max(errors, axis=0)), others])
             panels.append(_panel(f"{kind}, {unit}", unit, exponents, errors))
     report.table(["element", "unit", *_QUANTITIES, "runs with other iterations"], rows)
-    report.plot(
-        "units",
-        panels,
-        columns=3,
-        title="Difference of dimensionless results to those in SI",
-        caption="Flat over sixteen orders of magnitude: no absolute tolerance. What is left "
-        "is the round-off of the elastic forces.",
-    )
+    report.plot("units", panels, 3)
     report.figure("units.worst", worst)
     return worst
 
@@ -67,7 +50,7 @@ def scaling(report: Report, quick: bool) -> float:
 def _panel(title: str, unit: str, exponents: Sequence[int], errors: Array) -> Panel:
     others = [i for i, k in enumerate(exponents) if k != 0]
     units = 10.0 ** np.array(exponents)[others]
-    return Panel(
+    return log_log(
         title,
         f"unit of {unit}, SI / new [-]",
         "difference [-]",
@@ -75,8 +58,6 @@ def _panel(title: str, unit: str, exponents: Sequence[int], errors: Array) -> Pa
             Series(name, units, np.maximum(errors[others, i], 1e-17), marker=True)
             for i, name in enumerate(_QUANTITIES)
         ],
-        x_scale="log",
-        y_scale="log",
     )
 
 
@@ -97,7 +78,3 @@ def _dimensionless(rod: Rod, units: Units, steps: int) -> tuple[list[Array], int
         sensitivities,
     ]
     return parts, run.statistics.iterations
-
-
-def _difference(x: Array, y: Array) -> float:
-    return float(np.max(np.abs(x - y)) / np.max(np.abs(y)))

@@ -1,20 +1,15 @@
 """Scenes of the report `extremes`, in any units."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import Beam, InitialVelocity, Material, Pin, PointOnLine, Scene
 from ancfdae.extend import MaterialPoint
+from ancfdae.numerics.arrays import Array
 from ancfdae.results import Solution
 from ancfdae.sections import Rectangle
-
-__all__ = ["SI", "Crank", "Rod", "Units"]
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -80,23 +75,16 @@ class Rod:
     def arm(self, run: Solution, units: Units = SI) -> Array:
         """Return the vector from pin to tip in lengths of the rod, shape (n_t, d)."""
         arm = run.position(MaterialPoint("rod", 1.0)) - run.position(MaterialPoint("rod", 0.0))
-        result: Array = arm / (self.length * units.length)
-        return result
+        return arm / (self.length * units.length)
 
 
 @dataclass(frozen=True)
 class Crank:
     """A planar crank-slider; SI.
 
-    Parameters
-    ----------
-    angle : float
-        Of the crank at the start. The slider stands on the x axis at the far or, with `folded`,
-        at the near side.
-    spin : float
-        Of crank and rod at the start, as one body; zero unless stretched out.
-    turned : float
-        Angle by which the whole mechanism is turned about the bearing.
+    `angle` is the angle of the crank at the start; the slider stands on the x axis at the far or,
+    with `folded`, at the near side. `spin` turns crank and rod as one body, zero unless stretched
+    out. `turned` is the angle by which the whole mechanism is turned about the bearing.
     """
 
     crank: float = 0.9
@@ -132,12 +120,11 @@ class Crank:
         gravity = tuple(turn @ [0.0, -9.81])
         return Scene([crank, rod], joints, gravity, start, project_start=bool(self.spin))
 
-    def with_turn(self, angle: float) -> Crank:
+    def with_turn(self, angle: float) -> Self:
         """Return it turned about the bearing."""
         return replace(self, turned=angle)
 
     def reach(self, run: Solution) -> Array:
         """Return the distance of the slider from the bearing along its line, shape (n_t,)."""
         line = np.array([np.cos(self.turned), np.sin(self.turned)])
-        result: Array = run.position(MaterialPoint("rod", 1.0)) @ line
-        return result
+        return run.position(MaterialPoint("rod", 1.0)) @ line

@@ -1,7 +1,5 @@
 """Cases at which Newton's method stalls from the predicted motion."""
 
-from __future__ import annotations
-
 from ancfdae import Beam, Clamp, Material, PointForce, Scene, TranslationDriver
 from ancfdae.laws import ConstantAcceleration, Harmonic
 from ancfdae.sections import Rectangle

@@ -10,39 +10,21 @@ from scipy.optimize import brentq
 from ancfdae import Clamp, CurvedBeam, Material, Pin, Scene, TranslationDriver, equilibrium
 from ancfdae.extend import MaterialPoint
 from ancfdae.laws import ConstantAcceleration
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import Equilibrium
 from ancfdae.sections import Rectangle
-from validation.external.runs import Requirement
+from validation.drawing import dots
 from validation.literature.rod import Rod, derivatives, solve
-from validation.literature.tables import Array, convergence, derivative_table, relative
-from validation.report import Agreement, Report
-
-__all__ = ["arch"]
+from validation.literature.tables import convergence, derivative_table, logarithmic, relative
+from validation.published import published
+from validation.report import Report
 
 _R, _SPAN, _E, _H, _W = 100.0, np.radians(215), 1.5e6, 1.0, 1.0
 _EI: Final = _E * _W * _H**3 / 12
-# P R^2/(E I): inextensible (DaDeppo & Schmidt), and 40 linear elements (Simo & Vu-Quoc).
-_PUBLISHED, _SIMO = 8.97, 9.0528
+_PUBLISHED: Final = published("arch")
 _NAMES: Final = ("P R²/(E I)",)
 _DESIGN: Final = ("crown.offset", "arch.youngs_modulus", "arch.height", "arch.length")
-# Path of the crown: way down and to the hinge over R, and P R^2/(E I), read from the figure of
-# DaDeppo & Schmidt (as distributed with AeroBeams.jl, test/referenceData/pinnedClampedArch).
-_DOWN: Final = np.array(
-    [
-        [0.0338, 0.0878, 0.1417, 0.2057, 0.2693, 0.3289, 0.3992, 0.4908, 0.5751, 0.6676, 0.7537],
-        [0.8664, 2.0, 2.845, 3.561, 4.097, 4.507, 4.946, 5.462, 5.916, 6.408, 6.851],
-    ]
-)
-_DOWN_LATE: Final = np.array(
-    [[0.8512, 0.9412, 1.0091, 1.087, 1.1354, 1.1721], [7.388, 7.945, 8.374, 8.816, 8.946, 8.718]]
-)
-_ASIDE: Final = np.array(
-    [
-        [0.0230, 0.0516, 0.0876, 0.1306, 0.1921, 0.2500, 0.3193, 0.3881, 0.4565, 0.5136, 0.5604],
-        [0.9906, 1.728, 2.380, 2.994, 3.760, 4.330, 4.898, 5.513, 6.245, 6.971, 7.914],
-    ]
-)
 
 
 @dataclass(frozen=True)
@@ -55,35 +37,21 @@ class _Limit:
     z: Array = field(default_factory=lambda: np.zeros(4))
 
 
-def arch(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
+def arch(report: Report, quick: bool) -> None:
+    """Fill the section."""
     counts = (16, 32) if quick else (16, 32, 64)
-    report.heading("Deep circular arch: limit load")
-    report.text(_TEXT)
+    report.say("arch")
     reference = _reference_limit(6 if quick else 22)
-    report.text(
-        f"Reference: P R²/(E I) = {reference.load:.6f} at a crown {reference.down:.4f} R down, "
-        "with the extension and the shear of this arch."
-    )
+    report.say("arch.reference", reference=reference)
     limits = {n: _limit(n) for n in counts}
     values = [[x.load] for x in limits.values()]
     error = float(convergence(report, "arch", _NAMES, counts, values, [reference.load])[-1, 0])
     apart = _derivatives(report, counts[-1], limits[counts[-1]].down, reference)
     _plot(report, limits[counts[-1]].path, reference.path)
     load = limits[counts[-1]].load
-    report.claim(
-        "Deep circular arch: limit load over E I/R²",
-        "8.97 (DaDeppo & Schmidt 1975); 9.0528 (Simo & Vu-Quoc 1986, 40 elements)",
-        f"{load:.4f}, {counts[-1]} elements",
-        Agreement.AGREES if relative(load, _PUBLISHED) < 5e-3 else Agreement.DISAGREES,
-    )
-    return [
-        Requirement(f"arch: limit load, {counts[-1]} elements", 2e-3, error),
-        Requirement("arch: d(limit load)/d(E, h, R)", 2e-3, apart),
-    ]
-
-
-# -- the elements --------------------------------------------------------------------------------
+    report.judge("arch", relative(load, _PUBLISHED["limit_load"]) < 5e-3, load=load, n=counts[-1])
+    report.require("arch", error, n=counts[-1])
+    report.require("arch.derivatives", apart)
 
 
 def _scene(n: int, down: float) -> Scene:
@@ -139,9 +107,6 @@ def _turning_point(growth: Callable[[float], float]) -> float:
     while growth(high) * growth(low) > 0:
         low, high = high, high + 0.02
     return float(brentq(growth, low, high, xtol=1e-8))
-
-
-# -- the reference -------------------------------------------------------------------------------
 
 
 def _path(z: Array, down: Any, E: Any, h: Any, R: Any) -> tuple[Array, Array]:
@@ -217,31 +182,18 @@ def _derivatives(report: Report, n: int, down: float, reference: _Limit) -> floa
 
     b = np.array([_E, _H, _R])
     load, load_b = derivatives(quantity, reference.z, b)
-    rows = [
-        ("ln P", f"ln {name}", float(x), float(e))
-        for name, x, e in zip("EhR", computed, load_b[0] * b / load[0], strict=True)
-    ]
+    rows = logarithmic("P", "EhR", computed, load_b[0] * b / load[0])
     return derivative_table(report, "arch", rows, (f"direct, {n} elements", "reference"))
 
 
 def _plot(report: Report, path: Array, reference: Array) -> None:
-    down = np.concatenate([_DOWN, _DOWN_LATE], axis=1)
+    down, aside = _PUBLISHED["down"], _PUBLISHED["aside"]
     panels = []
-    for title, column, read in (("Way down", 0, down), ("Way to the hinge", 1, _ASIDE)):
+    for title, column, read in (("Way down", 0, down), ("Way to the hinge", 1, aside)):
         series = [
             Series("reference", reference[:, column], reference[:, 2]),
-            Series("elements", path[:, column], path[:, 2], line=False, marker=True),
-            Series("DaDeppo & Schmidt 1975", read[0], read[1], line=False, marker=True),
+            dots("elements", path[:, column], path[:, 2]),
+            dots("DaDeppo & Schmidt 1975", read[0], read[1]),
         ]
         panels.append(Panel(f"{title} of the crown", "way/R [-]", "P R²/(E I) [-]", series))
-    report.plot("arch", panels, 2, "Deep circular arch")
-
-
-_TEXT = """
-*Published*: D. A. DaDeppo and R. Schmidt, *J. Appl. Mech.* 42 (1975) 894-896: an inextensible
-arch of 215°, clamped at one end, hinged at the other, carries at most P = 8.97 E I/R² at its
-crown; J. C. Simo and L. Vu-Quoc, *Comput. Meth. Appl. Mech. Engng* 58 (1986) 79-116, found 9.0528
-with 40 linear elements. *Here*: R = 100, section 1 x 1, nu = 0; the crown is lowered by a
-`TranslationDriver`, whose multiplier is the load, and the load is largest where its derivative in
-the way vanishes. *Reference*: shooting on the exact rod, in two parts.
-"""
+    report.plot("arch", panels, 2)

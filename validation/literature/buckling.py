@@ -6,36 +6,32 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import brentq
 
-from ancfdae import Beam, Clamp, Material, PointForce, Scene, critical_load, equilibrium, modes
+from ancfdae import Beam, Material, Scene, critical_load, equilibrium, modes
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import CriticalLoad
 from ancfdae.sections import Rectangle
-from validation.external.runs import Requirement
+from validation.drawing import dots
 from validation.literature.rod import Rod, tip_loaded
-from validation.literature.tables import Array, convergence, derivative_table
-from validation.report import Agreement, Report
-
-__all__ = ["buckling"]
+from validation.literature.tables import convergence, derivative_table
+from validation.published import published
+from validation.report import Report
+from validation.scenes import cantilever
 
 _L, _H, _W, _E, _NU = 1.0, 0.1, 0.02, 2e11, 0.0
-# P L^2/sqrt(E I_2 G J) without deflection before buckling (Timoshenko & Gere 1961, section 6.3).
-_PUBLISHED: Final = 4.013
+_PUBLISHED: Final = float(published("buckling")["load"])
 _NAMES: Final = ("P L²/sqrt(E I G J)",)
 _DESIGN: Final = ("beam.youngs_modulus", "beam.height", "beam.width", "beam.length")
 
 
-def buckling(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
+def buckling(report: Report, quick: bool) -> None:
+    """Fill the section."""
     counts = (2, 4) if quick else (4, 8, 16, 32)
-    report.heading("Lateral buckling of a narrow cantilever")
-    report.text(_TEXT)
+    report.say("buckling")
     b, tolerance = np.array([_E, _H, _W, _L]), 1e-5 if quick else 1e-11
     unit, exact = _unit(b), _reference(b, tolerance)
     narrow = _reference(b * [1, 10, 1, 1], tolerance) / _unit(b * [1, 10, 1, 1])
-    report.text(
-        f"Reference: {exact / unit:.5f}; for a section ten times as high, which bends little "
-        f"before it buckles, {narrow:.5f} (closed form {_PUBLISHED})."
-    )
+    report.say("buckling.reference", load=exact / unit, narrow=narrow, published=_PUBLISHED)
     loads = {n: -_critical(n).value for n in counts}
     error = float(
         convergence(
@@ -45,17 +41,18 @@ def buckling(report: Report, quick: bool) -> list[Requirement]:
     n = counts[-1]
     apart = _derivatives(report, n, b, exact, tolerance)
     _plot(report, n, unit, exact)
-    report.claim(
-        "Lateral buckling of a narrow cantilever",
-        f"P L²/sqrt(E I G J) = {_PUBLISHED} (rigid in its plane); Timoshenko & Gere 1961",
-        f"{loads[n] / unit:.4f} at h/w = {_H / _W:g}, {n} elements; {narrow:.4f} by the reference "
-        f"at h/w = {10 * _H / _W:g}",
-        Agreement.AGREES if abs(narrow / _PUBLISHED - 1) < 2e-3 else Agreement.DISAGREES,
+    report.judge(
+        "buckling",
+        abs(narrow / _PUBLISHED - 1) < 2e-3,
+        published=_PUBLISHED,
+        load=loads[n] / unit,
+        slender=_H / _W,
+        n=n,
+        narrow=narrow,
+        more=10 * _H / _W,
     )
-    return [
-        Requirement(f"lateral buckling, {n} elements: load", 5e-3, error),
-        Requirement("lateral buckling: d(load)/d(E, h, w, L)", 5e-3, apart),
-    ]
+    report.require("buckling", error, n=n)
+    report.require("buckling.derivatives", apart)
 
 
 def _stiffness(b: Array) -> tuple[Any, Any, Any]:
@@ -104,8 +101,7 @@ def _first_zero(f: Callable[[float], float], tolerance: float) -> float:
 def _scene(n: int, load: float) -> Scene:
     section, material = Rectangle(_H, _W), Material(7850.0, _E, _NU)
     beam = Beam("beam", (0, 0, 0), (_L, 0, 0), n, section, material)
-    force = PointForce(beam.at_end, (0, -load, 0), name="load")
-    return Scene([beam], [Clamp(beam.at_start)], loads=[force])
+    return cantilever(beam, (0, -load, 0))
 
 
 def _square(n: int, load: float) -> float:
@@ -140,20 +136,9 @@ def _plot(report: Report, n: int, unit: float, exact: float) -> None:
     squares = np.array([_square(n, load) for load in loads])
     series = [
         Series(f"{n} elements", loads / unit, squares / squares[0], marker=True),
-        Series("reference", [exact / unit], [0.0], line=False, marker=True),
-        Series("closed form, no deflection before", [_PUBLISHED], [0.0], line=False, marker=True),
+        dots("reference", [exact / unit], [0.0]),
+        dots("closed form, no deflection before", [_PUBLISHED], [0.0]),
     ]
     title = "Square of the lowest frequency under the load"
     panel = Panel(title, "P L²/sqrt(E I G J) [-]", "omega²/omega²(0) [-]", series)
     report.plot("buckling", [panel])
-
-
-_TEXT = """
-*Published*: L. Prandtl and A. G. M. Michell (1899); S. P. Timoshenko and J. M. Gere, *Theory of
-Elastic Stability* (1961): a cantilever under a tip force in its stiff plane buckles sideways at P
-= 4.013 sqrt(E I G J)/L², its bending before that left out; it raises the load (D. H. Hodges and
-D. A. Peters, *Int. J. Solids Struct.* 11 (1975) 1269-1280). *Reference*: exact rod, the load at
-which the tangent of the shooting is singular out of the plane. *Here*: `critical_load`, a
-bifurcation from the bent state. Drawn is the square of the lowest frequency by `modes`, which
-vanishes there.
-"""

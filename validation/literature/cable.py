@@ -6,64 +6,43 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from ancfdae import CABLE_2D, Beam, DesignVariable, Material, Pin, PointForce, Scene, equilibrium
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import position
 from ancfdae.plotting import Panel, Series
 from ancfdae.sections import Rectangle
-from validation.external.runs import Requirement
-from validation.literature.at_rest import log_derivatives
+from validation.drawing import dots
 from validation.literature.rod import derivatives, solve
-from validation.literature.tables import Array, convergence, derivative_table, relative
-from validation.report import Agreement, Report
-
-__all__ = ["cable"]
+from validation.literature.tables import compared_at_rest, convergence, relative
+from validation.published import published
+from validation.report import Report
 
 _FOOT, _POUND = 0.3048, 4.4482216152605
 # Unloaded lengths of the two parts, span; section, modulus, weight per length, load.
 _L1, _L2, _SPAN = 412.8837 * _FOOT, 613.0422 * _FOOT, 1000 * _FOOT
 _A, _E = 0.85 * (_FOOT / 12) ** 2, 19e6 * _POUND / (_FOOT / 12) ** 2
 _WEIGHT, _LOAD, _G = 3.16 * _POUND / _FOOT, 8000 * _POUND, 9.81
-# Vertical and horizontal displacement of the loaded point in metres.
-_PUBLISHED: Final = {
-    "Michalos & Birnstiel 1962": (-5.472, -0.845),
-    "O'Brien & Francis 1964": (-5.627, -0.860),
-    "Jayaraman & Knudson 1981": (-5.626, -0.859),
-}
+_PUBLISHED: Final = published("cable")
 _NAMES: Final = ("vertical [m]", "horizontal [m]")
 
 
-def cable(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section of the cable; return the requirements and whether they are met."""
+def cable(report: Report, quick: bool) -> None:
+    """Fill the section."""
     counts = (2, 4) if quick else (2, 4, 8, 16)
-    report.heading("Cable under its weight and a point load")
-    report.text(_TEXT)
+    report.say("cable")
     b = np.array([_E, _WEIGHT, _LOAD])
     catenary, sag = _displacement(b, hooke=True)
     exact = _displacement(b, hooke=False)[0]
-    report.text(
-        f"Elastic catenary: {catenary[0]:.5f} m and {catenary[1]:.5f} m; the point hangs "
-        f"{sag:.3f} m low before the load (published 29.276 m). The table compares with the "
-        "catenary of the material of the elements, St. Venant-Kirchhoff, which at a strain of "
-        "1.3e-3 is "
-        f"{np.max(relative(exact, catenary)):.1e} away from Hooke's."
+    report.say(
+        "cable.catenary", catenary=catenary, sag=sag, apart=np.max(relative(exact, catenary))
     )
     computed = [(_elements(n, _LOAD) - _elements(n, 0.0))[::-1] for n in counts]
     error = float(np.max(convergence(report, "cable", _NAMES, counts, computed, exact)[-1]))
     apart = _derivatives(report, counts[-1], b)
     _plot(report, counts[-1], exact)
     off = float(np.max(relative(computed[-1], _PUBLISHED["Jayaraman & Knudson 1981"])))
-    report.claim(
-        "Cable under a point load: displacement of the loaded point",
-        "(-5.626, -0.859) m (Jayaraman & Knudson 1981, elastic catenary)",
-        "({:.4f}, {:.4f}) m, {} elements a part".format(*computed[-1], counts[-1]),
-        Agreement.AGREES if off < 2e-3 else Agreement.DISAGREES,
-    )
-    return [
-        Requirement(f"cable, {counts[-1]} elements a part: displacement", 1e-5, error),
-        Requirement("cable: d(place)/d(E, weight, load)", 1e-5, apart),
-    ]
-
-
-# -- the elastic catenary ------------------------------------------------------------------------
+    report.judge("cable", off < 2e-3, found=computed[-1], n=counts[-1])
+    report.require("cable", error, n=counts[-1])
+    report.require("cable.derivatives", apart)
 
 
 def _part(H: Any, V: Any, length: float, b: Array, hooke: bool) -> Array:
@@ -105,14 +84,13 @@ def _displacement(b: Array, hooke: bool) -> tuple[Array, float]:
     return (after - before)[::-1], float(-before[1])
 
 
-# -- the elements --------------------------------------------------------------------------------
-
-
 def _scene(n: int, load: float) -> Scene:
     """Return two cables pinned together; a flat section has next to no bending stiffness."""
     h = 1e-3
     section, material = Rectangle(h, _A / h), Material(_WEIGHT / (_A * _G), _E, 0.0)
-    x, y = _apex()
+    # Where the parts meet while both are straight and unloaded.
+    x = (_SPAN**2 + _L1**2 - _L2**2) / (2 * _SPAN)
+    y = -float(np.sqrt(_L1**2 - x**2))
     left = Beam("left", (0, 0), (x, y), n, section, material, element=CABLE_2D)
     right = Beam("right", (x, y), (_SPAN, 0), n, section, material, element=CABLE_2D)
     joints = [Pin(left.at_start), Pin(left.at_end, right.at_start), Pin(right.at_end)]
@@ -120,19 +98,12 @@ def _scene(n: int, load: float) -> Scene:
     return Scene([left, right], joints, (0, -_G), loads=loads)
 
 
-def _apex() -> tuple[float, float]:
-    """Return where the parts meet while both are straight and unloaded."""
-    x = (_SPAN**2 + _L1**2 - _L2**2) / (2 * _SPAN)
-    return x, -float(np.sqrt(_L1**2 - x**2))
-
-
 def _elements(n: int, load: float) -> Array:
     """Return the place of the loaded point."""
     scene = _scene(n, load)
     bent = equilibrium(scene)
     assert bent.outcome.success, bent.outcome
-    place: Array = bent.solution.position(scene.beams[0].at_end)[0]
-    return place
+    return bent.solution.position(scene.beams[0].at_end)[0]
 
 
 def _derivatives(report: Report, n: int, b: Array) -> float:
@@ -145,20 +116,12 @@ def _derivatives(report: Report, n: int, b: Array) -> float:
     node, node_b = derivatives(quantity, _tension(b, hooke=False), b)
     density = DesignVariable("density", ("left.density", "right.density"))
     modulus = DesignVariable("modulus", ("left.youngs_modulus", "right.youngs_modulus"))
-    scene, rows, off = _scene(n, _LOAD), [], 0.0
-    for axis, name in enumerate("xy"):
-        place = position(scene.beams[0].at_end, axis)
-        computed, apart = log_derivatives(scene, place, [modulus, density, "load.force_y"])
-        off = max(off, apart)
-        rows += [
-            (f"ln {name}", f"ln {parameter}", float(x), float(e))
-            for parameter, x, e in zip(
-                ("E", "weight", "P"), computed, node_b[axis] * b / node[axis], strict=True
-            )
-        ]
-    worst = derivative_table(report, "cable", rows, (f"direct, {n} elements", "reference"))
-    report.text(f"Direct differentiation and adjoint are {off:.0e} apart.")
-    return worst
+    scene, exact = _scene(n, _LOAD), node_b * b / node[:, None]
+    point = scene.beams[0].at_end
+    quantities = {name: (position(point, i), exact[i]) for i, name in enumerate("xy")}
+    design: dict[str, str | DesignVariable] = {"E": modulus, "weight": density, "P": "load.force_y"}
+    ways = f"direct, {n} elements", "reference"
+    return compared_at_rest(report, "cable", scene, quantities, design, ways)
 
 
 def _plot(report: Report, n: int, exact: Array) -> None:
@@ -171,26 +134,12 @@ def _plot(report: Report, n: int, exact: Array) -> None:
             [[run.position(beam.at(x))[0] for x in np.linspace(0, 1, 33)] for beam in scene.beams]
         )
         shapes.append(Series(label, r[:, 0], r[:, 1]))
-    points = [
-        Series(source, [values[1]], [values[0]], line=False, marker=True)
-        for source, values in _PUBLISHED.items()
-    ]
-    points.append(Series("reference", exact[1:], exact[:1], line=False, marker=True))
+    points = [dots(source, [values[1]], [values[0]]) for source, values in _PUBLISHED.items()]
+    points.append(dots("reference", exact[1:], exact[:1]))
     moved = _elements(n, _LOAD) - _elements(n, 0.0)
-    points.append(Series("elements", moved[:1], moved[1:], line=False, marker=True))
+    points.append(dots("elements", moved[:1], moved[1:]))
     panels = [
         Panel("Cable", "x [m]", "y [m]", shapes),
         Panel("Displacement of the loaded point", "horizontal [m]", "vertical [m]", points),
     ]
-    report.plot("cable", panels, 2, "Cable under its weight and a point load")
-
-
-_TEXT = """
-*Published*: J. Michalos and C. Birnstiel, *Trans. ASCE* 127 (1962) 267-281; W. T. O'Brien and A.
-J. Francis, *J. Struct. Div. ASCE* 90 (1964) 89-123; H. B. Jayaraman and W. C. Knudson, *Comput.
-Struct.* 14 (1981) 243-255. A cable of 0.85 in², E = 19e6 psi and 3.16 lb/ft hangs between
-supports 1000 ft apart; a load of 8 kips is put on the point that hangs 400 ft from one of them
-(unloaded lengths 412.8837 and 613.0422 ft). *Reference*: two elastic catenaries (H. M. Irvine,
-*Cable Structures*, 1981), solved for the tension at the support. *Here*: two cables `CABLE_2D`
-pinned together, `equilibrium`.
-"""
+    report.plot("cable", panels, 2)

@@ -4,34 +4,33 @@ from typing import Any, Final
 
 import numpy as np
 
-from ancfdae import Beam, Clamp, Material, PointForce, SaintVenantKirchhoff, Scene, equilibrium
+from ancfdae import Beam, Material, SaintVenantKirchhoff, Scene, equilibrium
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import position
-from ancfdae.plotting import Panel, Series
+from ancfdae.plotting import Series
 from ancfdae.sections import Rectangle
-from validation.external.runs import Requirement
-from validation.literature.at_rest import log_derivatives
+from validation import scenes
+from validation.drawing import log_log
 from validation.literature.rod import Rod, clamped, derivatives, tip_loaded
-from validation.literature.tables import Array, convergence, derivative_table, relative
-from validation.report import Agreement, Report
-
-__all__ = ["cantilever"]
+from validation.literature.tables import compared_at_rest, convergence, relative
+from validation.published import published
+from validation.report import Report
 
 _L, _H, _E = 2.0, 0.1, 2.07e11
 _LOAD: Final = 3 * _E * _H**4 / 12 / _L**2
 # Displacement of the tip in the limit of a thin beam.
-_PUBLISHED: Final = np.array([-0.508537304, -1.207239855])
+_PUBLISHED: Final = published("cantilever")["tip"]
 _NAMES: Final = ("u_x [m]", "u_y [m]")
-_DESIGN: Final = ("beam.youngs_modulus", "beam.height", "load.force_y")
+_DESIGN: Final = {"E": "beam.youngs_modulus", "h": "beam.height", "P": "load.force_y"}
 
 
-def cantilever(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
+def cantilever(report: Report, quick: bool) -> None:
+    """Fill the section."""
     counts = (2, 4) if quick else (2, 4, 8, 16, 32, 64)
-    report.heading("Cantilever of Gerstmayr and Irschik")
-    report.text(_TEXT)
+    report.say("cantilever")
     tips, apart_of, series = {}, {}, []
     for nu in (0.0, 0.3):
-        report.text(f"nu = {nu:g}, against the exact rod with this shear and extension:")
+        report.say("cantilever.poisson", nu=nu)
         rod = _rod_tip(nu)
         tips[nu] = [_tip(n, nu) for n in counts]
         errors = convergence(report, f"cantilever.nu{nu:g}", _NAMES, counts, tips[nu], rod)
@@ -42,46 +41,36 @@ def cantilever(report: Report, quick: bool) -> list[Requirement]:
     error = float(np.max(relative(tips[0.3][-1], _PUBLISHED)))
     long = [i for i, n in enumerate(counts) if _L / n > _H / 2][-1]
     plain, poisson = apart_of[0.0][long], apart_of[0.3][long]
-    report.text(
-        f"{counts[long]} elements are {plain:.1e} and {poisson:.1e} away: with nu = 0.3 continuum "
-        f"and rod are two materials at strains of 7 %.{'' if quick else _SHORT}"
+    report.say(
+        "cantilever.materials",
+        n=counts[long],
+        plain=plain,
+        poisson=poisson,
+        short="" if quick else _SHORT,
     )
     worst = report.figure("cantilever.locked", float(np.max(locked[-1])))
-    report.text(
-        f"With the full law of St. Venant-Kirchhoff, {counts[-1]} elements are {worst:.1%} off at "
-        "nu = 0.3 (Poisson locking)."
-    )
+    report.say("cantilever.locked", n=counts[-1], worst=worst)
     apart = _derivatives(report, counts[long])
     title = "Largest error of the tip"
-    panel = Panel(title, "elements [-]", "relative error [-]", series, "log", "log")
-    caption = "Against the exact rod."
-    report.plot("cantilever", [panel], caption=caption)
-    report.claim(
-        "Cantilever of Gerstmayr and Irschik: displacement of the tip",
-        "(-0.508537304, -1.207239855) m, thin beam",
-        "({:.6f}, {:.6f}) m at nu = 0.3, {} elements".format(*tips[0.3][-1], counts[-1]),
-        Agreement.AGREES if error < 6e-3 else Agreement.DISAGREES,
-    )
-    return [
-        Requirement("cantilever, nu = 0.3: tip against the published one", 6e-3, error),
-        Requirement("cantilever, nu = 0: tip against the exact rod", 1e-3, plain),
-        Requirement("cantilever, nu = 0.3: d(tip)/d(E, h, P)", 2e-3, apart),
-    ]
+    panel = log_log(title, "elements [-]", "relative error [-]", series)
+    report.plot("cantilever", [panel])
+    report.judge("cantilever", error < 6e-3, tip=tips[0.3][-1], n=counts[-1])
+    report.require("cantilever.published", error)
+    report.require("cantilever.exact", plain)
+    report.require("cantilever.derivatives", apart)
 
 
 def _scene(n: int, nu: float, locked: bool = False) -> Scene:
     section, material = Rectangle(_H, _H), Material(7800.0, _E, nu)
     energy = SaintVenantKirchhoff() if locked else None
     beam = Beam("beam", (0, 0), (_L, 0), n, section, material, energy=energy)
-    load = PointForce(beam.at_end, (0, -_LOAD), name="load")
-    return Scene([beam], [Clamp(beam.at_start)], loads=[load])
+    return scenes.cantilever(beam, (0, -_LOAD))
 
 
 def _tip(n: int, nu: float, locked: bool = False) -> Array:
     scene = _scene(n, nu, locked)
     place: Array = equilibrium(scene).solution.position(scene.beams[0].at_end)[0]
-    moved: Array = place - np.array([_L, 0])
-    return moved
+    return place - np.array([_L, 0])
 
 
 def _rod(nu: float, E: Any = _E, h: Any = _H) -> Rod:
@@ -92,8 +81,7 @@ def _rod(nu: float, E: Any = _E, h: Any = _H) -> Rod:
 
 def _rod_tip(nu: float) -> Array:
     end = tip_loaded(_rod(nu), np.array([0, -_LOAD, 0]), steps=3)[0].real
-    moved: Array = end[:2] - np.array([_L, 0])
-    return moved
+    return end[:2] - np.array([_L, 0])
 
 
 def _derivatives(report: Report, n: int) -> float:
@@ -106,18 +94,12 @@ def _derivatives(report: Report, n: int) -> float:
 
     b = np.array([_E, _H, _LOAD])
     u, u_b = derivatives(quantity, moment, b)
-    scene, rows, off = _scene(n, 0.3), [], 0.0
-    for axis, name in enumerate(("u_x", "u_y")):
-        tip = position(scene.beams[0].at_end, axis) - (_L if not axis else 0.0)
-        computed, apart = log_derivatives(scene, tip, _DESIGN)
-        exact, off = u_b[axis] * b / u[axis], max(off, apart)
-        rows += [
-            (f"ln {name}", f"ln {parameter}", float(x), float(e))
-            for parameter, x, e in zip("EhP", computed, exact, strict=True)
-        ]
-    worst = derivative_table(report, "cantilever", rows, (f"direct, {n} elements", "reference"))
-    report.text(f"Direct differentiation and adjoint are {off:.0e} apart.")
-    return worst
+    scene = _scene(n, 0.3)
+    u_x, u_y = (position(scene.beams[0].at_end, axis) - moved for axis, moved in ((0, _L), (1, 0)))
+    exact = u_b * b / u[:, None]
+    quantities = {"u_x": (u_x, exact[0]), "u_y": (u_y, exact[1])}
+    ways = f"direct, {n} elements", "reference"
+    return compared_at_rest(report, "cantilever", scene, quantities, _DESIGN, ways)
 
 
 _SHORT: Final = (
@@ -125,8 +107,3 @@ _SHORT: Final = (
     "shorten the axis by (3/2) (I/A) curvature², as the plain position field does (theory, "
     "strain energy, point 5 of assumed strains): a part of the squared strain of bending."
 )
-_TEXT = """
-*Published*: J. Gerstmayr and H. Irschik, *J. Sound Vib.* 318 (2008) 461-487. A cantilever of L =
-2 m, 0.1 m x 0.1 m, E = 2.07e11 N/m², under a tip force of 3 E I/L². *Reference*: shooting on the
-exact rod. *Here*: planar beam, `equilibrium`.
-"""

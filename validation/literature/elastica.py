@@ -6,78 +6,52 @@ from typing import Final
 import numpy as np
 from scipy.special import ellipeinc, ellipkinc
 
-from ancfdae import Beam, Clamp, Material, PointForce, Scene, equilibrium
+from ancfdae import Beam, Material, Scene, equilibrium
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import design_value, position
 from ancfdae.plotting import Panel, Series
 from ancfdae.sections import Rectangle
-from validation.external.runs import Requirement
-from validation.literature.at_rest import log_derivatives
+from validation.drawing import dots
 from validation.literature.rod import Rod, tip_loaded
-from validation.literature.tables import Array, convergence, derivative_table, relative
-from validation.report import Agreement, Report
+from validation.literature.tables import compared_at_rest, convergence, relative
+from validation.published import published
+from validation.report import Report
+from validation.scenes import cantilever
 
-__all__ = ["elastica"]
-
-# P L^2/(E I), w/L, u/L and the angle of the tip as printed by Mattiasson (1981).
-_PUBLISHED: Final = np.array(
-    [
-        [0.2, 0.06636, 0.00265, 0.09964],
-        [0.4, 0.13098, 0.01035, 0.19715],
-        [0.6, 0.19235, 0.02249, 0.29074],
-        [0.8, 0.24945, 0.03817, 0.37906],
-        [1.0, 0.30172, 0.05643, 0.46135],
-        [2.0, 0.49346, 0.16064, 0.78175],
-        [3.0, 0.60325, 0.25442, 0.98602],
-        [5.0, 0.71379, 0.38763, 1.21537],
-        [10.0, 0.81061, 0.55500, 1.43029],
-    ]
-)
+_PUBLISHED: Final = published("elastica")["tip"]
 _NAMES: Final = ("deflection w/L", "shortening u/L")
 _E, _L, _SLENDER = 1e9, 1.0, 0.02
 _ALPHA: Final = 2.0
-_DESIGN: Final = ("beam.youngs_modulus", "beam.height", "beam.length", "load.force_y")
+_DESIGN: Final = {
+    "E": "beam.youngs_modulus", "h": "beam.height", "L": "beam.length", "P": "load.force_y",
+}  # fmt: skip
 
 
-def elastica(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
+def elastica(report: Report, quick: bool) -> None:
+    """Fill the section."""
     counts = (4, 8) if quick else (4, 8, 16, 32, 64)
     loads = _PUBLISHED[::4, 0] if quick else _PUBLISHED[:, 0]
-    report.heading("Elastica")
-    report.text(_TEXT)
+    report.say("elastica")
     exact = np.array([closed_form(a)[:2] for a in loads])
     printed = np.array([closed_form(a) for a in _PUBLISHED[:, 0]]) - _PUBLISHED[:, 1:]
-    report.text(
-        "The closed form and the printed table are "
-        f"{np.max(np.abs(printed)):.0e} "
-        f"apart. Convergence at alpha = {_ALPHA:g}; the reference is the exact rod with the shear "
-        "and the extension of this beam:"
-    )
+    report.say("elastica.printed", printed=np.max(np.abs(printed)), alpha=_ALPHA)
     tip = _rod_tip(_ALPHA)
     convergence(report, "elastica", _NAMES, counts, [_tip(n, _ALPHA) for n in counts], tip)
     computed = np.array([_tip(counts[-1], a) for a in loads])
     error = float(np.max(relative(computed, exact)))
     report.figure("elastica.error", error)
-    report.text(
-        f"Against the elastica itself, {counts[-1]} elements, largest error of w/L and u/L over "
-        f"all loads: {error:.1e}; shear and extension, which the elastica leaves out, are "
-        f"{np.max(relative(tip, closed_form(_ALPHA)[:2])):.1e} of it at alpha = {_ALPHA:g}."
+    report.say(
+        "elastica.error",
+        n=counts[-1],
+        error=error,
+        left_out=np.max(relative(tip, closed_form(_ALPHA)[:2])),
+        alpha=_ALPHA,
     )
     apart = _derivatives(report, counts[-1])
     _plot(report, loads, computed)
-    report.claim(
-        "Elastica: tip of a cantilever",
-        "w/L = 0.49346, u/L = 0.16064 at alpha = 2 (Mattiasson 1981)",
-        "w/L = {:.5f}, u/L = {:.5f}; all loads within {:.0e}".format(
-            *_tip(counts[-1], _ALPHA), error
-        ),
-        Agreement.AGREES if error < 1e-3 else Agreement.DISAGREES,
-    )
-    return [
-        Requirement(
-            f"elastica, {counts[-1]} elements, h/L = 0.02: w and u, all loads", 1e-3, error
-        ),
-        Requirement("elastica: d(w, u)/d(E, h, L, P)", 1e-3, apart),
-    ]
+    report.judge("elastica", error < 1e-3, tip=_tip(counts[-1], _ALPHA), error=error)
+    report.require("elastica", error, n=counts[-1])
+    report.require("elastica.derivatives", apart)
 
 
 def closed_form(alpha: float) -> Array:
@@ -116,8 +90,7 @@ def _slopes(alpha: float) -> Array:
         # Fourth order: the error is far below that of the elements.
         near = (np.asarray(f(theta + k * d)) for k in (-2, -1, 1, 2))
         a, b, c, e = near
-        slope: Array = (a - 8 * b + 8 * c - e) / (12 * d)
-        return slope
+        return (a - 8 * b + 8 * c - e) / (12 * d)
 
     return along(lambda x: _shape(x)[:2]) / along(_load)
 
@@ -127,9 +100,7 @@ def _scene(n: int, alpha: float) -> Scene:
     section, material = Rectangle(h, h), Material(1.0, _E, 0.0)
     beam = Beam("beam", (0, 0), (_L, 0), n, section, material)
     P = alpha * _E * h**4 / 12 / _L**2
-    return Scene(
-        [beam], [Clamp(beam.at_start)], loads=[PointForce(beam.at_end, (0, -P), name="load")]
-    )
+    return cantilever(beam, (0, -P))
 
 
 def _tip(n: int, alpha: float) -> Array:
@@ -155,20 +126,10 @@ def _derivatives(report: Report, n: int) -> float:
     shortening = design_value("beam.length") - position(tip, 0)
     # w = L W(alpha) with alpha = P L^2/(E I): powers of E, h, L and P in alpha.
     powers, of_length = np.array([-1.0, -3.0, 2.0, 1.0]), np.array([0.0, 0.0, 1.0, 0.0])
-    growth = _ALPHA * _slopes(_ALPHA) / closed_form(_ALPHA)[:2]
-    rows, off = [], 0.0
-    for name, observable, rate in zip(
-        ("w", "u"), (position(tip, 1), shortening), growth, strict=True
-    ):
-        computed, apart = log_derivatives(scene, observable, _DESIGN)
-        exact, off = powers * rate + of_length, max(off, apart)
-        rows += [
-            (f"ln {name}", f"ln {parameter}", float(a), float(b))
-            for parameter, a, b in zip("EhLP", computed, exact, strict=True)
-        ]
-    worst = derivative_table(report, "elastica", rows, (f"direct, {n} elements", "closed form"))
-    report.text(f"Direct differentiation and adjoint are {off:.0e} apart.")
-    return worst
+    w_b, u_b = np.outer(_ALPHA * _slopes(_ALPHA) / closed_form(_ALPHA)[:2], powers) + of_length
+    quantities = {"w": (position(tip, 1), w_b), "u": (shortening, u_b)}
+    ways = f"direct, {n} elements", "closed form"
+    return compared_at_rest(report, "elastica", scene, quantities, _DESIGN, ways)
 
 
 def _plot(report: Report, loads: Array, computed: Array) -> None:
@@ -177,18 +138,10 @@ def _plot(report: Report, loads: Array, computed: Array) -> None:
     series = [
         Series("w/L, closed form", fine, curve[:, 0]),
         Series("u/L, closed form", fine, curve[:, 1]),
-        Series("w/L, Mattiasson 1981", _PUBLISHED[:, 0], _PUBLISHED[:, 1], line=False, marker=True),
-        Series("u/L, Mattiasson 1981", _PUBLISHED[:, 0], _PUBLISHED[:, 2], line=False, marker=True),
-        Series("w/L, elements", loads, computed[:, 0], line=False, marker=True),
-        Series("u/L, elements", loads, computed[:, 1], line=False, marker=True),
+        dots("w/L, Mattiasson 1981", _PUBLISHED[:, 0], _PUBLISHED[:, 1]),
+        dots("u/L, Mattiasson 1981", _PUBLISHED[:, 0], _PUBLISHED[:, 2]),
+        dots("w/L, elements", loads, computed[:, 0]),
+        dots("u/L, elements", loads, computed[:, 1]),
     ]
     panel = Panel("Tip of a cantilever", "alpha = P L²/(E I) [-]", "w/L, u/L [-]", series)
     report.plot("elastica", [panel])
-
-
-_TEXT = """
-*Published*: K. Mattiasson, *Int. J. Numer. Meth. Engng* 17 (1981) 145-153, tabulates the tip of a
-cantilever under a transverse dead force P, from elliptic integrals. *Reference*: those integrals
-(K. E. Bisshopp and D. C. Drucker, *Quart. Appl. Math.* 3 (1945) 272-275), and their derivatives.
-*Here*: planar beam, nu = 0, h/L = 0.02, `equilibrium`.
-"""

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial.legendre import Legendre, leggauss
 from scipy.integrate import solve_ivp
 
-__all__ = ["HubRod"]
+from ancfdae.numerics.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Turning = Callable[[float], tuple[float, float, float]]
 
 
@@ -25,15 +23,9 @@ Turning = Callable[[float], tuple[float, float, float]]
 class HubRod:
     """A uniform rod clamped to a hub at the origin.
 
-    Attributes
-    ----------
-    length, stretch, shear, bend : float
-        L, EA, GA with its shear factor, EI.
-    mass, turning_mass : float
-        Per length: rho A and rho I.
-    degree : int
-    tolerance : float
-        Of Radau; below 1e-7 Newton's iteration meets the round-off of the axial stiffness.
+    Stiffnesses are EA, GA with its shear factor, and EI; masses per length are rho A and rho I.
+    Below a tolerance of 1e-7 Newton's iteration of Radau meets the round-off of the axial
+    stiffness.
     """
 
     length: float
@@ -48,12 +40,8 @@ class HubRod:
     def tip(self, turning: Turning, times: Array) -> Array:
         """Return the displacement of the tip in the frame of the hub, shape (2, k).
 
-        Parameters
-        ----------
-        turning : callable
-            psi, psi' and psi'' at a time.
-        times : array, shape (k,)
-            Rising, from zero, where the rod is at rest.
+        `turning` returns psi, psi' and psi'' at a time. The k times rise from zero, where the
+        rod is at rest.
         """
         N, basis = self.degree, self._basis()
         inertia = np.repeat([self.mass, self.mass, self.turning_mass], N)
@@ -94,8 +82,7 @@ class HubRod:
             rtol=self.tolerance,
             atol=1e-3 * self.tolerance,
         )
-        tip: Array = np.array([basis.end @ run.y[:N], basis.end @ run.y[N : 2 * N]])
-        return tip
+        return np.array([basis.end @ run.y[:N], basis.end @ run.y[N : 2 * N]])
 
     def _inner(self, basis: "_Basis", u: Array) -> tuple[Array, Array]:
         """Return the elastic forces and their derivative."""

@@ -14,12 +14,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-__all__ = ["Array", "Rod", "derivatives", "solve", "tip_loaded"]
-
-Array = npt.NDArray[Any]
+from ancfdae.numerics.arrays import Array
 
 _TOLERANCE: Final = 1e-11
 _STEP: Final = 1e-30
@@ -31,15 +28,8 @@ _LAST: Final = np.array([2, 0, 1])
 class Rod:
     """A uniform rod.
 
-    Attributes
-    ----------
-    length : float
-    stretch : array, shape (3,)
-        EA and the two shear stiffnesses.
-    bend : array, shape (3,)
-        GJ, then the bending stiffnesses about d_2 and d_3.
-    curvature : array, shape (3,)
-        kappa_0 in the axes of the section.
+    `stretch` is EA and the two shear stiffnesses, `bend` GJ and the bending stiffnesses about
+    d_2 and d_3, `curvature` kappa_0 in the axes of the section; each of shape (3,).
     """
 
     length: Any
@@ -48,19 +38,10 @@ class Rod:
     curvature: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     def march(self, start: Array, n: Array, part: float = 1.0) -> Array:
-        """Integrate from one end over a part of the length.
+        """Integrate from one end over a part of the length, for k rods at once.
 
-        Parameters
-        ----------
-        start : array, shape (k, 15)
-            r, d_1, d_2, d_3 and m, for k rods at once.
-        n : array, shape (k, 3)
-            Force that the rest of the rod exerts on the section.
-        part : float
-
-        Returns
-        -------
-        array, shape (k, 15)
+        A state is r, d_1, d_2, d_3 and m, shape (k, 15); n is the force that the rest of the rod
+        exerts on the section, shape (k, 3).
         """
         k = len(start)
         along, bent = np.array([1.0, 0.0, 0.0]), np.array(self.curvature)
@@ -74,8 +55,7 @@ class Rod:
             y_s[:, :1] = gamma[:, None] @ axes
             y_s[:, 1:4] = _cross(kappa[:, None] @ axes, axes)
             y_s[:, 4] = _cross(n, y_s[:, 0])
-            slope: Array = (self.length * y_s).ravel()
-            return slope
+            return (self.length * y_s).ravel()
 
         scale = np.ones((k, 5, 3))
         scale[:, 0] = abs(self.length)
@@ -88,30 +68,18 @@ class Rod:
             rtol=_TOLERANCE,
             atol=1e-2 * _TOLERANCE * scale.ravel(),
         )
-        end: Array = run.y[:, -1].reshape(k, 15)
-        return end
+        return run.y[:, -1].reshape(k, 15)
 
 
 def _cross(a: Array, b: Array) -> Array:
     """Return a x b; `numpy.cross` takes longer than the rest of the equations."""
-    c: Array = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
-    return c
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
 
 
 def solve(residual: Callable[[Array], Array], guess: Array) -> tuple[Array, Array]:
-    """Solve residual(z) = 0 by Newton's method.
+    """Solve residual(z) = 0 by Newton's method; return z and the derivative of the residual.
 
-    Parameters
-    ----------
-    residual : callable
-        Takes k candidates at once, shape (k, n), and returns shape (k, n).
-    guess : array, shape (n,)
-
-    Returns
-    -------
-    z : array, shape (n,)
-    J : array, shape (n, n)
-        Derivative of the residual there.
+    The residual takes k candidates at once, shape (k, n), and returns shape (k, n).
     """
     z = np.array(guess, dtype=float)
     n = len(z)
@@ -133,20 +101,10 @@ def solve(residual: Callable[[Array], Array], guess: Array) -> tuple[Array, Arra
 def derivatives(
     quantity: Callable[[Array, Array], tuple[Array, Array]], z: Array, b: Array
 ) -> tuple[Array, Array]:
-    """Return quantities of a solution and their total derivatives in parameters.
+    """Return quantities of a solution, shape (m,), and their total derivatives, shape (m, n_b).
 
-    Parameters
-    ----------
-    quantity : callable
-        ``quantity(z, b)`` returns the residual, shape (n,), and the quantities, shape (m,).
-    z : array, shape (n,)
-        Solution at b.
-    b : array, shape (n_b,)
-
-    Returns
-    -------
-    x : array, shape (m,)
-    x_b : array, shape (m, n_b)
+    ``quantity(z, b)`` returns the residual, shape (n,), and the quantities; z is the solution
+    at the parameters b.
     """
 
     def columns(of_z: Array, of_b: Array) -> tuple[Array, Array]:
@@ -166,25 +124,11 @@ def derivatives(
 def tip_loaded(
     rod: Rod, force: Array, axes: Array | None = None, steps: int = 1
 ) -> tuple[Array, Array, Array]:
-    """Clamp a rod at its start and pull its end by a dead force.
+    """Clamp a rod at its start and pull its end by a dead force, in load steps.
 
-    Parameters
-    ----------
-    rod : Rod
-    force : array, shape (3,)
-    axes : array, shape (3, 3), optional
-        d_1, d_2, d_3 at the clamp, as rows; by default those of the frame.
-    steps : int
-        Load steps.
-
-    Returns
-    -------
-    end : array, shape (15,)
-        State of the loaded end.
-    moment : array, shape (3,)
-        At the clamp.
-    J : array, shape (3, 3)
-        Derivative of the moment at the end in that at the clamp; singular at bifurcations.
+    The axes d_1, d_2, d_3 at the clamp are rows, by default those of the frame. Return the
+    state of the loaded end, shape (15,), the moment at the clamp, and the derivative of the
+    moment at the end in it, shape (3, 3), which is singular at bifurcations.
     """
     moment, J = np.zeros(3), np.eye(3)
     for load in np.linspace(0, 1, steps + 1)[1:]:

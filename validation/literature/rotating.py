@@ -11,65 +11,38 @@ from numpy.polynomial.legendre import Legendre, leggauss
 from scipy.linalg import eigh
 
 from ancfdae import Beam, Clamp, Material, RotatingFrame, Scene, equilibrium, modes
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.sections import Rectangle
-from validation.external.runs import Requirement
-from validation.literature.tables import Array, convergence, derivative_table, relative
-from validation.report import Agreement, Report
+from validation.drawing import dots
+from validation.literature.tables import convergence, derivative_table, relative
+from validation.published import published
+from validation.report import Report
 
-__all__ = ["PUBLISHED", "rotating"]
-
-# Omega and the first three flap frequencies, both over sqrt(E I/(rho A L^4)).
-PUBLISHED: Final = np.array(
-    [
-        [0, 3.5160, 22.0345, 61.6972],
-        [1, 3.6816, 22.1810, 61.8418],
-        [2, 4.1373, 22.6149, 62.2732],
-        [3, 4.7973, 23.3203, 62.9850],
-        [4, 5.5850, 24.2733, 63.9668],
-        [5, 6.4495, 25.4461, 65.2050],
-        [6, 7.3604, 26.8091, 66.6839],
-        [7, 8.2996, 28.3341, 68.3860],
-        [8, 9.2568, 29.9954, 70.2930],
-        [9, 10.2257, 31.7705, 72.3867],
-        [10, 11.2023, 33.6404, 74.6493],
-        [11, 12.1843, 35.5890, 77.0638],
-        [12, 13.1702, 37.6031, 79.6145],
-    ]
-)
+# The speed and the first three flap frequencies, both over sqrt(E I/(rho A L^4)).
+PUBLISHED: Final = published("rotating")["flap"]
 _NAMES: Final = ("flap 1", "flap 2", "flap 3")
 _L, _W, _RHO, _E = 1.0, 0.004, 1000.0, 1e9
 _UNIT: Final = np.sqrt(_E * _W**2 / (12 * _RHO * _L**4))
 _FAST: Final = 12.0
 
 
-def rotating(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
+def rotating(report: Report, quick: bool) -> None:
+    """Fill the section."""
     counts = (2, 4) if quick else (2, 4, 8, 16)
     speeds = PUBLISHED[::6] if quick else PUBLISHED[::2]
-    report.heading("Rotating cantilever")
-    report.text(_TEXT)
+    report.say("rotating")
     exact = np.array([_reference(speed) for speed in PUBLISHED[:, 0]])
     printed = float(np.max(relative(exact, PUBLISHED[:, 1:])))
-    report.text(
-        f"Reference and printed table are {printed:.0e} apart at most, their last digit. "
-        f"Convergence at the speed {_FAST:g}:"
-    )
+    report.say("rotating.printed", printed=printed, fast=_FAST)
     convergence(report, "rotating", _NAMES, counts, [_flap(n, _FAST)[0] for n in counts], exact[-1])
     computed = np.array([_flap(counts[-1], row[0])[0] for row in speeds])
     error = float(np.max(relative(computed, speeds[:, 1:])))
     apart = _derivatives(report, counts[-1])
     _plot(report, speeds[:, 0], computed, exact)
-    report.claim(
-        "Rotating cantilever: flap frequencies at the speed 12",
-        "13.1702, 37.6031, 79.6145 (Wright et al. 1982; Hodges & Rutkowski 1981)",
-        "{:.4f}, {:.4f}, {:.4f}; all speeds within {:.0e}".format(*computed[-1], error),
-        Agreement.AGREES if error < 2e-3 else Agreement.DISAGREES,
-    )
-    return [
-        Requirement(f"rotating cantilever, {counts[-1]} elements: all speeds", 2e-3, error),
-        Requirement("rotating cantilever: d(frequency)/d(E, w, L)", 5e-3, apart),
-    ]
+    report.judge("rotating", error < 2e-3, found=computed[-1], error=error)
+    report.require("rotating", error, n=counts[-1])
+    report.require("rotating.derivatives", apart)
 
 
 def _flap(n: int, speed: float, design: Sequence[str] = ()) -> tuple[Array, Array]:
@@ -87,18 +60,25 @@ def _flap(n: int, speed: float, design: Sequence[str] = ()) -> tuple[Array, Arra
     return computed.natural_frequencies[rows] / _UNIT, slopes / _UNIT
 
 
-def _reference(speed: float, degree: int = 24) -> Array:
-    """Return the frequencies of the rotating Euler beam: Ritz's method with polynomials."""
+def ritz(speed: float, hub: float = 0.0, count: int = 3) -> Array:
+    """Return squares of flap frequencies of the rotating Euler beam by 24 polynomials.
+
+    `hub` is the radius of the hub over the length.
+    """
+    degree = 24
     points, weights = leggauss(2 * degree)
     x, w = (points + 1) / 2, weights / 2
     # x^2 times polynomials keeps the clamp.
     clamp = Legendre.fromroots([0.0, 0.0], domain=[0, 1])
     shapes = [clamp * Legendre.basis(k, domain=[0, 1]) for k in range(degree)]
     V, V_1, V_2 = (np.array([s.deriv(m)(x) if m else s(x) for s in shapes]).T for m in (0, 1, 2))
-    M = (V.T * w) @ V
-    K = (V_2.T * w) @ V_2 + speed**2 * (V_1.T * (w * (1 - x**2) / 2)) @ V_1
-    values: Array = np.sqrt(eigh(K, M, eigvals_only=True, subset_by_index=[0, 2]))
-    return values
+    tension = hub * (1 - x) + (1 - x**2) / 2
+    K = (V_2.T * w) @ V_2 + speed**2 * (V_1.T * (w * tension)) @ V_1
+    return eigh(K, (V.T * w) @ V, eigvals_only=True, subset_by_index=[0, count - 1])
+
+
+def _reference(speed: float) -> Array:
+    return np.sqrt(ritz(speed))
 
 
 def _derivatives(report: Report, n: int) -> float:
@@ -127,24 +107,8 @@ def _plot(report: Report, speeds: Array, computed: Array, exact: Array) -> None:
     for mode, name in enumerate(_NAMES):
         series = [
             Series("reference", PUBLISHED[:, 0], exact[:, mode]),
-            Series(
-                "Wright et al. 1982",
-                PUBLISHED[:, 0],
-                PUBLISHED[:, mode + 1],
-                line=False,
-                marker=True,
-            ),
-            Series("elements", speeds, computed[:, mode], line=False, marker=True),
+            dots("Wright et al. 1982", PUBLISHED[:, 0], PUBLISHED[:, mode + 1]),
+            dots("elements", speeds, computed[:, mode]),
         ]
         panels.append(Panel(name, "speed [-]", "frequency [-]", series))
-    report.plot("rotating", panels, 3, "Rotating cantilever: flap frequencies")
-
-
-_TEXT = """
-*Published*: A. D. Wright, C. E. Smith, R. W. Thresher and J. L. C. Wang, *J. Appl. Mech.* 49
-(1982) 197-202, and D. H. Hodges and M. J. Rutkowski, *AIAA J.* 19 (1981) 1459-1466: flap
-frequencies of a uniform cantilever that rotates about its clamped end, over sqrt(E I/(rho A L⁴)).
-*Reference*: the same Euler beam by polynomials of degree 26. *Here*: spatial beam, w/L = 0.004
-(rotary inertia and shear change mode 3 by 1e-4), small motions about steady rotation
-(`validation/literature/rotating.py`).
-"""
+    report.plot("rotating", panels, 3)

@@ -7,7 +7,6 @@ from scipy.special import ellipe, ellipk
 
 from ancfdae import (
     Beam,
-    Clamp,
     DesignVariable,
     Material,
     Pin,
@@ -17,26 +16,27 @@ from ancfdae import (
     critical_load,
     equilibrium,
 )
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import CriticalLoad
 from ancfdae.sections import Rectangle
-from validation.external.runs import Requirement
-from validation.literature.tables import Array, convergence, derivative_table, relative
-from validation.report import Agreement, Report
-
-__all__ = ["stability"]
+from validation.drawing import dots
+from validation.literature.tables import convergence, derivative_table, relative
+from validation.published import published
+from validation.report import Report
+from validation.scenes import cantilever
 
 _E, _H, _L = 2.1e11, 0.004, 1.0
 _EULER: Final = np.pi**2 * _E * _H**4 / 12 / 4 / _L**2
 # Lee's frame: E = 7.2e6, A = 6, I = 2, lengths 120, the force at a fifth of the beam.
-_LEE, _LEE_E, _LEE_H, _LEE_W, _LEE_L = 18552.0, 7.2e6, 2.0, 3.0, 120.0
+_LEE_E, _LEE_H, _LEE_W, _LEE_L = 7.2e6, 2.0, 3.0, 120.0
+_LEE: Final = float(published("lee")["limit_load"])
 _ANGLES: Final = (20.0, 40.0, 60.0, 80.0, 100.0)
 
 
-def stability(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
-    report.heading("Critical loads: Euler's column and Lee's frame")
-    report.text(_TEXT)
+def stability(report: Report, quick: bool) -> None:
+    """Fill the section."""
+    report.say("stability")
     counts = (4, 8) if quick else (4, 8, 16, 32)
     columns = [critical_load(_column(n), "load.force_x", -1.5 * _EULER) for n in counts]
     values = [[-found.value] for found in columns]
@@ -53,37 +53,25 @@ def stability(report: Report, quick: bool) -> list[Requirement]:
     exact = np.array([_elastica(angle) for angle in angles])
     apart = float(np.max(relative(path, exact[:, 1:])))
     report.figure("euler.elastica.apart", apart)
-    report.text(
-        f"The buckled path, reached by `branch(0.2)` and followed by `equilibrium` to an end that "
-        f"has turned by {angles[-1]:g}°, is {apart:.1e} from the elastica."
-    )
+    report.say("stability.path", angle=angles[-1], apart=apart)
     sides = [
-        Series("elements", path[:, 1], exact[:, 0], line=False, marker=True),
+        dots("elements", path[:, 1], exact[:, 0]),
         Series("elastica", exact[:, 2], exact[:, 0]),
     ]
     axes = "deflection of the end over the length [-]", "P / Euler's load [-]"
     report.plot("stability", [Panel("Path of the buckled column", *axes, sides)])
     lee, identity = _lee(report, quick)
-    report.claim(
-        "Lee's frame: limit load",
-        "18,552 (Simo & Vu-Quoc 1986)",
-        f"{lee:,.0f}",
-        Agreement.AGREES if relative(lee, _LEE) < 5e-3 else Agreement.DISAGREES,
-    )
-    return [
-        Requirement("Euler's column: critical load", 1e-3, float(euler)),
-        Requirement("Euler's column: d(load)/d(E, h, L)", 1e-3, slopes),
-        Requirement("buckled column: place of the end on the elastica", 1e-3, apart),
-        Requirement("Lee's frame: limit load", 5e-3, float(relative(lee, _LEE))),
-        Requirement("Lee's frame: scaling of the load in E, h, w and lengths", 1e-6, identity),
-    ]
+    report.judge("stability", relative(lee, _LEE) < 5e-3, lee=lee)
+    report.require("euler", float(euler))
+    report.require("euler.derivatives", slopes)
+    report.require("euler.path", apart)
+    report.require("lee", float(relative(lee, _LEE)))
+    report.require("lee.scaling", identity)
 
 
 def _column(n: int) -> Scene:
     rod = Beam("rod", (0, 0), (_L, 0), n, Rectangle(_H, _H), Material(7850.0, _E, 0.0))
-    return Scene(
-        [rod], [Clamp(rod.at_start)], loads=[PointForce(rod.at_end, (0.0, 0.0), name="load")]
-    )
+    return cantilever(rod, (0.0, 0.0))
 
 
 def _elastica(angle: float) -> tuple[float, float, float]:
@@ -108,7 +96,7 @@ def _lee(report: Report, quick: bool) -> tuple[float, float]:
     """Return the limit load, and how far its derivatives are from P = E L^2 f(h/L, w/L)."""
     counts = (5, 10) if quick else (5, 10, 20, 40)
     loads = [-critical_load(_frame(n), "load.force_y", -3e4).value for n in counts]
-    report.text("Lee's frame; elements of each of its two members:")
+    report.say("stability.lee")
     convergence(report, "lee", ("P",), counts, [[load] for load in loads], [_LEE])
     names = ("youngs_modulus", "height", "width")
     design = [DesignVariable(name, [f"post.{name}", f"top.{name}"]) for name in names]
@@ -119,10 +107,7 @@ def _lee(report: Report, quick: bool) -> tuple[float, float]:
     found = critical_load(_frame(counts[-1]), "load.force_y", -3e4, design=design)
     logs = found.gradient * [_LEE_E, _LEE_H, _LEE_W, _LEE_L, _LEE_L] / found.value
     words = ", ".join(f"{x:.6f} (ln {y})" for x, y in zip(logs, found.names, strict=True))
-    report.text(
-        f"Derivatives of ln P: {words}. P = E L² f(h/L, w/L) asks that the first is 1 and the "
-        "others sum up to 2."
-    )
+    report.say("stability.scaling", words=words)
     return loads[-1], float(max(abs(logs[0] - 1), abs(np.sum(logs[1:]) - 2)))
 
 
@@ -132,12 +117,3 @@ def _frame(n: int) -> Scene:
     top = Beam("top", (0, _LEE_L), (_LEE_L, _LEE_L), n, section, material)
     joints = [Pin(post.at_start), Pin(top.at_end), Weld(post.at_end, top.at_start)]
     return Scene([post, top], joints, loads=[PointForce(top.at(0.2), (0.0, 0.0), name="load")])
-
-
-_TEXT = """
-*Published*: Euler's load of a clamped column and its elastica (elliptic integrals); S. L. Lee,
-F. S. Manuel and E. C. Rossow, *J. Eng. Mech. Div. ASCE* 94 (1968) 521-547, the hinged frame that
-snaps through; J. C. Simo and L. Vu-Quoc, *Comput. Methods Appl. Mech. Engng* 58 (1986) 79-116, give
-18,552 for its limit load. *Here*: planar beams, h/L = 0.004 for the column; `critical_load`, a
-bifurcation and a limit point.
-"""

@@ -6,49 +6,38 @@ from typing import Any, Final
 import numpy as np
 
 from ancfdae import Beam, Clamp, Material, Pin, PointOnLine, Scene, modes
-from ancfdae.plotting import Panel, Series
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting import Series
 from ancfdae.sections import Rectangle
-from validation.external.runs import Requirement
-from validation.literature.tables import Array, convergence, derivative_table, relative
-from validation.report import Agreement, Report
-
-__all__ = ["supported"]
+from validation.drawing import log_log
+from validation.literature.tables import convergence, derivative_table, relative
+from validation.published import published
+from validation.report import Report
 
 _L, _H, _E, _RHO = 2.0, 0.4, 1e9, 7850.0
-# rad/s: three bending modes, axial, torsion at nu = 0 without shear correction; bending and axial
-# at nu = 0.3 with it.
-_PUBLISHED: Final = np.array([97.10150393, 347.57951357, 683.99096446, 280.32062513, 396.43322988])
-# The same, bending and axial, at nu = 0.3 with Cowper's shear factor; 256 elements.
-_PUBLISHED_POISSON: Final = np.array([95.635645, 332.254249, 635.769143, 280.322475])
+_PUBLISHED, _PUBLISHED_POISSON = (published("supported")[x] for x in ("frequencies", "poisson"))
 _NAMES: Final = ("bending 1", "bending 2", "bending 3", "axial", "torsion")
 # Without corrections of shear and torsion: J = Iyy + Izz.
 _SECTION: Final = Rectangle(_H, _H, shear_factors=(1.0, 1.0), torsion_constant=_H**4 / 6)
 _DESIGN: Final = ("beam.length", "beam.height", "beam.youngs_modulus", "beam.density")
 
 
-def supported(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
+def supported(report: Report, quick: bool) -> None:
+    """Fill the section."""
     counts = (4, 8) if quick else (4, 8, 16, 32)
-    report.heading("Simply supported thick beam: natural frequencies")
-    report.text(_TEXT)
+    report.say("supported")
     exact = reference(np.array([_L, _H, _E, _RHO]))
-    report.text(
-        f"The closed forms and the published values are {np.max(relative(exact, _PUBLISHED)):.0e} "
-        "apart."
-    )
+    report.say("supported.published", apart=np.max(relative(exact, _PUBLISHED)))
     computed = [np.append(_planar(n)[0], _torsion(n)) for n in counts]
     errors = convergence(report, "supported", _NAMES, counts, computed, exact)
-    poisson = _reference_poisson()
+    nu = 0.3
+    poisson = reference(np.array([_L, _H, _E, _RHO]), nu, 10 * (1 + nu) / (12 + 11 * nu))[:4]
     off = float(np.max(relative(poisson, _PUBLISHED_POISSON)))
-    report.text(
-        "At nu = 0.3 with the default section, which has Cowper's shear factor. The closed forms "
-        f"are {off:.1e} away from the published values of 256 elements; they leave out "
-        "what the axial mode shows here, the inertia of the section that contracts and widens."
-    )
+    report.say("supported.poisson", off=off)
     locked_free = [_planar(n, nu=0.3)[0] for n in counts]
     corrected = convergence(report, "supported.nu0.3", _NAMES[:4], counts, locked_free, poisson)
     apart = _derivatives(report, counts[-1])
-    panel = Panel(
+    panel = log_log(
         "Natural frequencies",
         "elements [-]",
         "relative error [-]",
@@ -56,32 +45,15 @@ def supported(report: Report, quick: bool) -> list[Requirement]:
             Series(name, counts, np.maximum(errors[:, k], 1e-16), marker=True)
             for k, name in enumerate(_NAMES)
         ],
-        "log",
-        "log",
     )
     report.plot("supported", [panel])
     worst = float(np.max(errors[-1]))
-    report.claim(
-        "Simply supported thick beam: frequencies",
-        "97.1015, 347.580, 683.991 (bending), 280.321 (axial), 396.433 (torsion) rad/s",
-        "{:.4f}, {:.3f}, {:.3f}, {:.3f}, {:.3f} rad/s".format(*computed[-1]),
-        Agreement.AGREES if worst < 1.5e-3 else Agreement.DISAGREES,
-    )
-    return [
-        Requirement(
-            f"supported beam, {counts[-1]} elements: bending", 1.5e-3, float(np.max(errors[-1, :3]))
-        ),
-        Requirement(f"supported beam, {counts[-1]} elements: axial", 1e-6, float(errors[-1, 3])),
-        Requirement(
-            f"supported beam at nu = 0.3, {counts[-1]} elements: bending and axial",
-            1.5e-3,
-            float(np.max(corrected[-1])),
-        ),
-        Requirement(
-            f"supported beam, {counts[-1]} elements: torsion", 1.5e-3, float(errors[-1, 4])
-        ),
-        Requirement("supported beam: d ln(frequency)/d ln(L, h, E, rho)", 1e-3, apart),
-    ]
+    report.judge("supported", worst < 1.5e-3, found=computed[-1])
+    report.require("supported.bending", float(np.max(errors[-1, :3])), n=counts[-1])
+    report.require("supported.axial", float(errors[-1, 3]), n=counts[-1])
+    report.require("supported.poisson", float(np.max(corrected[-1])), n=counts[-1])
+    report.require("supported.torsion", float(errors[-1, 4]), n=counts[-1])
+    report.require("supported.derivatives", apart)
 
 
 def reference(b: Array, nu: float = 0.0, factor: float = 1.0) -> Array:
@@ -97,12 +69,6 @@ def reference(b: Array, nu: float = 0.0, factor: float = 1.0) -> Array:
         bending.append(np.sqrt(c / (half + np.sqrt(half**2 - a * c))))
     axial, torsion = np.pi / (2 * L) * np.sqrt(E / rho), np.pi / L * np.sqrt(G / rho)
     return np.array([*bending, axial, torsion])
-
-
-def _reference_poisson() -> Array:
-    nu = 0.3
-    b = np.array([_L, _H, _E, _RHO])
-    return reference(b, nu, 10 * (1 + nu) / (12 + 11 * nu))[:4]
 
 
 def _planar(n: int, design: Sequence[str] = (), nu: float = 0.0) -> tuple[Array, Any]:
@@ -140,13 +106,3 @@ def _derivatives(report: Report, n: int) -> float:
             if abs(e) > 1e-9
         ]
     return derivative_table(report, "supported", rows, (f"direct, {n} elements", "closed form"))
-
-
-_TEXT = """
-*Published*: natural frequencies of a simply supported beam of L = 2 m, 0.4 m x 0.4 m, E = 1e9
-N/m², rho = 7850 kg/m³, nu = 0.3, the example of K. Nachbagauer, P. Gruber and J. Gerstmayr, *J.
-Comput. Nonlinear Dyn.* 8 (2013) 021004, with the values of 256 elements in Exudyn's
-`ANCFBeamEigTest`; and the same at nu = 0 with shear factor 1. *Reference*: Timoshenko's frequency
-equation, and the closed forms of axial and torsional waves (one end slides along the beam; J =
-Iyy + Izz; torsion between clamps). *Here*: `modes`; planar beam, and the spatial one for torsion.
-"""

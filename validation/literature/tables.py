@@ -1,16 +1,22 @@
 """What all cases tabulate: convergence with the mesh, and derivatives found in two ways."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from ancfdae import (
+    Adjoint,
+    DesignVariable,
+    DirectDifferentiation,
+    Scene,
+    assemble,
+    equilibrium_gradient,
+)
+from ancfdae.extend import Observable
+from ancfdae.numerics.arrays import Array
 from validation.report import Report
-
-__all__ = ["convergence", "derivative_table", "relative"]
-
-Array = npt.NDArray[np.float64]
 
 # Errors below this have no order: they are those of the reference.
 _FLOOR: Final = 1e-9
@@ -19,8 +25,7 @@ _FLOOR: Final = 1e-9
 def relative(computed: npt.ArrayLike, exact: npt.ArrayLike) -> Array:
     """Return |found - exact| / |exact|."""
     e = np.asarray(exact, dtype=float)
-    apart: Array = np.abs(np.asarray(computed, dtype=float) - e) / np.abs(e)
-    return apart
+    return np.abs(np.asarray(computed, dtype=float) - e) / np.abs(e)
 
 
 def convergence(
@@ -33,22 +38,9 @@ def convergence(
 ) -> Array:
     """Add the table of values by number of elements, errors and observed orders.
 
-    Parameters
-    ----------
-    report : Report
-    key : str
-        First word of the figures.
-    names : sequence of str
-        Of the quantities; m of them.
-    counts : sequence of int
-        Numbers of elements, rising; k of them.
-    values : array_like, shape (k, m)
-    exact : array_like, shape (m,)
-
-    Returns
-    -------
-    array, shape (k, m)
-        Relative errors.
+    The key is the first word of the figures. There are k rising numbers of elements, m names of
+    quantities, values of shape (k, m) and exact values of shape (m,). Return relative errors, shape
+    (k, m).
     """
     computed, e = np.asarray(values, dtype=float), np.asarray(exact, dtype=float)
     errors = relative(computed, e)
@@ -70,17 +62,10 @@ def convergence(
 def derivative_table(
     report: Report, key: str, rows: Sequence[tuple[str, str, float, float]], ways: tuple[str, str]
 ) -> float:
-    """Add the table of derivatives found in two ways; return the largest relative difference.
+    """Add derivatives found in two ways; return the largest relative difference.
 
-    Parameters
-    ----------
-    report : Report
-    key : str
-        First word of the figure.
-    rows : sequence of (str, str, float, float)
-        Quantity, parameter, and the derivative in both ways.
-    ways : (str, str)
-        What they are.
+    A row names the quantity and the parameter and holds the derivative in both ways, which `ways`
+    names; the key is the first word of the figure.
     """
     apart = [float(relative(computed, exact)) for _, _, computed, exact in rows]
     report.table(
@@ -91,6 +76,41 @@ def derivative_table(
         ],
     )
     return report.figure(f"{key}.derivatives.apart", max(apart))
+
+
+def logarithmic(
+    name: str, symbols: Iterable[str], computed: Array, exact: Array
+) -> list[tuple[str, str, float, float]]:
+    """Return rows of d ln(quantity)/d ln(parameter), one for each symbol of a parameter."""
+    pairs = zip(symbols, computed.tolist(), exact.tolist(), strict=True)
+    return [(f"ln {name}", f"ln {symbol}", *values) for symbol, *values in pairs]
+
+
+def compared_at_rest(
+    report: Report,
+    key: str,
+    scene: Scene,
+    quantities: Mapping[str, tuple[Observable, Array]],
+    design: Mapping[str, str | DesignVariable],
+    ways: tuple[str, str],
+) -> float:
+    """Add d ln(quantity)/d ln(parameter) of a scene at rest; return the largest difference.
+
+    Quantities have, by name, an observable and its exact derivatives, one for each design variable.
+    The design variables have symbols; none may be zero. Key and ways are as for `derivative_table`.
+    """
+    system, rows, off = assemble(scene, list(design.values())), [], 0.0
+    for name, (observable, exact) in quantities.items():
+        direct, adjoint = (
+            equilibrium_gradient(system, observable, method=method)
+            for method in (DirectDifferentiation(), Adjoint())
+        )
+        off = max(off, float(np.max(relative(adjoint.gradient, direct.gradient))))
+        computed = direct.gradient * system.b.real / direct.value
+        rows += logarithmic(name, design, computed, exact)
+    worst = derivative_table(report, key, rows, ways)
+    report.say("adjoint", off=off)
+    return worst
 
 
 def _orders(counts: Sequence[int], errors: Array) -> Array:

@@ -5,21 +5,18 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-import numpy.typing as npt
 
 from ancfdae import HHT, choose_model, gradient
 from ancfdae.errors import NoAccurateModelError
 from ancfdae.extend import Objective
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import ModelChoice, ModelComparison
 from ancfdae.studies.ladder import KINDS, ErrorOf, error
 from ancfdae.studies.meshes import with_mesh
+from validation.drawing import log_log
 from validation.models.scenes import CASES, Case
 from validation.report import Agreement, Report
-
-__all__ = ["run"]
-
-Array = npt.NDArray[np.float64]
 
 _TOLERANCES: Final = (1e-1, 1e-2, 1e-3)
 _STEPS: Final = 4096
@@ -49,8 +46,7 @@ class _Answer:
 
 def run(report: Report, quick: bool) -> None:
     """Run the cases of report `models`; add its text, tables and figures."""
-    report.heading("Method")
-    report.text(_METHOD)
+    report.say("method")
     answers, surprises = list[_Answer](), list[list[object]]()
     for make in CASES[:1] if quick else CASES:
         case = make()
@@ -74,11 +70,10 @@ def run(report: Report, quick: bool) -> None:
             surprises += _surprises(case, name, ladder, truth)
             panels.append(_panel(name, ladder, truth))
         _chosen(report, [each for each in answers if each.case is case])
-        report.plot(case.key, panels, min(2, len(panels)), case.title, _CAPTION)
+        report.plot("{case.key}", panels, min(2, len(panels)), case=case)
     _told_wrong(report, surprises)
     _verdict(report, answers)
-    report.heading("Limits")
-    report.text(_LIMITS)
+    report.say("limits")
 
 
 def _truth(case: Case, objective: Objective, ladder: ModelComparison) -> Array:
@@ -112,7 +107,7 @@ def _rungs(report: Report, ladder: ModelComparison, truth: Array) -> None:
     exact = ladder.richest.numbers
     orders = ", ".join(f"{x:.2g}" for x in ladder.mesh_orders)
     bars = " and ".join(f"{error(ladder.mesh_bar, exact, of):.1e}" for of in KINDS)
-    report.text(f"Bar of the last mesh: {bars} in value and gradient; orders observed {orders}.")
+    report.say("rungs", bars=bars, orders=orders)
 
 
 def _answers(case: Case, name: str, ladder: ModelComparison, truth: Array) -> list[_Answer]:
@@ -177,7 +172,7 @@ def _told_wrong(report: Report, rows: Sequence[Sequence[object]]) -> None:
         head = ["scene", "objective", "error of the value", "of the gradient", "no influence"]
         report.table(head, rows)
     else:
-        report.text("None here.")
+        report.say("none")
 
 
 def _panel(name: str, ladder: ModelComparison, truth: Array) -> Panel:
@@ -195,7 +190,7 @@ def _panel(name: str, ladder: ModelComparison, truth: Array) -> Panel:
         costs, errors = zip(*front, strict=True)
         series.append(Series(kind, list(costs), list(errors), marker=True))
     axes = ("processor time [ms]", "relative error [-]")
-    return Panel(f"Gradient of: {name}", *axes, series, x_scale="log", y_scale="log")
+    return log_log(f"Gradient of: {name}", *axes, series)
 
 
 def _verdict(report: Report, answers: Sequence[_Answer]) -> None:
@@ -218,53 +213,12 @@ def _verdict(report: Report, answers: Sequence[_Answer]) -> None:
         rows.append([f"{tolerance:g}", len(own), len(kept), held, median_of])
     head = ["tolerance", "asked", "chosen", "of them within it", "median cost ratio"]
     report.table(head, rows)
-    report.claim(
-        "The chosen model is within the tolerance against the richest with twice its mesh",
-        "all",
-        f"{100 * within:.0f} % of {len(reached)} choices; of {len(answers)} asked {missed} were "
-        "answered by: no model that was measured is accurate enough",
+    report.judge(
+        "verdict",
         Agreement.AGREES if within == 1 and not missed else Agreement.PARTLY,
+        within=100 * within,
+        chosen=len(reached),
+        asked=len(answers),
+        missed=missed,
     )
-    report.claim(
-        "It costs at most twice what the best one in hindsight costs",
-        "median 2",
-        f"median {median:.2g}, largest {worst:.2g}",
-        Agreement.AGREES if median <= 2 else Agreement.DISAGREES,
-    )
-
-
-_CAPTION = (
-    "The best runs of every model, over its meshes and steps; errors against the richest model "
-    "with twice its elements and half its step."
-)
-
-_METHOD = """
-`choose_model` runs every model that a scene can be simplified to, on meshes from a quarter of the
-elements declared up, with steps halved until they err by an eighth of the tolerance (4096 at most),
-and adds up four parts of an error, relative to the value or the gradient (derivatives times their
-variables):
-
-- *model*: this kind of model against the richest one, each on its finest mesh;
-- *mesh*: this mesh against the finest one of the same kind;
-- *step*: this step against the shortest one, with the bar of that;
-- *reference*: bars of mesh and step of the richest model itself.
-
-The cheapest run whose parts add up to the tolerance is chosen. Here it is compared with a model
-that the call did not see: the richest one with twice its finest mesh and half its step. *Best in
-hindsight* is the cheapest of all measured runs whose error against that is within the tolerance.
-Stresses are in MPa, and like torques and places taken as integrals of squares where nothing else is
-said. Times are processor times of value and gradient by HHT-I3, on a machine with other work.
-"""
-
-_LIMITS = """
-- Planar and spatial models are compared on one scene only (the blade), as the planar one must be
-  written down; masses lumped at points have no rung, because a beam needs its mass. Another strain
-  energy costs the same and is none either.
-- The moving load is handed from point to point of the girder by splines over time, because no load
-  moves along a beam yet.
-- Rigid models have no stress; of the frame and the cable they have no motion. Both are refused in
-  words and stand in the tables as not possible.
-- Damping of cables acts on their axial strain, not on their bending: their error holds that.
-- Where no model is accurate enough, the bar of the finest mesh is the reason, often of stresses at
-  nodes: meshes are doubled twice here.
-"""
+    report.judge("cost", median <= 2, median=median, worst=worst)

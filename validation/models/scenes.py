@@ -30,8 +30,6 @@ from validation.design.coupler_path import hoeken
 from validation.design.two_link_arm import arm, torques
 from validation.design.whirling_beam import blade, spin_up
 
-__all__ = ["CASES", "Case"]
-
 _DAMPED: Final = Material(2700.0, 7e10, 0.33, damping_time=3e-4)
 # Stresses in units of this, so that no number is huge; Pa.
 _MEGA: Final = 1e6
@@ -67,53 +65,38 @@ def slider_crank(speed: float, key: str) -> Case:
         RotationDriver(crank.at_start, SmoothStep(0.0, 4 * np.pi, 2 * turn), name="motor"),
     ]
     scene = Scene([crank, rod], joints, (0, -9.81), bodies=[PointMass(rod.at_end, 0.2)])
-    return Case(
-        key,
-        f"Slider-crank at {speed:g} rad/s",
-        scene,
-        turn,
-        ("rod.height", "rod.youngs_modulus", "crank.height"),
-        {
-            "position of the slider": Integral((position(rod.at_end, 0) - 0.45) ** 2),
-            "torque of the motor": Integral(driver_torque("motor") ** 2),
-            "stress in the rod": _stress("rod", 0.5, 0.005),
-        },
-    )
+    design = ("rod.height", "rod.youngs_modulus", "crank.height")
+    asked: dict[str, Objective] = {
+        "position of the slider": Integral((position(rod.at_end, 0) - 0.45) ** 2),
+        "torque of the motor": Integral(driver_torque("motor") ** 2),
+        "stress in the rod": _stress("rod", 0.5, 0.005),
+    }
+    return Case(key, f"Slider-crank at {speed:g} rad/s", scene, turn, design, asked)
 
 
 def four_bar() -> Case:
     """Return Hoeken's linkage of the report `design`; its crank and rocker are rigid."""
     design = ("coupler.height", "coupler.youngs_modulus", "coupler.density")
+    asked: dict[str, Objective] = {
+        "position of the coupler point": Integral(position(MaterialPoint("coupler", 1.0), 1) ** 2),
+        "torque of the motor": Integral(driver_torque("motor") ** 2),
+        "stress in the coupler": _stress("coupler", 0.5, 0.004),
+    }
     return Case(
-        "four-bar",
-        "Four-bar with a flexible coupler",
-        hoeken(4),
-        np.pi / 20,
-        design,
-        {
-            "position of the coupler point": Integral(
-                position(MaterialPoint("coupler", 1.0), 1) ** 2
-            ),
-            "torque of the motor": Integral(driver_torque("motor") ** 2),
-            "stress in the coupler": _stress("coupler", 0.5, 0.004),
-        },
+        "four-bar", "Four-bar with a flexible coupler", hoeken(4), np.pi / 20, design, asked
     )
 
 
 def driven_arm() -> Case:
     """Return the two-link arm of the report `design`, led on a given path."""
     design = ("upper.height", "lower.height", "lower.youngs_modulus")
+    asked: dict[str, Objective] = {
+        "position of the tip": AtTimes(position(MaterialPoint("lower", 1.0), 1), 0.3),
+        "torque of the shoulder": Integral(driver_torque("shoulder") ** 2),
+        "stress in the lower link": _stress("lower", 0.0, 0.01),
+    }
     return Case(
-        "two-link-arm",
-        "Two-link arm on a given path",
-        arm(4, driven=True),
-        0.5,
-        design,
-        {
-            "position of the tip": AtTimes(position(MaterialPoint("lower", 1.0), 1), 0.3),
-            "torque of the shoulder": Integral(driver_torque("shoulder") ** 2),
-            "stress in the lower link": _stress("lower", 0.0, 0.01),
-        },
+        "two-link-arm", "Two-link arm on a given path", arm(4, driven=True), 0.5, design, asked
     )
 
 
@@ -126,17 +109,18 @@ def free_arm() -> Case:
         replace(load, law=law) for load, law in zip(scene.loads, laws, strict=True)
     ]
     design = ("upper.height", "lower.height", "lower.youngs_modulus")
+    asked: dict[str, Objective] = {
+        "position of the tip": AtTimes(position(MaterialPoint("lower", 1.0), 1), 0.3),
+        "kinetic energy": Integral(kinetic_energy()),
+        "stress in the lower link": _stress("lower", 0.0, 0.01),
+    }
     return Case(
         "design-arm",
         "Arm of the report `design`, moved by torques",
         replace(scene, loads=loads),
         0.5,
         design,
-        {
-            "position of the tip": AtTimes(position(MaterialPoint("lower", 1.0), 1), 0.3),
-            "kinetic energy": Integral(kinetic_energy()),
-            "stress in the lower link": _stress("lower", 0.0, 0.01),
-        },
+        asked,
     )
 
 
@@ -144,17 +128,19 @@ def pendulum() -> Case:
     """Return the pendulum of the paper, damped."""
     material = Material(4000.0, 1e7, 0.3, damping_time=5e-3)
     beam = Beam("pendulum", (0, 0), (1.2, 0), 4, Rectangle(0.05, 0.05), material)
+    design = ("pendulum.height", "pendulum.youngs_modulus", "pendulum.density")
+    asked: dict[str, Objective] = {
+        "position of the tip": AtTimes(position(beam.at_end, 1), 0.5),
+        "kinetic energy": Integral(kinetic_energy()),
+        "stress": _stress("pendulum", 0.5, 0.025),
+    }
     return Case(
         "pendulum",
         "Pendulum",
         Scene([beam], [Pin(beam.at_start, name="pin")], (0, -9.81)),
         0.6,
-        ("pendulum.height", "pendulum.youngs_modulus", "pendulum.density"),
-        {
-            "position of the tip": AtTimes(position(beam.at_end, 1), 0.5),
-            "kinetic energy": Integral(kinetic_energy()),
-            "stress": _stress("pendulum", 0.5, 0.025),
-        },
+        design,
+        asked,
     )
 
 
@@ -163,17 +149,14 @@ def cable() -> Case:
     material = Material(1100.0, 5e6, 0.3, damping_time=2e-3)
     cord = Beam("cord", (0, 0), (2, 0), 8, Rectangle(0.01, 0.01), material)
     joints = [Pin(cord.at_start, name="left"), Pin(cord.at_end, name="right")]
+    design = ("cord.height", "cord.youngs_modulus", "cord.density")
+    asked: dict[str, Objective] = {
+        "position of the middle": Integral(position(cord.at(0.5), 1) ** 2),
+        "strain energy": Integral(strain_energy()),
+        "stress": _stress("cord", 0.5, 0.0),
+    }
     return Case(
-        "cable",
-        "Cable under gravity",
-        Scene([cord], joints, (0, -9.81)),
-        0.5,
-        ("cord.height", "cord.youngs_modulus", "cord.density"),
-        {
-            "position of the middle": Integral(position(cord.at(0.5), 1) ** 2),
-            "strain energy": Integral(strain_energy()),
-            "stress": _stress("cord", 0.5, 0.0),
-        },
+        "cable", "Cable under gravity", Scene([cord], joints, (0, -9.81)), 0.5, design, asked
     )
 
 
@@ -188,20 +171,14 @@ def spinning_blade() -> Case:
         RotationDriver(beam.at_start, UserLaw(spin_up), name="hub"),
     ]
     named = replace(planar, joints=[planar.joints[0], replace(planar.joints[1], name="hub")])
+    design = ("blade.height", "blade.youngs_modulus", "blade.density")
+    asked: dict[str, Objective] = {
+        "deflection of the tip": Integral(position(beam.at_end, 1) ** 2 + position(beam.at_end, 0)),
+        "torque of the hub": Integral(driver_torque("hub") ** 2),
+        "stress": _stress("blade", 0.0, 0.01),
+    }
     return Case(
-        "blade",
-        "Spinning blade",
-        Scene([beam], joints),
-        1.0,
-        ("blade.height", "blade.youngs_modulus", "blade.density"),
-        {
-            "deflection of the tip": Integral(
-                position(beam.at_end, 1) ** 2 + position(beam.at_end, 0)
-            ),
-            "torque of the hub": Integral(driver_torque("hub") ** 2),
-            "stress": _stress("blade", 0.0, 0.01),
-        },
-        {"planar": named},
+        "blade", "Spinning blade", Scene([beam], joints), 1.0, design, asked, {"planar": named}
     )
 
 
@@ -224,17 +201,19 @@ def frame() -> Case:
         )
         for k in range(1, 8)
     ]
+    design = ("girder.height", "left.height", "girder.youngs_modulus")
+    asked: dict[str, Objective] = {
+        "position of the middle": Integral((position(girder.at(0.5), 1) - 1.0) ** 2),
+        "strain energy": Integral(strain_energy()),
+        "stress in the girder": _stress("girder", 0.5, 0.01),
+    }
     return Case(
         "frame",
         "Frame under a moving load",
         Scene([left, girder, right], joints, loads=loads),
         1.0,
-        ("girder.height", "left.height", "girder.youngs_modulus"),
-        {
-            "position of the middle": Integral((position(girder.at(0.5), 1) - 1.0) ** 2),
-            "strain energy": Integral(strain_energy()),
-            "stress in the girder": _stress("girder", 0.5, 0.01),
-        },
+        design,
+        asked,
     )
 
 

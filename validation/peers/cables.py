@@ -25,8 +25,6 @@ from ancfdae.laws import ConstantAcceleration
 from ancfdae.sections import Rectangle
 from validation.peers.pair import GRAVITY, Model, Pair
 
-__all__ = ["CablePendulum", "Elastica", "FlexibleSlider"]
-
 # Axial strains stay below 1e-3: the two codes measure curvature in ways that differ by them.
 _LENGTH, _SIDE, _DENSITY, _MODULUS = 1.2, 0.005, 1000.0, 2e8
 _ROPE = Material(_DENSITY, _MODULUS, 0.0)

@@ -8,8 +8,6 @@ import numpy as np
 from ancfdae.numerics.arrays import Array
 from validation.peers.formulas import Mechanism
 
-__all__ = ["CasadiRuns"]
-
 # Relative to the tolerance: absolute tolerances, of coordinates of the size of one.
 _ABSOLUTE = 1e-2
 
@@ -66,8 +64,7 @@ class CasadiRuns:
             [ca.jacobian(alg, z), ca.substitute(alg, z, 0 * z)],
         )
         matrix, right = (np.asarray(x) for x in linear(start, self._b))
-        guess: Array = -np.linalg.solve(matrix, right).ravel()
-        return guess
+        return -np.linalg.solve(matrix, right).ravel()
 
     def _observed(self, ca: Any, observed: Any, q: Any, v: Any, end: Any, n: int) -> Any:
         return ca.Function("observed", [q, v], [observed])(end["xf"][:n], end["xf"][n:])

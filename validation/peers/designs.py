@@ -12,17 +12,14 @@ from validation.peers.cables import CablePendulum, FlexibleSlider
 from validation.peers.exudyn import Exudyn
 from validation.peers.pair import Pair
 from validation.peers.rigid import Chain, RigidSlider
-from validation.report import Agreement, Report
-
-__all__ = ["fill"]
+from validation.report import Report
 
 _STEPS, _STEP = 64, 2.0**-10
 
 
 def fill(report: Report, bodies: Sequence[int], designs: int, repeats: int) -> None:
     """Add a table of set-up, a row for each number of bodies, and one of sweeps."""
-    report.heading("Set-up and sweeps")
-    report.text(_METHOD.format(designs=designs))
+    report.say("designs", designs=designs)
     _set_up(report, bodies, repeats)
     _sweeps(report, designs, repeats)
 
@@ -31,24 +28,15 @@ def _set_up(report: Report, bodies: Sequence[int], repeats: int) -> None:
     rows, ratios = list[list[object]](), list[float]()
     for n in bodies:
         pair = Chain(n, revolute=True)
-        here, there = medians([partial(_assembled, pair), partial(_built, pair)], repeats)
+        here, there = medians([partial(_assembled, pair), partial(Exudyn, pair)], repeats)
         ratios.append(report.figure(f"set_up.{n}.ratio", here / there))
         rows.append([pair.title, 1e3 * here, 1e3 * there, f"{ratios[-1]:.2f}"])
     report.table(["set-up", "here, ms", "Exudyn, ms", "ratio"], rows)
-    report.claim(
-        "Set-up of a chain, from declaration to assembled equations, of Exudyn's: largest ratio",
-        "at most 1.5",
-        f"{max(ratios):.2f}",
-        Agreement.AGREES if max(ratios) <= 1.5 else Agreement.DISAGREES,
-    )
+    report.judge("set-up", max(ratios) <= 1.5, largest=max(ratios))
 
 
 def _assembled(pair: Pair) -> object:
     return assemble(pair.scene())
-
-
-def _built(pair: Pair) -> object:
-    return Exudyn(pair)
 
 
 def _sweeps(report: Report, designs: int, repeats: int) -> None:
@@ -67,12 +55,7 @@ def _sweeps(report: Report, designs: int, repeats: int) -> None:
     report.table(
         ["sweep", "a design here, ms", "Exudyn, rebuilt, ms", "its motion alone, ms", "ratio"], rows
     )
-    report.claim(
-        "A design of a sweep of a small mechanism, of Exudyn rebuilt: largest ratio",
-        "below 1",
-        f"{max(ratios):.2f}",
-        Agreement.AGREES if max(ratios) < 1 else Agreement.DISAGREES,
-    )
+    report.judge("sweeps", max(ratios) < 1, largest=max(ratios))
 
 
 def _sweep(pair: Pair, target: str, designs: int, repeats: int) -> list[float]:
@@ -94,12 +77,3 @@ def _sweep(pair: Pair, target: str, designs: int, repeats: int) -> list[float]:
 
     ours = partial(sweep, scene, values, what, design=[target])
     return medians([ours, rebuilt, motions], repeats)
-
-
-_METHOD = """\
-Set-up is what a user waits for before the first step: the chain on revolute joints declared and its
-equations assembled, in Exudyn by `CreateRigidBody`, `CreateRevoluteJoint` and `Assemble`. A sweep
-runs {designs} designs of 64 steps: here by one call of `sweep`, in Exudyn by a model that is built
-anew for each design. Its motion alone, in a model that stands, is what remains where
-`SetObjectParameter` can set the variable.
-"""

@@ -9,8 +9,6 @@ import numpy as np
 from ancfdae.numerics.arrays import Array
 from validation.peers.formulas import Mechanism
 
-__all__ = ["DiffraxRuns"]
-
 _ABSOLUTE = 1e-2
 _MOST_STEPS = 16_384
 

@@ -14,8 +14,6 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
 from validation.peers.pair import Pair
 
-__all__ = ["SPECTRAL_RADIUS", "Exudyn", "Way", "quiet", "require_peers"]
-
 _PEERS = ("exudyn", "jax", "diffrax", "casadi", "qdldl")
 
 # Of generalised-alpha with the numerical damping of HHT at alpha = -0.3: (1 + alpha)/(1 - alpha).
@@ -137,8 +135,7 @@ class Exudyn:
             ignoreAlgebraicEquations=True,
             autoAssemble=False,
         )
-        frequencies: Array = np.sqrt(np.abs(np.asarray(values)[:number]))
-        return frequencies
+        return np.sqrt(np.abs(np.asarray(values)[:number]))
 
 
 def quiet(exu: Any) -> Any:

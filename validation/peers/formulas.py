@@ -14,8 +14,6 @@ from ancfdae.extend import FormulaSystem
 from ancfdae.observables import custom
 from ancfdae.sensitivity.objectives import Objective
 
-__all__ = ["MECHANISMS", "Formulated", "Mechanism"]
-
 # A sequence of scalars of whatever kind: floats, symbols, tracers.
 _Scalars = Any
 
@@ -80,8 +78,7 @@ class Formulated(FormulaSystem):
             lam: npt.NDArray[Any],
             b: npt.NDArray[Any],
         ) -> npt.NDArray[Any]:
-            value: npt.NDArray[Any] = observed(q.T, v.T)
-            return value
+            return observed(q.T, v.T)
 
         observable = custom(along, self._mechanism.title)
         return Integral(observable) if self._mechanism.integral else Terminal(observable)
@@ -150,11 +147,7 @@ def _slider_crank() -> Mechanism:
         N = x * x - x * (m.cos(p) + a * m.cos(turn)) + (1 + a * a) / 4
         N = N + a / 2 * m.cos(p - turn)
         bend = a / 2 * m.sin(p - turn)
-        N_q = [
-            a * x * m.sin(turn) + bend,
-            2 * x - m.cos(p) - a * m.cos(turn),
-            x * m.sin(p) - bend,
-        ]
+        N_q = [a * x * m.sin(turn) + bend, 2 * x - m.cos(p) - a * m.cos(turn), x * m.sin(p) - bend]
         rate = (N_q[0] * v[0] + N_q[1] * v[1] + N_q[2] * v[2]) / (2 * N)
         f = k * (1 - free / m.sqrt(N)) + c * rate
         return [-f * N_q[0] / 2, push - f * N_q[1] / 2, -push * m.sin(p) - f * N_q[2] / 2]

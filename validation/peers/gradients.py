@@ -8,14 +8,13 @@ from ancfdae import HHT, Adjoint, DirectDifferentiation, Terminal, assemble, gra
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import medians
 from ancfdae.observables import position
-from ancfdae.plotting import Panel, Series
+from ancfdae.plotting import Series
+from validation.drawing import log_log
 from validation.peers.cables import CablePendulum
 from validation.peers.exudyn import Exudyn, Way
 from validation.peers.pair import Pair
 from validation.peers.rigid import Chain
-from validation.report import Agreement, Report
-
-__all__ = ["fill"]
+from validation.report import Report
 
 _STEP, _STEPS, _NEWTON = 2.0**-10, 256, 1e-8
 _CHANGES = 10.0 ** np.arange(-1, -8, -1)
@@ -56,25 +55,14 @@ def fill(report: Report, quick: bool) -> None:
         rows,
     )
     worst = max(ratios)
-    report.claim(
-        "A gradient costs no more than central differences of Exudyn's runs: largest ratio",
-        "at most 1",
-        f"{worst:.2f}",
-        Agreement.AGREES if worst <= 1 else Agreement.DISAGREES,
-    )
-    panel = Panel(
+    report.judge("gradients", worst <= 1, worst=worst)
+    panel = log_log(
         "Error of central differences, first variable",
         "relative change [-]",
         "relative error [-]",
         curves,
-        "log",
-        "log",
     )
-    report.plot(
-        "differences",
-        [panel],
-        caption="Against the gradient of the same code at the change beside which it moves least.",
-    )
+    report.plot("differences", [panel])
 
 
 class _Case:
@@ -100,8 +88,7 @@ class _Case:
         limit = values[1 + int(np.nanargmin(steps))]
         if not np.isclose(limit, exact, rtol=0.05):
             raise AssertionError(f"the codes disagree: {limit} there, {exact} here")
-        errors: Array = np.maximum(np.abs(values / limit - 1), np.nanmin(steps) / abs(limit))
-        return errors
+        return np.maximum(np.abs(values / limit - 1), np.nanmin(steps) / abs(limit))
 
     def error_here(self) -> float:
         """Return how far direct and adjoint are apart, relative."""

@@ -4,8 +4,6 @@ Forces and stiffness are automatic derivatives of the strain energy of an elemen
 derivatives those of the loop over the steps. Nothing of the package is used.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -13,8 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ancfdae.numerics.arrays import Array
-
-__all__ = ["compiled"]
 
 _LENGTH, _WIDTH, _NU, _GRAVITY = 1.2, 0.05, 0.3, 9.81
 # Newton's method stops at 1e-14 after these many iterations in all steps of the run.

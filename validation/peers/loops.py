@@ -29,13 +29,12 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.extend import Joint, MaterialPoint
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import medians
-from ancfdae.plotting import Panel, Series
+from ancfdae.plotting import Series
 from ancfdae.sections import Circle, Rectangle
+from validation.drawing import log_log
 from validation.peers.exudyn import Exudyn
 from validation.peers.pair import GRAVITY, Model, Pair
-from validation.report import Agreement, Report
-
-__all__ = ["Net", "fill", "frame"]
+from validation.report import Report
 
 _STEP = 2.0**-10
 _DIAMETER, _DENSITY, _MODULUS = 0.01, 1000.0, 1e7
@@ -165,32 +164,23 @@ def fill(
     report: Report, nets: Sequence[tuple[int, int]], frames: Sequence[int], repeats: int
 ) -> None:
     """Add tables of nets, (lines, steps), and of frames, number of cells in either direction."""
-    report.heading("Nets and frames")
-    report.text(_METHOD)
+    report.say("loops")
     elements, net_ms = _nets(report, nets, repeats)
     beams, frame_ms = _frames(report, frames, repeats)
     growths = []
     for what, sizes, ms in (("nets", elements, net_ms), ("frames", beams, frame_ms)):
         exponent = float(np.polyfit(np.log(sizes), np.log(ms), 1)[0])
         growths.append(report.figure(f"loops.{what}.growth", exponent))
-    report.claim(
-        "Time of a step of nets and frames over the number of elements: fitted exponents",
-        "at most 1.5",
-        f"{growths[0]:.2f} (nets), {growths[1]:.2f} (frames)",
-        Agreement.AGREES if max(growths) <= 1.5 else Agreement.DISAGREES,
-    )
+    report.judge("loops", max(growths) <= 1.5, growths=growths)
     series = [
         Series("nets", elements, net_ms, marker=True),
         Series("frames", beams, frame_ms, marker=True),
         Series(
-            "n^1.5",
-            elements,
-            [net_ms[0] * (n / elements[0]) ** 1.5 for n in elements],
-            dashed=True,
+            "n^1.5", elements, [net_ms[0] * (n / elements[0]) ** 1.5 for n in elements], dashed=True
         ),
     ]
     axes = "elements [-]", "time of a step [ms]"
-    report.plot("loops", [Panel("Time of a step here", *axes, series, "log", "log")])
+    report.plot("loops", [log_log("Time of a step here", *axes, series)])
 
 
 def _nets(
@@ -277,8 +267,7 @@ def _frame(report: Report, cells: int, repeats: int) -> tuple[list[object], list
     apart = float(np.max(np.abs(here / there - 1)))
     ratios = [step / allowed, rest / (allowed * factorisations), own_modes / by_arpack]
     name = f"loops.frame.{beams}"
-    for what, value in zip(("step", "equilibrium", "modes"), ratios, strict=True):
-        report.figure(f"{name}.{what}.ratio", value)
+    report.figures(f"{name}.{{}}.ratio", ("step", "equilibrium", "modes"), ratios)
     report.figure(f"{name}.step_ms", 1e3 * step)
     report.figure(f"{name}.factorisation_ms", 1e3 * factorisation)
     report.figure(f"{name}.modes.apart", apart)
@@ -289,9 +278,8 @@ def _frame(report: Report, cells: int, repeats: int) -> tuple[list[object], list
 
 
 def _claim(report: Report, statement: str, ratios: Sequence[float]) -> None:
-    agreement = Agreement.AGREES if max(ratios) <= 1 else Agreement.DISAGREES
     found = ", ".join(f"{ratio:.2f}" for ratio in ratios)
-    report.claim(f"{statement}, from small to large", "at most 1", found, agreement)
+    report.claim(f"{statement}, from small to large", "at most 1", found, max(ratios) <= 1)
 
 
 def _matrices(system: MechanicalSystem) -> tuple[Any, Any, Any]:
@@ -382,8 +370,7 @@ def _refined(
         x = np.asarray(solve(b))
         for _ in range(2):
             x = x + np.asarray(solve(b - matrix @ x + lowered * x))
-        answer: Array = scale * x
-        return answer
+        return scale * x
 
     return solved
 
@@ -402,17 +389,4 @@ def _by_arpack(
     values = scipy.sparse.linalg.eigsh(
         K, _MODES, M, sigma=0.0, OPinv=inverse, v0=start, return_eigenvectors=False
     )
-    frequencies: Array = np.sqrt(np.sort(values))
-    return frequencies
-
-
-_METHOD = """\
-Nets hang at their corners and fall from rest; Exudyn builds them from its `ObjectANCFCable` in
-space and spherical joints, both codes take the steps that the table names. Plane frames of steel,
-one `BEAM_2D` for each column and girder, welded, have no element in Exudyn: a step is compared with
-three factorisations of its matrix by the faster of Pardiso (Intel MKL, symmetric indefinite) and
-QDLDL (the diagonal of multipliers lowered by 1e-7), the matrix scaled, their order of unknowns
-found before the clock starts. Equilibrium under the weight is compared with as many times three
-factorisations as it takes itself; four modes with SciPy's ARPACK and factors of the same library,
-two refinements a solution, matrices at hand.
-"""
+    return np.sqrt(np.sort(values))

@@ -12,9 +12,7 @@ from ancfdae.numerics.timing import medians, timed
 from validation.peers.casadi_runs import CasadiRuns
 from validation.peers.diffrax_runs import DiffraxRuns
 from validation.peers.formulas import MECHANISMS, Formulated, Mechanism
-from validation.report import Agreement, Report
-
-__all__ = ["fill"]
+from validation.report import Report
 
 # Relative error of the gradient that a run may have, and tolerances that are tried in turn.
 _ACCURACY = 1e-6
@@ -65,8 +63,7 @@ class _Found(NamedTuple):
 
 def fill(report: Report, count: int, repeats: int) -> None:
     """Add the table of the first `count` mechanisms."""
-    report.heading("Systems of one's own")
-    report.text(_METHOD.format(accuracy=_ACCURACY))
+    report.say("own-systems", accuracy=_ACCURACY)
     rows: list[list[str]] = []
     ratios: dict[str, list[float]] = {}
     for i, make in enumerate(MECHANISMS[:count]):
@@ -132,12 +129,12 @@ def fill(report: Report, count: int, repeats: int) -> None:
     )
     for peer, bound, asked in (("casadi", 0.2, "CasADi + IDAS"), ("jax", 1.0, "compiled JAX")):
         worst = [max(ratios[f"{what}.{peer}"]) for what in ("motion", "gradient")]
-        report.claim(
-            f"A system of one's own at equal accuracy, tracing included, of {asked}: "
-            "largest ratios of motion and gradient",
-            f"at most {bound:g}",
-            ", ".join(f"{ratio:.2f}" for ratio in worst),
-            Agreement.AGREES if max(worst) <= bound else Agreement.DISAGREES,
+        report.judge(
+            "own-systems",
+            max(worst) <= bound,
+            asked=asked,
+            bound=bound,
+            worst=", ".join(f"{ratio:.2f}" for ratio in worst),
         )
 
 
@@ -160,14 +157,3 @@ def _accurate(
         if error <= _ACCURACY:
             return _Found(runs, float(tolerance), error, making)
     raise AssertionError(f"{mechanism.title}: no tolerance of {kind} gives {_ACCURACY:g}")
-
-
-_METHOD = """\
-The same formulas of M, Q, Phi and the objective (`validation/peers/formulas.py`) go to this
-package as a `FormulaSystem`, to CasADi, whose IDAS integrates the equations of index 1 with
-forward sensitivities, and to JAX, where diffrax's `Dopri8` integrates accelerations of a dense
-solve, derivatives by `jacfwd`, compiled. Each takes the largest tolerance of 1e-4, 1e-5, ... whose
-gradient in all variables is right to {accuracy:g}, against `DOP853(3e-14)` here. Here and with
-tracing is by `DOP853`, which records the end alone; tracing is paid again in each call. CasADi's
-functions and compiled programs of JAX stand before the clock starts.
-"""

@@ -8,8 +8,6 @@ from ancfdae import Scene, simulate
 from ancfdae.extend import Integrator, MaterialPoint
 from ancfdae.numerics.arrays import Array
 
-__all__ = ["GRAVITY", "Model", "Pair"]
-
 GRAVITY = 9.81
 
 
@@ -66,5 +64,4 @@ class Pair(ABC):
     def end(self, t_end: float, integrator: Integrator) -> Array:
         """Return where this package finds the point at the end."""
         solution = simulate(self.scene(), t_end, integrator)
-        place: Array = solution.position(self.point)[-1]
-        return place
+        return solution.position(self.point)[-1]

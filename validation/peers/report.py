@@ -11,14 +11,13 @@ from ancfdae import HHT, assemble, simulate
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import medians
 from ancfdae.plotting import Panel, Series
+from validation.drawing import dots
 from validation.peers import designs, gradients, jax_runs, loops, own_systems, rest, trees
 from validation.peers.cables import CablePendulum, FlexibleSlider
 from validation.peers.exudyn import Exudyn, require_peers
 from validation.peers.pair import Pair
 from validation.peers.rigid import Chain, RigidSlider
-from validation.report import Agreement, Report
-
-__all__ = ["run"]
+from validation.report import Report
 
 _STEP = 2.0**-10
 # End of the runs that are compared, s: chains of many bodies have not become chaotic by then.
@@ -29,9 +28,8 @@ def run(report: Report, quick: bool) -> None:
     """Run the cases of report `peers`; add its text, tables and figures."""
     require_peers()
     before = os.getloadavg()
-    report.heading("Method")
-    report.text(_METHOD.format(version=importlib.metadata.version("exudyn"), packages=_packages()))
-    _motion(report, _quick_pairs() if quick else _pairs(), 32 if quick else 512, 1 if quick else 5)
+    report.say("method", version=importlib.metadata.version("exudyn"), packages=_packages())
+    _motion(report, _pairs(quick), 32 if quick else 512, 1 if quick else 5)
     trees.fill(report, (2,) if quick else (5, 10, 20), 1 if quick else 5)
     nets = [(3, 4), (4, 4)] if quick else [(8, 128), (16, 128), (32, 128), (60, 64)]
     loops.fill(report, nets, (2, 3) if quick else (4, 8, 16, 31), 1 if quick else 3)
@@ -42,7 +40,7 @@ def run(report: Report, quick: bool) -> None:
     jax_runs.fill(report, 8 if quick else 512, 1 if quick else 5)
     report.heading("Limits")
     loads = report.figure("load.before", before[0]), report.figure("load.after", os.getloadavg()[0])
-    report.text(_LIMITS.format(cores=os.cpu_count(), before=loads[0], after=loads[1]))
+    report.say("limits", cores=os.cpu_count(), before=loads[0], after=loads[1])
 
 
 def _packages() -> str:
@@ -52,11 +50,9 @@ def _packages() -> str:
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
 
 
-def _quick_pairs() -> list[Pair]:
-    return [Chain(1, revolute=False), RigidSlider(), FlexibleSlider(4), CablePendulum(4)]
-
-
-def _pairs() -> list[Pair]:
+def _pairs(quick: bool) -> list[Pair]:
+    if quick:
+        return [Chain(1, revolute=False), RigidSlider(), FlexibleSlider(4), CablePendulum(4)]
     return [
         Chain(1, revolute=False),
         Chain(1, revolute=True),
@@ -85,16 +81,10 @@ def _motion(report: Report, pairs: Sequence[Pair], steps: int, repeats: int) -> 
         ["scene", "apart, m", "here, us a step", "Exudyn, us a step", "its setting", "ratio"], rows
     )
     worst = max(ratios)
-    report.claim(
-        "A step of chains, slider-cranks and cables, of Exudyn's time in its best setting: "
-        "largest ratio",
-        "at most 1",
-        f"{worst:.2f} ({pairs[int(np.argmax(ratios))].title})",
-        Agreement.AGREES if worst <= 1 else Agreement.DISAGREES,
-    )
+    report.judge("motion", worst <= 1, worst=worst, scene=pairs[int(np.argmax(ratios))].title)
     number = np.arange(1.0, len(ratios) + 1)
     series = [
-        Series("measured", number, np.array(ratios), line=False, marker=True),
+        dots("measured", number, np.array(ratios)),
         Series("equal", number, np.ones(len(ratios)), dashed=True),
     ]
     panel = Panel(
@@ -105,7 +95,7 @@ def _motion(report: Report, pairs: Sequence[Pair], steps: int, repeats: int) -> 
         "linear",
         "log",
     )
-    report.plot("motion", [panel], caption="Below the line this package is faster.")
+    report.plot("motion", [panel])
 
 
 def _times(pair: Pair, steps: int, repeats: int) -> tuple[float, float, str]:
@@ -138,29 +128,3 @@ def _apart(pair: Pair) -> float:
         limits.append(fine + (fine - coarse) / 3)
     here, there = limits
     return float(np.linalg.norm(here - there[: len(here)]))
-
-
-_METHOD = """\
-The same scenes are written for this package and for Exudyn {version}, a multibody code in C++
-(`validation/peers/`). Each row first compares where a point is at t = 0.125 s, both codes
-extrapolated to steps of length zero: what is left are differences of the models (the curvature of
-cables is measured in ways that differ by the axial strain) and of their meshes. Then runs take
-turns, one thread, steps of 2^-10 s, Newton's method to 1e-8 (1e-7 for 1000
-cables: Exudyn does not converge to 1e-8 there); the medians of processor time count.
-Exudyn integrates by generalised-alpha with the numerical damping of HHT at alpha = -0.3, in its
-version without checks of ranges, without files, with the fastest of its linear solvers (dense,
-sparse, sparse and symmetric where the matrix is) and of full and modified Newton iteration.
-Modified Newton keeps factors from step to step; here every step has its own. Natural frequencies
-come from the faster of Exudyn's dense and sparse solver. Gradients of the height of the end are
-taken in the logarithms of variables: here direct and adjoint, there central differences at the
-best change. Other codes: {packages}.
-"""
-
-_LIMITS = """\
-- One thread, one machine with {cores} processors; ratios of small scenes move by a fifth from run
-  to run. Its load average was {before:.1f} when the report began and {after:.1f} at its end: beyond
-  the number of processors times are longer than on a quiet machine, and ratios less certain.
-- Exudyn's models are ours: an expert of it may find a faster one.
-- The pendulum in JAX is the plainest way, quadrature at every point in every iteration: constant
-  invariants, which this package is built on, make it faster and longer.
-"""

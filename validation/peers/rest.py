@@ -8,9 +8,7 @@ from ancfdae import Clamp, Scene, assemble, equilibrium, modes
 from ancfdae.numerics.timing import medians
 from validation.peers.cables import Elastica
 from validation.peers.exudyn import Exudyn
-from validation.report import Agreement, Report
-
-__all__ = ["fill"]
+from validation.report import Report
 
 _MODES = 4
 
@@ -32,22 +30,14 @@ def fill(report: Report, sizes: Sequence[int], repeats: int) -> None:
             rows.append([f"{what}, {cables} cables", f"{apart:.1e}", *ms, f"{ratios[-1]:.2f}"])
     report.table(["task", "apart, relative", "here, ms", "Exudyn, ms", "ratio"], rows)
     small, large = max(ratios[:2]), max(ratios[2:], default=0.0)
-    report.claim(
-        "Equilibrium and modes: largest ratio, 8 cables and more",
-        "at most 2 and 1",
-        f"{small:.2f}, {large:.2f}",
-        Agreement.AGREES if small <= 2 and large <= 1 else Agreement.DISAGREES,
-    )
+    report.judge("rest", small <= 2 and large <= 1, small=small, large=large)
 
 
 def _equilibrium(cables: int, repeats: int) -> tuple[float, list[float]]:
     pair = Elastica(cables)
     system, exudyn = assemble(pair.scene()), Exudyn(pair)
     steps = next(n for n in (1, 2, 4, 8, 16) if np.all(np.isfinite(exudyn.at_rest(n))))
-    calls: list[Callable[[], object]] = [
-        lambda: equilibrium(system),
-        lambda: exudyn.at_rest(steps),
-    ]
+    calls: list[Callable[[], object]] = [lambda: equilibrium(system), lambda: exudyn.at_rest(steps)]
     here = equilibrium(system).solution.position(pair.point)[-1]
     apart = np.linalg.norm(here - exudyn.at_rest(steps)[:2]) / np.linalg.norm(here)
     return float(apart), medians(calls, repeats)

@@ -20,8 +20,6 @@ from ancfdae import (
 from ancfdae.extend import Joint, MaterialPoint
 from validation.peers.pair import GRAVITY, Model, Pair
 
-__all__ = ["DENSITY", "LENGTH", "THICKNESS", "Chain", "RigidSlider"]
-
 DENSITY, LENGTH, THICKNESS = 1000.0, 0.2, 0.02
 
 

@@ -15,9 +15,7 @@ from ancfdae.numerics.timing import medians
 from validation.peers.exudyn import quiet
 from validation.peers.pair import GRAVITY
 from validation.peers.rigid import DENSITY, LENGTH, THICKNESS, Chain
-from validation.report import Agreement, Report
-
-__all__ = ["fill"]
+from validation.report import Report
 
 _T_END = 0.5
 _REFERENCE_STEPS = 4096
@@ -35,8 +33,7 @@ class _Setting(NamedTuple):
 
 def fill(report: Report, bodies: Sequence[int], repeats: int) -> None:
     """Add the table, two rows for each number of bodies."""
-    report.heading("Rigid trees at equal accuracy")
-    report.text(_METHOD)
+    report.say("trees")
     rows, ratios = [], []
     for n in bodies:
         tree, chain = _Tree(n), Chain(n, revolute=True)
@@ -72,18 +69,14 @@ def fill(report: Report, bodies: Sequence[int], repeats: int) -> None:
                 ]
             )
     report.table(["bodies", "error", "here, ms", "by", "kinematic tree, ms", "by", "ratio"], rows)
-    report.claim(
-        "Rigid chains, of the time of Exudyn's kinematic tree at equal accuracy: range of ratios",
-        f"at most {_ASKED} (half of 29)",
-        f"{min(ratios):.1f} to {max(ratios):.1f}: minimal coordinates are faster",
-        Agreement.AGREES if max(ratios) <= _ASKED else Agreement.DISAGREES,
+    report.judge(
+        "trees", max(ratios) <= _ASKED, asked=_ASKED, least=min(ratios), largest=max(ratios)
     )
 
 
 def _settings(system: MechanicalSystem, chain: Chain) -> list[_Setting]:
     def run(integrator: Integrator) -> Array:
-        end: Array = simulate(system, _T_END, integrator).position(chain.point)[-1]
-        return end
+        return simulate(system, _T_END, integrator).position(chain.point)[-1]
 
     integrators: list[tuple[str, Integrator]] = [
         *((f"HHT, {2**k} steps", HHT(_T_END / 2**k)) for k in range(5, 11)),
@@ -152,13 +145,3 @@ class _Tree:
         turned = np.cumsum(np.ravel(angles))
         # Turned about y: x goes to -z.
         return LENGTH * np.array([np.cos(turned).sum(), 0.0, -np.sin(turned).sum()])
-
-
-_METHOD = """\
-Open chains on hinges fall from the horizontal for 0.5 s. Exudyn's `ObjectKinematicTree` has one
-angle a body and no constraint; here each body has its own coordinates and each hinge its
-constraints, as in all scenes. Errors are distances of the free end over the length of the chain,
-against 4,096 steps of Runge and Kutta's method of order 7. The cheapest of several settings that
-meets an accuracy counts, on both sides: HHT, DOP853 that records the end alone, and Radau here,
-Runge-Kutta of orders 4 and 7 there.
-"""

@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from ancfdae.numerics.arrays import Array
 from ancfdae.results import Solution
 from validation.scenes import pendulum_deflection
-
-Array = npt.NDArray[np.float64]
 
 DESIGN = ("pendulum.height", "pendulum.density", "pendulum.youngs_modulus")
 SYMBOLS = ("h", "rho", "E")

@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ancfdae import HHT, ComplexStep, FiniteDifference, InitialVelocity, differentiate, simulate
-from ancfdae.plotting import Panel, Series
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting import Series
 from ancfdae.results import Solution
 from ancfdae.sensitivity.method import Method
-from validation.pendulum.case import DESIGN, STEP, SYMBOLS, Array, Curves, Extent, relative, scaled
+from validation.drawing import log_log
+from validation.pendulum.case import DESIGN, STEP, SYMBOLS, Curves, Extent, relative, scaled
 from validation.report import Report
 from validation.scenes import pendulum
-
-__all__ = ["against_complex_step", "order", "valley"]
 
 # Name, Young's modulus, exponent of the first step, end time: long enough for a wave to cross the
 # beam a few times, at steps that resolve it.
@@ -40,14 +40,9 @@ def against_complex_step(report: Report, direct: Solution, extent: Extent) -> No
     rows = []
     for i, symbol in enumerate(SYMBOLS):
         errors = [relative(x[..., i], y[..., i]) for x, y in pairs.values()]
-        for name, error in zip(pairs, errors, strict=True):
-            report.figure(f"complex_step.{name}.{symbol}", error)
+        report.figures(f"complex_step.{{}}.{symbol}", pairs, errors)
         rows.append([symbol, *errors])
-    report.text(
-        "Direct differentiation against the complex step of the whole run (relative difference, "
-        "norm over time). Both differentiate the discrete equations; the complex step shares "
-        "none of the derivative code."
-    )
+    report.say("complex-step")
     report.table(["variable", *pairs], rows)
     E, rho = ours.values[2], ours.values[1]
     stress = E * ours.q_b[..., 2]
@@ -57,12 +52,7 @@ def against_complex_step(report: Report, direct: Solution, extent: Extent) -> No
     second = report.figure(
         "identity.lambda", float(np.max(np.abs(force)) / np.max(np.abs(direct.lam)))
     )
-    report.text(
-        "Scaling E and rho together leaves a motion under gravity alone unchanged and scales "
-        "the reactions, exactly so in the discrete scheme: E q_E + rho q_rho = 0 holds to "
-        f"{first:.1g}, E lambda_E + rho lambda_rho = lambda to {second:.1g} (largest entry, "
-        "relative)."
-    )
+    report.say("identity", first=first, second=second)
 
 
 def order(report: Report, extent: Extent) -> None:
@@ -77,14 +67,9 @@ def order(report: Report, extent: Extent) -> None:
             runs = [simulate(scene, t_end, HHT(2.0**-k)) for k in exponents]
             orders = [_observed_order([read(run) for run in runs]) for read in _UNKNOWNS.values()]
             kind = "moving" if spin else "rest"
-            for unknown, order in zip(_UNKNOWNS, orders, strict=True):
-                report.figure(f"order.{name}.{kind}.{unknown}", order)
+            report.figures(f"order.{name}.{kind}.{{}}", _UNKNOWNS, orders)
             rows.append([f"{name}, E = {modulus:.0e}", kind, *orders])
-    report.text(
-        "From successive halvings in the maximum norm over all instants, the first steps "
-        "included, at steps that resolve the fastest wave of the section. *moving*: starts with "
-        "a rigid rotation of 3 rad/s."
-    )
+    report.say("order")
     report.table(["pendulum", "start", *_UNKNOWNS], rows)
 
 
@@ -112,13 +97,11 @@ def valley(report: Report, direct: Curves, extent: Extent) -> None:
             for kind, table in errors.items()
         ]
         panels.append(
-            Panel(
+            log_log(
                 f"Error in the sensitivity to {symbol}",
                 "relative perturbation [-]",
                 "relative error [-]",
                 series,
-                x_scale="log",
-                y_scale="log",
             )
         )
         row: list[object] = [symbol]
@@ -128,17 +111,8 @@ def valley(report: Report, direct: Curves, extent: Extent) -> None:
             report.figure(f"valley.{kind}.{symbol}.perturbation", extent.perturbations[k])
             row += [extent.perturbations[k], table[k, i]]
         best.append(row)
-    report.plot(
-        "valley",
-        panels,
-        columns=3,
-        title="Finite differences against the exact derivative of the same discrete run",
-        caption="To the right truncation, to the left round-off.",
-    )
-    report.table(
-        ["variable", "best forward", "error", "best central", "error "],
-        best,
-    )
+    report.plot("valley", panels, 3)
+    report.table(["variable", "best forward", "error", "best central", "error "], best)
 
 
 def _difference_errors(method: Method, direct: Curves, extent: Extent) -> list[float]:

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ancfdae import HHT, differentiate
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
-from validation.pendulum.case import DESIGN, STEP, SYMBOLS, Array, Curves, Extent, relative, scaled
+from validation.drawing import log_log
+from validation.pendulum.case import DESIGN, STEP, SYMBOLS, Curves, Extent, relative, scaled
 from validation.report import Agreement, Report
 from validation.scenes import pendulum
-
-__all__ = ["step_halving"]
 
 # At t = 1 s, E = 1e7: deflection and its derivatives E d/dE, h d/dh of the equations of motion
 # themselves, by IDA (stabilised index-2 form, several tolerances) with an independent
@@ -31,23 +31,18 @@ def step_halving(report: Report, coarse: Curves, extent: Extent) -> None:
     changes = np.array([_changes(runs[a], runs[b]) for a, b in itertools.pairwise(steps)])
     names = ("deflection", *(f"{symbol}-sensitivity" for symbol in SYMBOLS))
     for row_changes, step in zip(changes, steps[:-1], strict=True):
-        for name, value in zip(names, row_changes, strict=True):
-            report.figure(f"halving.2{int(np.log2(step))}.{name}", value)
+        report.figures(f"halving.2{int(np.log2(step))}.{{}}", names, row_changes)
     _plot_halving(report, runs, changes, names)
     last = changes[-1]
-    report.text(
-        f"From step {steps[-2]:.3g} s to {steps[-1]:.3g} s the deflection still changes by "
-        f"{last[0]:.1g}, its sensitivities by "
-        + ", ".join(f"{last[i + 1]:.1g} ({s})" for i, s in enumerate(SYMBOLS))
-        + " (relative, norm over time). Gravity sets in suddenly and excites axial and thickness "
-        "waves that none of these steps resolves; a wave of amplitude A and frequency omega adds "
-        "A omega t/2 to a sensitivity, so waves too small to be seen in the motion dominate it."
+    report.say(
+        "halving",
+        coarse=steps[-2],
+        fine=steps[-1],
+        last=last,
+        sensitivities=", ".join(f"{last[i + 1]:.1g} ({s})" for i, s in enumerate(SYMBOLS)),
     )
-    report.claim(
-        "The curves of Figs. 4 to 6 are the sensitivities of the pendulum",
-        "implied; one step (2^-7 s) is shown",
-        f"one halving of that step changes the E-sensitivity by {changes[0][3]:.2g} of its norm",
-        Agreement.DISAGREES if changes[0][3] > 0.2 else Agreement.PARTLY,
+    report.judge(
+        "halving", Agreement.DISAGREES if changes[0][3] > 0.2 else Agreement.PARTLY, changes=changes
     )
 
 
@@ -67,10 +62,7 @@ def _table_at_one_second(report: Report, runs: dict[float, Curves]) -> None:
             row += ["-"] * 3
         rows.append(row)
     rows.append(["continuous", *(_CONTINUOUS[k] for k in ("deflection", "h", "E"))])
-    report.text(
-        "Values at t = 1 s. The last row solves the equations of motion themselves (IDA on an "
-        "index-reduced form, an independent code)."
-    )
+    report.say("one-second")
     report.table(["step [s]", "deflection [m]", "h · d/dh [m]", "E · d/dE [m]"], rows)
 
 
@@ -79,35 +71,17 @@ def _plot_halving(
 ) -> None:
     """Plot the curves of the first and last step, and the changes by halving."""
     steps = list(runs)
-    report.plot(
-        "step-halving",
-        [
-            Panel(
-                "Sensitivity to E over time",
-                "time t [s]",
-                "E · d(deflection)/dE [m]",
-                [
-                    Series(f"step 2^{int(np.log2(step))} s", runs[step].t, runs[step].y_b[:, 2])
-                    for step in (steps[0], steps[-1])
-                ],
-            ),
-            Panel(
-                "Change when the step is halved",
-                "step [s]",
-                "relative change, norm over time [-]",
-                [
-                    Series(name, steps[:-1], changes[:, i], marker=True)
-                    for i, name in enumerate(names)
-                ],
-                x_scale="log",
-                y_scale="log",
-            ),
-        ],
-        columns=2,
-        title="Planar pendulum, E = 1e7 N/m²: what halving the step changes",
-        caption="Left: the printed step against the smallest one. Right: relative change of the "
-        "whole curve from one step to half of it.",
-    )
+    ends = [
+        Series(f"step 2^{int(np.log2(step))} s", runs[step].t, runs[step].y_b[:, 2])
+        for step in (steps[0], steps[-1])
+    ]
+    lines = [Series(name, steps[:-1], changes[:, i], marker=True) for i, name in enumerate(names)]
+    title, what = "Change when the step is halved", "relative change, norm over time [-]"
+    panels = [
+        Panel("Sensitivity to E over time", "time t [s]", "E · d(deflection)/dE [m]", ends),
+        log_log(title, "step [s]", what, lines),
+    ]
+    report.plot("step-halving", panels, 2)
 
 
 def _at_one_second(curves: Curves, step: float) -> tuple[float, float, float] | None:

@@ -12,8 +12,6 @@ from validation.performance.row import Row
 from validation.performance.steps import crank_variables, pendulum_variables
 from validation.scenes import crank_slider, pendulum
 
-__all__ = ["measure"]
-
 _EXACT = 1e-11
 _MOST = 400_000
 # Of a right-hand side: what is done once before takes a millisecond.

@@ -22,8 +22,6 @@ from validation.performance.mechanisms import rigid_slider_crank
 from validation.performance.row import Row, in_a_process, largest_memory
 from validation.scenes import pendulum
 
-__all__ = ["measure"]
-
 _STEP = 2.0**-10
 
 

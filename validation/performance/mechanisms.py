@@ -25,8 +25,6 @@ from ancfdae.sections import Rectangle
 from validation.performance.row import Row
 from validation.performance.unit import banded_lu
 
-__all__ = ["chain", "flexible_slider_crank", "measure", "rigid_slider_crank"]
-
 _STEP, _NEWTON, _GRAVITY = 2.0**-10, 1e-8, 9.81
 _AXIS, _BOX = (0.0, 0.0, 1.0), (0.01, 0.1, 0.1)
 

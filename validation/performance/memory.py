@@ -13,8 +13,6 @@ from ancfdae.observables import position
 from validation.performance.row import Row, in_a_process, largest_memory
 from validation.performance.scale import cantilever, variables
 
-__all__ = ["measure"]
-
 _STEP = 2.0**-9
 _LIMIT = "50 MB"
 

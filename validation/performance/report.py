@@ -3,7 +3,8 @@
 import re
 from collections.abc import Callable
 
-from ancfdae.plotting import Panel, Series
+from ancfdae.plotting import Series
+from validation.drawing import log_log
 from validation.performance import (
     explicit_path,
     long_run,
@@ -16,9 +17,7 @@ from validation.performance import (
     unit,
 )
 from validation.performance.row import Row
-from validation.report import Agreement, Report
-
-__all__ = ["reached", "run"]
+from validation.report import Report
 
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _ELEMENTS = re.compile(r"step of (\d+) elements")
@@ -26,13 +25,11 @@ _ELEMENTS = re.compile(r"step of (\d+) elements")
 
 def run(report: Report, quick: bool) -> None:
     """Run the cases of report `performance`; add its text, tables and figures."""
-    report.heading("Method")
-    report.text(_METHOD)
+    report.say("method")
     (one,) = unit.measure(3 if quick else 9)
     for title, rows in _subjects(quick):
         _subject(report, title, [one, *rows] if title == _STEPS else rows, one)
-    report.heading("Limits")
-    report.text(_LIMITS)
+    report.say("limits")
 
 
 _STEPS = "A step and its derivatives"
@@ -43,10 +40,7 @@ def _subjects(quick: bool) -> list[tuple[str, list[Row]]]:
     few = {"repeats": 1} if quick else {}
     subjects: list[tuple[str, Callable[[], list[Row]]]] = [
         (_STEPS, lambda: steps.measure(**({"steps": 8} | few if quick else few))),
-        (
-            "Small mechanisms",
-            lambda: mechanisms.measure(**({"steps": 8} | few if quick else few)),
-        ),
+        ("Small mechanisms", lambda: mechanisms.measure(**({"steps": 8} | few if quick else few))),
         ("Start", lambda: start.measure(**few)),
     ]
     if not quick:
@@ -71,12 +65,10 @@ def _subject(report: Report, title: str, rows: list[Row], one: Row) -> None:
         found = f"{row.value:.3g} {row.unit}".removesuffix(" -")
         if banded is not None:
             report.figure(_name(f"{title}.{row.what}.banded_lu"), banded)
-        table.append(
-            (row.what, found, "-" if banded is None else f"{banded:.3g}", row.asked, _told(row))
-        )
+        told = "-" if row.asked == "-" else "yes" if reached(row) else "no"
+        table.append((row.what, found, "-" if banded is None else f"{banded:.3g}", row.asked, told))
         if row.asked != "-":
-            agreement = Agreement.AGREES if reached(row) else Agreement.DISAGREES
-            report.claim(row.what, row.asked, found, agreement)
+            report.claim(row.what, row.asked, found, reached(row))
     report.table(("figure", "found", "banded LUs", "asked", "reached"), table)
     _plot(report, rows)
 
@@ -90,8 +82,8 @@ def _plot(report: Report, rows: list[Row]) -> None:
     ms = [row.value * _SECONDS[row.unit] * 1e3 for _, row in found]
     line = [ms[0] * x / n[0] for x in n]
     series = [Series("measured", n, ms, marker=True), Series("proportional", n, line, dashed=True)]
-    panel = Panel("Time of a step", "spatial elements [-]", "time [ms]", series, "log", "log")
-    report.plot("scale", [panel], caption="A clamped beam under gravity, steps of 2^-9 s.")
+    panel = log_log("Time of a step", "spatial elements [-]", "time [ms]", series)
+    report.plot("scale", [panel])
 
 
 def reached(row: Row) -> bool:
@@ -100,29 +92,5 @@ def reached(row: Row) -> bool:
     return row.value >= bound if row.asked.startswith("at least") else row.value <= bound
 
 
-def _told(row: Row) -> str:
-    if row.asked == "-":
-        return "-"
-    return "yes" if reached(row) else "no"
-
-
 def _name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9.]+", "_", text).strip("_").lower()
-
-
-_METHOD = """
-Every figure is a median of runs in this one process or in processes that it starts, with one
-thread; what is compared takes turns, and the first turn is not counted. Steps, derivatives and
-the explicit path are processor seconds, the rest is time by the clock. Times are also given in
-units of one banded LU (LAPACK gbtrf, 106 unknowns, half width 25, called from Python), so that
-records of different machines compare. The crank-slider has 6 spatial elements and 106 unknowns,
-the pendulum 36 coordinates; steps are 2^-10 s. Sizes are those of a clamped spatial beam with a
-Rectangle section. The asked figures are targets of the project, not results of others.
-"""
-
-_LIMITS = """
-One machine, Linux; other loads on it disturb times by ten per cent and more, speed-ups on two
-cores most. Memory is the largest resident set of a process, less that of a short run. A step and
-its derivatives are measured with few variables, where the motion is cheapest relative to the
-interpreter.
-"""

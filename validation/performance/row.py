@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 
 from ancfdae.numerics.timing import medians
 
-__all__ = ["Row", "in_a_process", "largest_memory", "seconds"]
-
 
 class Row(NamedTuple):
     """A measured figure beside what is asked of it."""

@@ -13,8 +13,6 @@ from ancfdae.results import Solution
 from ancfdae.sections import Rectangle
 from validation.performance.row import Row, in_a_process, largest_memory, seconds
 
-__all__ = ["cantilever", "measure", "variables"]
-
 _STEP = 2.0**-9
 _MOST = 10_000
 

@@ -11,8 +11,6 @@ from validation.performance.mechanisms import chain
 from validation.performance.row import Row, seconds
 from validation.scenes import crank_slider
 
-__all__ = ["measure"]
-
 # The names of README's program, and `simulate`: what a user waits for, other packages included.
 _IMPORT = """
 import time

@@ -10,8 +10,6 @@ from ancfdae.observables import position
 from validation.performance.row import Row
 from validation.scenes import crank_slider, pendulum
 
-__all__ = ["crank_variables", "measure", "pendulum_variables"]
-
 _STEP = 2.0**-10
 _FIELDS = ("youngs_modulus", "height", "density")
 

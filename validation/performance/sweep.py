@@ -5,6 +5,7 @@ import statistics
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,6 @@ from validation.peers.cables import CablePendulum, FlexibleSlider
 from validation.performance.mechanisms import rigid_slider_crank
 from validation.performance.row import Row
 from validation.scenes import crank_slider
-
-__all__ = ["measure"]
 
 _WORKERS = 2
 _DESIGNS = 100
@@ -36,12 +35,19 @@ def measure(runs: int = 200, repeats: int = 5) -> list[Row]:
     """
     rows = [_design(*mechanism, repeats) for mechanism in _mechanisms()]
     pools: dict[str, Callable[[], AbstractContextManager[Executor]]]
-    pools = {"processes": _processes, "Dask": _dask, "threads": _threads}
+    pools = {
+        "processes": _processes,
+        "Dask": _dask,
+        "threads": partial(ThreadPoolExecutor, _WORKERS),
+    }
     for name, workers in pools.items():
         count, t_end = (runs // 10, _LONG) if name == "threads" else (runs, _SHORT)
         with workers() as executor:
             packet = executor, _PACKETS[name]
-            ratios = [_ratio(count, t_end, *packet) for _ in range(repeats + 1)]
+            ratios = [
+                _seconds(count, t_end, None, 1) / _seconds(count, t_end, *packet)
+                for _ in range(repeats + 1)
+            ]
         speed_up, asked = statistics.median(ratios[1:]), "at least 1.8"
         what = f"speed-up of {count} runs of {t_end / _STEP:g} steps by {name}"
         rows.append(Row(what, speed_up, "-", asked))
@@ -68,10 +74,6 @@ def _design(
     return Row(f"a design of a sweep of {name}", 1e3 * time / _DESIGNS, "ms", "at most 1")
 
 
-def _ratio(runs: int, t_end: float, executor: Executor, chunk: int) -> float:
-    return _seconds(runs, t_end, None, 1) / _seconds(runs, t_end, executor, chunk)
-
-
 def _seconds(runs: int, t_end: float, executor: Executor | None, chunk: int) -> float:
     scene = crank_slider()
     rod = scene.beams[1]
@@ -80,10 +82,6 @@ def _seconds(runs: int, t_end: float, executor: Executor | None, chunk: int) -> 
     clock = stopwatch(wall=True)
     sweep(scene, heights, what, design=[f"{rod.name}.height"], executor=executor, chunk=chunk)
     return clock()
-
-
-def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_WORKERS)
 
 
 @contextmanager

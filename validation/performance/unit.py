@@ -5,8 +5,6 @@ from scipy.linalg.lapack import dgbtrf
 
 from validation.performance.row import Row, seconds
 
-__all__ = ["banded_lu", "measure"]
-
 _SIZE, _HALF_WIDTH, _BATCH = 106, 25, 200
 
 

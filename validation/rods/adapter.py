@@ -31,8 +31,6 @@ from ancfdae import (
 )
 from ancfdae.sections import Circle
 
-__all__ = ["AncfSolver"]
-
 # Depth of a contact under a line load, over the radius of the rod, and the slip over the duration,
 # in radii, of a contact at its limit of friction; its restitution.
 _DEPTH, _SLIP = 1e-2, 0.2
@@ -67,7 +65,8 @@ class AncfSolver:
                 np.stack([x, *[y] * (n_frames - 1)]) for x, y in zip(first, places, strict=True)
             ]
         else:
-            parts = _STEPS if not touching else _REST_STEPS[_kind(scenario)]
+            kind = "cylinder" if scenario.obstacles else "rods"
+            parts = _REST_STEPS[kind] if touching else _STEPS
             step = scenario.duration / (parts * (n_frames - 1))
             integrator = HHT(step, hht_alpha=-0.3 if scenario.quasi_static else -0.01)
             run = simulate(scene, scenario.duration, integrator)
@@ -80,10 +79,6 @@ class AncfSolver:
             for rod, each in zip(scenario.rods, positions, strict=True)
         ]
         return self._trajectory(times, tuple(positions), tuple(directors))
-
-
-def _kind(scenario: Any) -> str:
-    return "cylinder" if scenario.obstacles else "rods"
 
 
 def scene_of(scenario: Any, n: int) -> Scene:

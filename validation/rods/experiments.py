@@ -8,28 +8,17 @@ from ancfdae.numerics.timing import stopwatch
 from validation.report import Report
 from validation.rods.adapter import AncfSolver
 
-__all__ = ["experiments"]
-
 _NAMES = ("catenary", "cantilever", "pendulum", "twist", "crossing", "capstan", "pile")
 _QUICK = ("cantilever",)
 _PACKAGES = ("cosseratbench", "elastica")
-_TEXT = """
-[cosseratbench](https://pypi.org/project/cosseratbench) describes rods by their physics alone. Each
-solver chooses steps by its adapter, and the same functions score the trajectories. Both solvers
-have the number of elements that is the default of the experiment. Errors of shapes are in lengths
-of the rod; of sag, deflection, lift and period they are relative. `slide` of the capstan is how far
-a rope moves, in m, that friction should hold. Times are wall times of one thread. A scenario that
-the adapter does not model is not run by PyElastica either.
-"""
 
 
 def experiments(report: Report, quick: bool) -> None:
     """Fill the section; without the packages it says so."""
-    report.heading("Experiments of cosseratbench")
-    report.text(_TEXT)
+    report.say("experiments")
     missing = [name for name in _PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
-        report.text(f"Not run: {' and '.join(missing)} not installed.")
+        report.say("experiments.missing", missing=" and ".join(missing))
         return
     rows = []
     for name in _QUICK if quick else _NAMES:
@@ -43,8 +32,7 @@ def experiments(report: Report, quick: bool) -> None:
             text = ", ".join(f"{key} {value:.1e}" for key, value in found.items())
             rows.append([name, solver.name, text, f"{seconds:.2g}"])
             report.figure(f"{name}.{solver.name}.seconds", seconds)
-            for key, value in found.items():
-                report.figure(f"{name}.{solver.name}.{key}", value)
+            report.figures(f"{name}.{solver.name}.{{}}", found, found.values())
     report.table(["experiment", "solver", "metrics", "s"], rows)
 
 

@@ -19,21 +19,12 @@ from ancfdae import (
 from ancfdae.extend import MaterialPoint
 from ancfdae.numerics.timing import stopwatch
 from ancfdae.observables import position
-from ancfdae.plotting import Panel, Series
-from validation.report import Agreement, Report
-
-__all__ = ["penalty"]
+from ancfdae.plotting import Series
+from validation.drawing import dots, log_log
+from validation.report import Report
 
 _HEIGHT, _SPEED, _G, _T = 5.0, -0.1, 10.0, 1.9
 _DESIGN = ("ball.position_z", "ball.velocity_z", "scene.gravity_z")
-_TEXT = """
-A ball of 1 kg falls from 5 m at 0.1 m/s under g = 10 m/s² and bounces without loss. Its height at
-1.9 s and the derivatives in height, speed and gravity have a closed form for an impact without
-duration. An event (`Impact`) is exact up to the integrator. A contact of stiffness k (`Contact`,
-exponent 1.5) lasts for a time that falls with k^(-2/5), and so do its errors; its steps become
-shorter. Both run with `Radau(AdaptiveSteps(1e-8, sensitivities=True))`: steps that are chosen for
-the motion alone left derivatives through a contact wrong by 0.1 to 1.8 of themselves.
-"""
 
 
 def exact(height: Any, speed: Any, g: Any) -> Any:
@@ -53,8 +44,7 @@ def _scene(stiffness: float | None) -> Scene:
 
 def penalty(report: Report, quick: bool) -> None:
     """Fill the section: errors and costs of the event and of contacts of growing stiffness."""
-    report.heading("Penalty against event")
-    report.text(_TEXT)
+    report.say("penalty")
     b = np.array([_HEIGHT, _SPEED, _G])
     moved = [exact(*(b + 1j * 1e-30 * row)).imag / 1e-30 for row in np.eye(3)]
     slopes = np.array(moved) * (1, 1, -1)  # gravity_z is -g
@@ -82,19 +72,16 @@ def penalty(report: Report, quick: bool) -> None:
     report.table(
         ["k, N/m^1.5", "error of the height / 5 m", "largest error of a derivative", "s"], rows
     )
-    report.claim(
-        "A contact becomes an event as its stiffness grows",
-        "errors fall with k^(-2/5)",
-        f"motion {rows[1][1]} to {rows[-1][1]}, gradient {rows[1][2]} to {rows[-1][2]}",
-        Agreement.AGREES if found[-1][2] < found[1][2] else Agreement.DISAGREES,
+    report.judge(
+        "penalty", found[-1][2] < found[1][2], rows=rows, penalty=rows[-1][1], event=rows[-1][2]
     )
     time, motion, slope = np.array(found).T
     curves = [
         Series("motion, contact", time[1:], motion[1:], marker=True),
         Series("gradient, contact", time[1:], slope[1:], marker=True),
-        Series("motion, event", time[:1], motion[:1], line=False, marker=True),
-        Series("gradient, event", time[:1], slope[:1], line=False, marker=True),
+        dots("motion, event", time[:1], motion[:1]),
+        dots("gradient, event", time[:1], slope[:1]),
     ]
     labels = "processor time [s]", "relative error"
-    panel = Panel("A bounce", *labels, curves, "log", "log")
-    report.plot("penalty", [panel], title="A bounce by contacts of stiffness k and by an event")
+    panel = log_log("A bounce", *labels, curves)
+    report.plot("penalty", [panel])

@@ -4,8 +4,6 @@ from validation.report import Report
 from validation.rods.experiments import experiments
 from validation.rods.penalty import penalty
 
-__all__ = ["run"]
-
 
 def run(report: Report, quick: bool) -> None:
     """Fill the report."""

@@ -16,13 +16,12 @@ from ancfdae import (
     Weld,
     campbell,
 )
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.sections import Circle
-from validation.external.runs import Requirement
-from validation.literature.tables import Array, relative
-from validation.report import Agreement, Report
-
-__all__ = ["shaft_scene", "shafts"]
+from validation.drawing import dots
+from validation.literature.tables import relative
+from validation.report import Report
 
 _LENGTH, _RADIUS, _RHO, _E = 1.0, 0.005, 7850.0, 2.1e11
 _DISC, _THICKNESS = 0.1, 0.01
@@ -40,10 +39,9 @@ def shaft_scene(elements: int) -> Scene:
     return Scene([rod], joints, bodies=[disc], frame=RotatingFrame(0.0))
 
 
-def shafts(report: Report, quick: bool) -> list[Requirement]:
-    """Fill the section and return what was required of it."""
-    report.heading("Whirling shaft")
-    report.text(_TEXT)
+def shafts(report: Report, quick: bool) -> None:
+    """Fill the section."""
+    report.say("shaft")
     elements, rates = (
         (4, np.arange(0.0, 201.0, 50.0)) if quick else (8, np.arange(0.0, 401.0, 25.0))
     )
@@ -65,14 +63,9 @@ def shafts(report: Report, quick: bool) -> list[Requirement]:
     names += [f"forward {k + 1}" for k in range(counts[1])]
     report.table(["rate [rad/s]", *(f"{name} (reference)" for name in names)], rows)
     panels = _panels(rates, names, speeds, exact, diagram.frequencies)
-    report.plot("shaft", panels, 2, _TITLE, _CAPTION)
-    report.claim(
-        "Forward and backward whirl of a shaft with a disc",
-        "within 0.2 % of the Euler-Bernoulli shaft",
-        f"within {100 * error:.2g} % at all rates",
-        Agreement.AGREES if error < 2e-3 else Agreement.DISAGREES,
-    )
-    return [Requirement(f"whirling shaft, {elements} elements: all speeds", 2e-3, error)]
+    report.plot("shaft", panels, 2)
+    report.judge("shaft", error < 2e-3, percent=100 * error)
+    report.require("shaft", error, elements=elements)
 
 
 def _panels(
@@ -82,7 +75,7 @@ def _panels(
         Series(f"{name}, reference", rates[1:], np.abs(exact[:, k])) for k, name in enumerate(names)
     ]
     points = np.tile(rates[1:], len(names)), np.abs(speeds).T.ravel()
-    outside.append(Series("elements", *points, line=False, marker=True))
+    outside.append(dots("elements", *points))
     outside.append(Series("rate", rates, rates, dashed=True))
     inside = [Series(f"mode {k}", rates, column) for k, column in enumerate(frequencies.T)]
     axes = "rate [rad/s]", "frequency [rad/s]"
@@ -116,18 +109,3 @@ def _determinant(speed: float, rate: float) -> float:
     tilt = across * speed**2 - polar * rate * speed
     rows = [_E * moment * u_2 - tilt * u_1, _E * moment * u_3 + m * speed**2 * u]
     return float(np.linalg.det(rows) / (C * k) ** 2)
-
-
-_TITLE = "Whirling shaft: Campbell diagram seen at rest and in the turning frame"
-_CAPTION = """
-Right: mode 2 is torsion; modes 1 and 4, forward whirl, have the frequency |whirl - rate| and touch
-zero at their critical speeds, where the rate crosses their lines on the left.
-"""
-_TEXT = """
-A round steel shaft (radius 5 mm, length 1 m) that is held at one end and carries a disc (radius
-0.1 m, thickness 1 cm) at the other. *Reference*: the Euler-Bernoulli shaft with distributed mass
-and without rotary inertia of its own; with u = x + i y the disc asks at the end for
-E I u'' = (J_d ω² - J_p Ω ω) u' and E I u''' = -m ω² u; roots of the determinant, ω > 0 forward,
-ω < 0 backward. *Here*: modes in the turning frame, `Campbell.whirl_speeds`; nothing is said of
-gyroscopic moments but the mass matrix of the disc.
-"""

@@ -5,9 +5,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.extend import SystemProperties
-from validation.test_set.problem import Array, TestProblem
-
-__all__ = ["CarAxis"]
+from ancfdae.numerics.arrays import Array
+from validation.test_set.problem import TestProblem
 
 # Length of the axis, circular frequency of the road, square of the small number eps.
 _L, _OMEGA, _EPS2 = 1.0, 10.0, 1e-4
@@ -33,8 +32,7 @@ class CarAxis(TestProblem):
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return x_l, the x coordinate of the left end; m."""
-        left: Array = q[..., 0]
-        return left
+        return q[..., 0]
 
     def start(self) -> tuple[Array, Array]:
         """Return the start: y_b' = r omega turns the left spring."""
@@ -44,8 +42,7 @@ class CarAxis(TestProblem):
 
     def mass_matrix(self, q: Array) -> Array:
         """Return the mass matrix M, shape (4, 4)."""
-        M: Array = self.b[1] * _EPS2 / 2 * np.eye(4)
-        return M
+        return self.b[1] * _EPS2 / 2 * np.eye(4)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
         """Return springs and weight."""

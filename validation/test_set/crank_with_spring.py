@@ -9,9 +9,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.extend import SystemProperties
-from validation.test_set.problem import Array, TestProblem
-
-__all__ = ["CrankWithSpring"]
+from ancfdae.numerics.arrays import Array
+from validation.test_set.problem import TestProblem
 
 # Length of the crank (that of the rod is 1), J_1, m_2, J_2, free length of the spring.
 _A, _INERTIA, _FREE = 0.5, np.array([1.0, 1.0, 2.0]), 1.0
@@ -32,8 +31,7 @@ class CrankWithSpring(TestProblem):
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return the kinetic energy."""
-        energy: Array = v**2 @ (0.5 * _INERTIA)
-        return energy
+        return v**2 @ (0.5 * _INERTIA)
 
     def start(self) -> tuple[Array, Array]:
         """Return the crank upright, at rest."""
@@ -54,8 +52,7 @@ class CrankWithSpring(TestProblem):
         square = apart @ apart
         rate = apart @ apart_q @ v / square
         pull = k * (1 - _FREE / np.sqrt(square)) + c * rate
-        spring: Array = -pull * (apart @ apart_q) + push * np.array([0, 1, -sp])
-        return spring
+        return -pull * (apart @ apart_q) + push * np.array([0, 1, -sp])
 
     def position_constraint(self, t: float, q: Array) -> Array:
         """Return the constraints Phi, shape (n_lam,)."""

@@ -15,9 +15,8 @@ from typing import Final, final
 import numpy as np
 
 from ancfdae.extend import SystemProperties
-from validation.test_set.problem import Array, TestProblem
-
-__all__ = ["FlexibleCrank"]
+from ancfdae.numerics.arrays import Array
+from validation.test_set.problem import TestProblem
 
 # Masses and inertias of crank, rod and slider; lengths; density and width of the rod; rate.
 _J1, _M2, _J2, _L1, _L2 = 0.002727, 0.151104, 0.0045339259, 0.15, 0.30
@@ -42,8 +41,7 @@ class FlexibleCrank(TestProblem):
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return q_1, the amplitude of the first bending mode."""
-        amplitude: Array = q[..., 3]
-        return amplitude
+        return q[..., 3]
 
     def start(self) -> tuple[Array, Array]:
         """Return the start on the slow motion, where the rod is in line with the crank."""

@@ -5,9 +5,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.extend import SystemProperties
-from validation.test_set.problem import Array, TestProblem
-
-__all__ = ["SimplePendulum"]
+from ancfdae.numerics.arrays import Array
+from validation.test_set.problem import TestProblem
 
 
 @final
@@ -25,8 +24,7 @@ class SimplePendulum(TestProblem):
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return the momentum m v_x."""
-        momentum: Array = b[2] * v[..., 0]
-        return momentum
+        return b[2] * v[..., 0]
 
     def start(self) -> tuple[Array, Array]:
         """Return q and v at the start; q depends on the length L."""
@@ -34,8 +32,7 @@ class SimplePendulum(TestProblem):
 
     def mass_matrix(self, q: Array) -> Array:
         """Return the mass matrix M, shape (n_q, n_q)."""
-        M: Array = self.b[2] * np.eye(2)
-        return M
+        return self.b[2] * np.eye(2)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
         """Return the weight."""

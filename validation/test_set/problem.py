@@ -12,21 +12,16 @@ respect to design variables.
 """
 
 from abc import abstractmethod
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from ancfdae import Integral, Terminal
 from ancfdae.extend import FormulaSystem
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import custom
 from ancfdae.sensitivity.objectives import Objective
-
-__all__ = ["Array", "TestProblem"]
-
-# Real or complex.
-Array = npt.NDArray[Any]
 
 _STEP = 1e-40
 
@@ -34,23 +29,10 @@ _STEP = 1e-40
 class TestProblem(FormulaSystem):
     """A problem with a published answer; three design variables.
 
-    Attributes
-    ----------
-    title, source : str
-    t_end : float
-        s
-    published : float
-        The objective as the source prints it.
-    digits : float
-        Relative accuracy of the printed value.
-    integral : bool
-        Whether the objective is the integral of the observable, or its value at the end.
-    step : float
-        Largest step of HHT that is run; s.
-    stiff : bool
-        Whether `DOP853` needs 100,000 steps for a decay that does not matter: it is left out.
-    values : tuple of float
-        Design values of the source.
+    `published` is the objective as the source prints it, right to the relative accuracy `digits`;
+    it is the integral of the observable or, unless `integral`, its value at the end time. `step`
+    is the largest step of HHT that is run; s. `stiff` problems leave out `DOP853`, which needs
+    100,000 steps for a decay that does not matter. `values` are the design values of the source.
     """
 
     title: ClassVar[str]

@@ -18,20 +18,20 @@ from ancfdae import (
     Radau,
 )
 from ancfdae.extend import Integrator
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel
 from ancfdae.sensitivity.method import GradientMethod
-from validation.external.runs import Attempt, Problem, differentiated, work_precision
+from validation.drawing import error_over_work
+from validation.external.runs import Attempt, Problem, differentiated
 from validation.integrator_runs import MANY
-from validation.report import Agreement, Report
+from validation.report import Report
 from validation.test_set.car_axis import CarAxis
 from validation.test_set.crank_with_spring import CrankWithSpring
 from validation.test_set.flexible_crank import FlexibleCrank
 from validation.test_set.pendulum import SimplePendulum
-from validation.test_set.problem import Array, TestProblem
+from validation.test_set.problem import TestProblem
 from validation.test_set.roberts import Roberts
 from validation.test_set.squeezer import Squeezer
-
-__all__ = ["run"]
 
 _PROBLEMS: Final = (
     SimplePendulum, CrankWithSpring, CarAxis, Squeezer, FlexibleCrank, Roberts,
@@ -91,8 +91,7 @@ class _Case:
 
 def run(report: Report, quick: bool) -> None:
     """Run the cases of report `test-set`; add its text, tables and figures."""
-    report.heading("Method")
-    report.text(_METHOD)
+    report.say("method")
     if quick:
         cases = [_Case(SimplePendulum(), 0.2, 1e-8)]
     else:
@@ -102,10 +101,9 @@ def run(report: Report, quick: bool) -> None:
     for case in cases:
         report.heading(f"{case.system.title[0].upper()}{case.system.title[1:]}")
         best = _ladder(report, case, rtols, 1 if quick else 3)
-        _two_ways(report, case, best)
+        report.judge("two-ways", best <= _EQUAL, case=case, equal=_EQUAL, best=best)
         _methods(report, case.shorter(1e-8 if quick else 1e-12), 1e-3 if quick else 1e-6)
-    report.heading("Limits")
-    report.text(_LIMITS)
+    report.say("limits")
 
 
 def _answers(report: Report, cases: Sequence[_Case]) -> None:
@@ -123,16 +121,13 @@ def _answers(report: Report, cases: Sequence[_Case]) -> None:
         rows.append([system.title, system.source, printed, f"{apart:.0e}", names, *values])
         # What a tenth of its tolerance still changed is no more than the reference's own error.
         known = max(system.digits, 2 * max(case.settled))
-        report.claim(
-            f"{system.title}, {system.source}: the objective",
-            f"{printed}, to {known:.0e}",
-            f"{apart:.0e} apart (SciPy)",
-            Agreement.AGREES if apart <= known else Agreement.DISAGREES,
+        report.judge(
+            "answers", apart <= known, system=system, printed=printed, known=known, apart=apart
         )
     header = ["problem", "source", "printed", "SciPy, apart", "b", "d/db_1", "d/db_2", "d/db_3"]
     report.table(header, rows)
     settled = ", ".join(f"{c.system.title} {c.settled[1]:.0e}" for c in cases)
-    report.text(f"With ten times its tolerance the reference's gradient moves by: {settled}.")
+    report.say("answers", settled=settled)
 
 
 def _settings(system: TestProblem, rtols: Sequence[float], halvings: int) -> list[_Setting]:
@@ -176,8 +171,8 @@ def _ladder(report: Report, case: _Case, rtols: Sequence[float], halvings: int) 
             points.setdefault(setting.family, []).append((attempt.seconds, max(error, 1e-16)))
     report.table(_HEADER, rows)
     panels: list[Panel] = [
-        work_precision("Objective", value, "relative error of the objective [-]"),
-        work_precision("Gradient", slope, "relative error of the gradient [-]"),
+        error_over_work("Objective", value, "relative error of the objective [-]"),
+        error_over_work("Gradient", slope, "relative error of the gradient [-]"),
     ]
     report.plot(case.key, panels, columns=2, title=case.system.title.capitalize())
     return min(error for points in slope.values() for _, error in points)
@@ -190,18 +185,9 @@ def _cells(case: _Case, attempt: Attempt) -> list[object]:
     return [*(f"{x:.1e}" for x in errors), f"{attempt.seconds:.2f}", attempt.note]
 
 
-def _two_ways(report: Report, case: _Case, best: float) -> None:
-    report.claim(
-        f"{case.system.title}: gradients by two ways that share no code",
-        f"equal to {_EQUAL:.0e}",
-        f"{best:.0e}",
-        Agreement.AGREES if best <= _EQUAL else Agreement.DISAGREES,
-    )
-
-
 def _methods(report: Report, case: _Case, rtol: float) -> None:
     """Add every method with every integrator at one setting; name the refused ones."""
-    report.text(f"Every method, to t = {case.problem.t_end:g} s:")
+    report.say("methods", case=case)
     settings = _settings(case.system, [rtol], 1)[1:]
     rows: list[list[object]] = []
     refused: dict[str, list[str]] = {}
@@ -214,29 +200,7 @@ def _methods(report: Report, case: _Case, rtol: float) -> None:
             rows.append([setting.family, setting.words, name, *_cells(case, attempt)])
     report.table([*_HEADER[:2], "method", *_HEADER[2:]], rows)
     words = "; ".join(f"{name} ({', '.join(kinds)})" for name, kinds in refused.items())
-    report.text(f"Refused: {words}.")
+    report.say("methods.refused", words=words)
 
 
 _HEADER = ["integrator", "setting", "objective", "gradient", "CPU [s]", "outcome"]
-
-_METHOD = """
-Six problems that others have published with their answers are written as a user would write them,
-by M, Q and Phi alone (`validation/test_set/`), each with an objective and three design variables.
-The reference shares nothing with this package: accelerations from Phi_q and gamma written by hand,
-SciPy's DOP853 at a tolerance of 1e-13 (Robertson's reactions: Radau with the variational equations)
-and a complex step through the whole integration. Errors are relative; a component of the gradient
-counts by the size of its design variable. Times are processor seconds of one call, with the
-gradient; every function of a problem is Python, called at complex numbers for its derivatives.
-After a run of more than 5 s the tighter settings of an integrator are not run, but the tightest of
-`DOP853`; a run is given up
-when its integrator warns that 100,000 steps are to come. `DOP853` is left out of Robertson's
-reactions, whose fastest decay, of 1e-4 s, holds its steps down for 80 s.
-"""
-
-_LIMITS = """
-- The start of the flexible slider-crank is printed with nine digits: its published answer is met to
-  six.
-- Work compares integrators on Python callbacks, not their libraries.
-- The printed gradients of SUNDIALS (-137.53 and 4.1552e-4 for Robertson's reactions, 0.33346 and
-  -0.36375 for the slider-crank) have five digits.
-"""

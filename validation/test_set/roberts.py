@@ -12,9 +12,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from ancfdae.extend import SystemProperties
-from validation.test_set.problem import Array, TestProblem
-
-__all__ = ["Roberts"]
+from ancfdae.numerics.arrays import Array
+from validation.test_set.problem import TestProblem
 
 
 @final
@@ -32,8 +31,7 @@ class Roberts(TestProblem):
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return |y|^2/2."""
-        half: Array = np.sum(v * v, axis=-1) / 2
-        return half
+        return np.sum(v * v, axis=-1) / 2
 
     def start(self) -> tuple[Array, Array]:
         """Return the start."""
@@ -79,5 +77,4 @@ class Roberts(TestProblem):
         scale = np.concatenate([sizes, np.outer(sizes, 1 / self.b).ravel(), [30], 30 / self.b])
         start = np.concatenate([[1.0], np.zeros(15)])
         tolerances = {"rtol": max(rtol, 3e-14), "atol": rtol * 1e-3 * scale}
-        ends: Array = solve_ivp(rate, (0.0, t_end), start, "Radau", **tolerances).y[12:, -1]
-        return ends
+        return solve_ivp(rate, (0.0, t_end), start, "Radau", **tolerances).y[12:, -1]

@@ -9,9 +9,8 @@ from typing import Final, final
 import numpy as np
 
 from ancfdae.extend import SystemProperties
-from validation.test_set.problem import Array, TestProblem
-
-__all__ = ["Squeezer"]
+from ancfdae.numerics.arrays import Array
+from validation.test_set.problem import TestProblem
 
 _m1, _m2, _m3, _m4, _m5, _m6 = 0.04325, 0.00365, 0.02373, 0.00706, 0.07050, 0.00706
 _xa, _ya, _xb, _yb, _xc, _yc = -0.06934, -0.00227, -0.03635, 0.03273, 0.014, 0.072
@@ -70,8 +69,7 @@ class Squeezer(TestProblem):
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return beta, the angle of the crank."""
-        beta: Array = q[..., 0]
-        return beta
+        return q[..., 0]
 
     def start(self) -> tuple[Array, Array]:
         """Return the start at rest."""
@@ -117,18 +115,15 @@ class Squeezer(TestProblem):
 
     def position_constraint(self, t: float, q: Array) -> Array:
         """Return the constraints Phi, shape (n_lam,)."""
-        closed: Array = np.sum(_chains(_SUMS @ q), axis=1) - _ENDS
-        return closed
+        return np.sum(_chains(_SUMS @ q), axis=1) - _ENDS
 
     def jacobian(self, t: float, q: Array) -> Array:
         """Return the constraint Jacobian Phi_q, shape (n_lam, n_q)."""
-        turned: Array = _chains(_SUMS @ q + np.pi / 2) @ _SUMS
-        return turned
+        return _chains(_SUMS @ q + np.pi / 2) @ _SUMS
 
     def gamma(self, t: float, q: Array, v: Array) -> Array:
         """Return d^2 Phi/dt^2 without accelerations."""
-        centripetal: Array = -_chains(_SUMS @ q) @ (_SUMS @ v) ** 2
-        return centripetal
+        return -_chains(_SUMS @ q) @ (_SUMS @ v) ** 2
 
 
 def _chains(angles: Array) -> Array:

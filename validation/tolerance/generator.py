@@ -40,6 +40,7 @@ from ancfdae import (
 )
 from ancfdae.extend import Integrator, Law
 from ancfdae.laws import ConstantAcceleration, Harmonic, RunUp, SmoothStep, UserLaw
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import (
     custom,
     kinetic_energy,
@@ -52,10 +53,7 @@ from ancfdae.observables import (
 from ancfdae.sections import Rectangle
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables.observable import Observable
-from validation.external.scleronomic import Array
 from validation.tolerance.scenes import Case
-
-__all__ = ["FAMILIES", "Generated", "case"]
 
 _FALLING = (0.0, -9.81)
 # Objectives at instants read the polynomials between 200 of them: 64 leave 1e-3 of some gradients.
@@ -144,9 +142,6 @@ def _objective(draft: _Draft, rng: _Random) -> Objective:
 def _log(rng: _Random, low: float, high: float) -> float:
     """Return a number whose logarithm is even between two powers of ten."""
     return float(10.0 ** rng.uniform(low, high))
-
-
-# -- rigid bodies ------------------------------------------------------------------------------
 
 
 def _box(name: str, at: Sequence[float], length: float = 0.1) -> RigidBody:
@@ -271,9 +266,6 @@ def _friction(rng: _Random) -> _Draft:
     return _Draft(
         scene, ("s.stiffness", "r.coulomb"), t_end, a.at(0), [kinetic_energy("a")], straight=True
     )
-
-
-# -- flexible bodies ---------------------------------------------------------------------------
 
 
 def _rod(rng: _Random) -> _Draft:

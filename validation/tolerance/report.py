@@ -10,17 +10,15 @@ import numpy as np
 from ancfdae import DOP853, HHT, Radau, gradient
 from ancfdae.errors import AncfdaeError
 from ancfdae.extend import Integrator
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import timed
 from ancfdae.plotting import Panel, Series
 from ancfdae.results import Gradient
-from validation.external.scleronomic import Array
-from validation.report import Agreement, Report
+from validation.report import Report
 from validation.tolerance.generator import FAMILIES, Generated
 from validation.tolerance.generator import case as generated
 from validation.tolerance.scenes import HELD_OUT, Case
 from validation.work_precision_scenes import cases
-
-__all__ = ["run"]
 
 _TOLERANCES = (1e-2, 1e-4, 1e-6)
 # Random scenes of each family: those with which the rules were made, and others.
@@ -54,8 +52,7 @@ class _Row:
 
 def run(report: Report, quick: bool) -> None:
     """Run the cases of report `tolerance`; add its text, tables and figures."""
-    report.heading("Method")
-    report.text(_METHOD)
+    report.say("method")
     tolerances = _TOLERANCES[:2] if quick else _TOLERANCES
     rows = [row for case in _cases(quick) for row in _measured(case, tolerances, quick)]
     _table(report, rows)
@@ -63,7 +60,7 @@ def run(report: Report, quick: bool) -> None:
     _verdict(report, rows)
     for (title, seeds), key in zip(_SETS.items(), ("random", "others"), strict=True):
         report.heading(title)
-        report.text(_RANDOM)
+        report.say("random")
         random_scenes(report, seeds[:1] if quick else seeds, key, quick)
 
 
@@ -92,13 +89,16 @@ def random_scenes(report: Report, seeds: Sequence[int], key: str, quick: bool) -
     silent = report.figure(f"{key}.above_three", float(np.sum(over > 3)))
     held = report.figure(f"{key}.held", float(np.mean([x for row in rows for x in row.held])))
     said = f"{len(rows) - len(over)} calls say that the tolerance is out of reach"
-    report.claim(
-        f"On random scenes (seeds {seeds[0]} to {seeds[-1]} of each family) no error is above "
-        "three tolerances without a word, and 95 % of the bars hold",
-        "asked for",
-        f"{silent:.0f} of {len(over)} above three; largest {np.max(over):.2g}; {said}; "
-        f"{100 * held:.0f} % of the bars hold",
-        Agreement.AGREES if held >= 0.95 and not silent else Agreement.DISAGREES,
+    report.judge(
+        "random-scenes",
+        held >= 0.95 and not silent,
+        seeds=seeds,
+        last=seeds[-1],
+        silent=silent,
+        calls=len(over),
+        largest=np.max(over),
+        said=said,
+        held=100 * held,
     )
 
 
@@ -210,7 +210,7 @@ def _picture(report: Report, rows: Sequence[_Row]) -> None:
         Panel("True errors, sorted", "row [-]", "error / tolerance [-]", errors, y_scale="log"),
         Panel("Prices, sorted", "row [-]", "CPU / best in hindsight [-]", prices, y_scale="log"),
     ]
-    report.plot("rows", panels, caption="One point for each scene and objective.")
+    report.plot("rows", panels)
 
 
 def _verdict(report: Report, rows: Sequence[_Row]) -> None:
@@ -221,44 +221,14 @@ def _verdict(report: Report, rows: Sequence[_Row]) -> None:
     ratios = [row.done.seconds / row.best.seconds for row in rows if row.best is not None]
     price = report.figure("price", float(np.median(ratios)))
     said = sum(not row.reached for row in rows)
-    report.claim(
-        "Errors are at most three times the tolerance in 95 % of the calls, and never above ten "
-        "times without a word",
-        "asked for",
-        f"{100 * within:.0f} % of {len(over)} calls within three times, {silent:.0f} above ten; "
-        f"largest {np.max(over):.2g}; {said} calls say that the tolerance is out of reach; "
-        f"{100 * held:.0f} % of all bars hold",
-        Agreement.AGREES if within >= 0.95 and not silent else Agreement.DISAGREES,
+    report.judge(
+        "verdict",
+        within >= 0.95 and not silent,
+        within=100 * within,
+        calls=len(over),
+        silent=silent,
+        largest=np.max(over),
+        said=said,
+        held=100 * held,
     )
-    report.claim(
-        "Processor time, pilot runs included, is at most 2.5 times that of the best setting in "
-        "hindsight (median)",
-        "asked for",
-        f"median {price:.2g}, largest {max(ratios):.2g}, of {len(ratios)} calls",
-        Agreement.AGREES if price <= 2.5 else Agreement.DISAGREES,
-    )
-
-
-_RANDOM = """
-Scenes of fourteen families (`validation/tolerance/generator.py`), each of what made a call certain
-and wrong once: two time scales, waves that numerical damping eats, pulses of laws and of objectives
-that steps pass over, long pendulums, kinks, friction, undamped stiff rods, rubber. The answer is
-that of a fine run of another kind, which is told of the pulses.
-"""
-
-_METHOD = """
-`gradient(..., tolerance=)` is called with three tolerances on the rows of report `work-precision`
-and on twelve scenes more. The factors of the bars were set on other scenes (calibration in
-`validation/tolerance/scenes.py`); the prices of steps, the first steps and what runs aim at were
-set with these scenes in view, so prices are what the search can, not what it was never shown.
-True errors are against a much
-finer run of another kind where there is one, relative as the tolerance is: derivatives times their
-variables
-in the Euclidean norm, relative to that norm; values to the larger of themselves and that norm.
-
-*Best setting in hindsight* is the cheapest single run of HHT (hht_alpha -0.05 and -0.3), Radau or
-DOP853, from coarse to fine, whose true error is within the tolerance. It has no pilot runs, no
-estimate of its error, and where waves are not resolved it is right by chance: a call must take
-several times as much there to know what it knows. Of times below 0.15 s the least of three counts,
-on both sides. Processor times on a shared machine: read ratios.
-"""
+    report.judge("cost", price <= 2.5, price=price, largest=max(ratios), calls=len(ratios))

@@ -34,6 +34,7 @@ from ancfdae import (
 )
 from ancfdae.extend import FormulaSystem, Integrator, MechanicalSystem
 from ancfdae.laws import ConstantAcceleration, SmoothStep
+from ancfdae.numerics.arrays import Array
 from ancfdae.observables import (
     bending_moment,
     custom,
@@ -44,10 +45,7 @@ from ancfdae.observables import (
 )
 from ancfdae.sections import Circle, Rectangle, Tube
 from ancfdae.sensitivity.objectives import Objective
-from validation.external.scleronomic import Array
 from validation.external.slider_crank import SliderCrank
-
-__all__ = ["CALIBRATION", "HELD_OUT", "Case"]
 
 _FINE = DOP853(1e-11)
 
@@ -143,17 +141,10 @@ def _four_bar(material: Material, name: str, t_end: float, reference: Integrator
     scene = Scene([coupler], joints, _FALLING, bodies=[crank, rocker])
     design = ("coupler.height", "coupler.density")
     times = [0.5 * t_end, 0.75 * t_end, t_end]
-    middle = position(coupler.at(0.5), 1)
+    middle, torque = position(coupler.at(0.5), 1), Integral(driver_torque("motor") ** 2)
     return [
         _case(f"{name}, middle", scene, design, AtTimes(middle**2, times), t_end, reference),
-        _case(
-            f"{name}, torque",
-            scene,
-            design,
-            Integral(driver_torque("motor") ** 2),
-            t_end,
-            reference,
-        ),
+        _case(f"{name}, torque", scene, design, torque, t_end, reference),
     ]
 
 
@@ -187,7 +178,7 @@ def _calibration() -> list[Case]:
 # Held out.
 
 
-class Guided(FormulaSystem):
+class _Guided(FormulaSystem):
     """A double pendulum of point masses whose tip is moved along a line; written by hand."""
 
     n_q, n_lam = 2, 1
@@ -196,8 +187,8 @@ class Guided(FormulaSystem):
     def __init__(self, b: npt.ArrayLike = (1.5, 1.0, 0.3)) -> None:
         super().__init__(np.asarray(b))
 
-    def with_values(self, b: Array) -> "Guided":
-        return Guided(b)
+    def with_values(self, b: Array) -> "_Guided":
+        return _Guided(b)
 
     def start(self) -> tuple[Array, Array]:
         return np.array([-0.4, 1.1]), np.array([0.0, 0.5 / (0.8 * np.cos(1.1))])
@@ -340,9 +331,9 @@ def _held_out() -> list[Case]:
         _spatial(),
         _oscillator(),
         _loaded(),
-        Case("guided pendulum", Guided(), Terminal(custom(_angle, "angle")), 3.0, few),
+        Case("guided pendulum", _Guided(), Terminal(custom(_angle, "angle")), 3.0, few),
         Case(
-            "guided pendulum, integral", Guided(), Integral(custom(_angle, "angle") ** 2), 3.0, few
+            "guided pendulum, integral", _Guided(), Integral(custom(_angle, "angle") ** 2), 3.0, few
         ),
         Case("spring of SUNDIALS, short", SliderCrank(), Terminal(custom(_angle, "angle")), 3.0),
     ]

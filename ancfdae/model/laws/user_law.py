@@ -34,7 +34,7 @@ class UserLaw(Law):
 
     Its time derivatives are formed by the rules of differentiation, exactly: it consists of
     arithmetic and NumPy's exp, log, sqrt, sin, cos, tan, sinh, cosh, tanh, arctan, square and
-    reciprocal. It works on arrays of instants. A function without derivatives is refused. Design
+    reciprocal. It works on arrays of times. A function without derivatives is refused. Design
     targets: ``value[0]``, ``value[1]`` ...
 
     Parameters
@@ -62,7 +62,7 @@ class UserLaw(Law):
         return tuple(operations.compiled(numbers, inputs) for numbers in of_order)
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
-        """Time derivative of a given order, by derivatives of the operations of the function."""
+        """Time derivative of a given order, of the shape of t, by derivatives of the operations."""
         t = np.asarray(t)
         values = list_values(self._lists[order], t.reshape(-1, 1), p)
         # Lists replace 1/0 in derivatives by large numbers.

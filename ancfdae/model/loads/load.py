@@ -116,7 +116,7 @@ class Load(Part):
         """Return the generalised forces on the vectors without the law, (..., n_vectors, d).
 
         U and V, of the same shape, are the vectors and their time derivatives: complex arrays
-        with any leading axes (instants, perturbations), or `Carried` ones, of which one is
+        with any leading axes (time points, perturbations), or `Carried` ones, of which one is
         returned. p has the values of `parameters`, as `split` takes them, and U_o, (n_vectors, d),
         the vectors in the reference configuration.
         """

@@ -178,7 +178,7 @@ class _Formula:
         return list_values(self.operations, *used)
 
     def gradient(self, partials: Array, n_b: int) -> LeafGradient:
-        """Return partials in the columns, (n_t, ...), as those of a leaf in states and design."""
+        """Return partials in the columns, (n_t, ...), as partials in states and design."""
         begin, parts = len(self.columns[0]), list[Columns | None]()
         for at in self.columns[1:]:
             rows, begin = partials[:, begin : begin + len(at)], begin + len(at)
