@@ -67,7 +67,7 @@ class Groups(NamedTuple):
         return self._sizes(Q / self.root)
 
     def of_coordinates(self, columns: Array) -> Array:
-        """Return the groups to which coordinates belong."""
+        """Return the groups to which coordinates, shape (k,), belong."""
         return np.searchsorted(self.starts, columns, side="right") - 1
 
     def _sizes(self, x: Array) -> Array:

@@ -88,7 +88,7 @@ class LoadInput:
         return np.real(np.concatenate(list(rows), axis=-1))
 
     def depth(self, U: Array, signals: Array) -> Array:
-        """Return depths of contacts of copies, (k, n_copies), negative where there are none."""
+        """Return depths of contacts of copies, (k, n_copies), negative where surfaces are apart."""
         assert isinstance(self.load, ContactLoad)
         return np.real(self.load.depth(U, signals, self.p, self.reference)[..., 0, 0])
 

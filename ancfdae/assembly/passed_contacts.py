@@ -26,7 +26,7 @@ from ancfdae.numerics.arrays import Array
 _LEVELS: Final = 12
 # Halvings of the times at which a contact begins and ends, and places within it.
 _HALVINGS, _PLACES = 40, 8
-# Places of a step for loads that do not tell how deep surfaces lie in each other.
+# Places of a step for loads without a depth.
 _BLIND: Final = 16
 # Numbers of vectors that are looked at together.
 _ROOM: Final = 2**20
@@ -51,7 +51,7 @@ class Grouped(Protocol):
         """Return the sizes of the forces on each group, (k, n_q) to (k, n)."""
 
     def of_coordinates(self, columns: Array) -> Array:
-        """Return the groups to which coordinates belong."""
+        """Return the groups to which coordinates, shape (k,), belong."""
 
 
 class _Steps(NamedTuple):
@@ -194,7 +194,7 @@ def _impulses(
 
 
 def _boundary(item: LoadInput, steps: _Steps, which: Array, apart: Array, touch: Array) -> Array:
-    """Return the parts of steps between which surfaces begin or cease to touch."""
+    """Return the parts of steps, (k,), at which surfaces begin or cease to touch."""
     for _ in range(_HALVINGS):
         middle = (apart + touch) / 2
         U, _, signals = steps.at(middle, which)

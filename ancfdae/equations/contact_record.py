@@ -1,4 +1,4 @@
-"""What a run shows of contacts: a contract that systems with loads of contact fulfil."""
+"""Record of the contacts of a run: a contract that systems with loads of contact fulfil."""
 
 import abc
 from typing import NamedTuple, final

@@ -336,7 +336,7 @@ class MechanicalSystem(ComplexSteps):
         return {}
 
     def contacts(self) -> ContactRecord | None:
-        """Return a new record of the contacts of one run; None for a system that has none."""
+        """Return a new record of the contacts of one run; None for a system without contacts."""
         return None
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:

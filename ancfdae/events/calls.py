@@ -82,10 +82,8 @@ class EventRun:
         if isinstance(integrator, SteppedIntegrator) and isinstance(
             integrator.steps, PrescribedSteps
         ):
-            rule, repair = (
-                "must choose steps itself with events, or t_end in the design",
-                "Give step.",
-            )
+            rule = "must choose steps itself with events, or with t_end in the design"
+            repair = "Give HHT(step=...) or HHT(rtol=...)."
             raise InvalidInputError("integrator.steps", rule, repr(integrator.steps), repair)
         known = {_OWN: ModeSystem(_OWN, system, require_events(events))}
         require_kind("modes", modes or {}, (Mapping,), 'For example {"closed": Mode(scene)}.')

@@ -195,7 +195,7 @@ def _thinned(run: Run, keep: Keep) -> Solution:
 
 
 def _warned(system: MechanicalSystem, solution: Solution) -> Solution:
-    """Return the run; tell the caller of the caller where its errors are large."""
+    """Return the run; warn the caller of the caller where its errors are large."""
     if solution.outcome.success and not _is_off(solution, 4):
         rows = Rows(solution.t, solution.q, solution.v)
         warn_near_singular(system, rows, solution.estimated_errors, stacklevel=4)

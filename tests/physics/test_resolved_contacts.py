@@ -1,4 +1,4 @@
-"""What the check of contacts lets pass is right, and what is right passes, in every kind of run."""
+"""Runs that pass the check of contacts are right, and right runs pass, by every kind of call."""
 
 import dataclasses
 import re

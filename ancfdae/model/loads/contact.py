@@ -159,7 +159,7 @@ class ObstacleContact(ContactLoad, abc.ABC):
         return len(U_o) - (0 if self.other is None else U_o.shape[1] + 1)
 
     def _apart(self, U: Any, p: Array, U_o: Array) -> tuple[Any, Any]:
-        """Return the depth of the contact, negative where there is none, and its normal."""
+        """Return the depth of the contact, negative where surfaces are apart, and its normal."""
         own, values = self._own(U_o), self.split(p)
         at, rows = U[..., own:, :], U_o[own:]
         carrier = Carrier(at[..., :1, :], at[..., 1:, :], rows[:1], rows[1:])
@@ -167,11 +167,11 @@ class ObstacleContact(ContactLoad, abc.ABC):
         return (0.0 if values[2] is None else values[2]) - distance, n
 
     def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the depth of the point, or of the sphere around it, in the obstacle."""
+        """Return the depth of the point or sphere in the obstacle, shape (..., 1, 1)."""
         return np.asarray(self._apart(U, p, U_o)[0])
 
     def closing(self, U: Array, M: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the way of the point in the axes of the carrier."""
+        """Return the way of the point in the axes of the carrier, shape (..., 1, 1)."""
         if self.other is None:
             return longest(M[..., :1, :])
         own = self._own(U_o)

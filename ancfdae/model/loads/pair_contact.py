@@ -175,11 +175,11 @@ class SphereContacts(PairContact):
         return radii[0] + radii[1] - l, normal
 
     def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the depth of the spheres of a pair in each other."""
+        """Return the depth of the spheres of a pair in each other, shape (..., 1, 1)."""
         return np.asarray(self._touched(U, signals, len(U_o) // 2)[0])
 
     def closing(self, U: Array, M: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the way of one centre relative to the other one."""
+        """Return the way of one centre relative to the other one, shape (..., 1, 1)."""
         n = len(U_o) // 2
         return longest(M[..., :1, :] - M[..., n : n + 1, :])
 
@@ -326,7 +326,7 @@ class BeamPairContact(PairContact):
         return size + values[1] + values[6], e
 
     def depth(self, U: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the depth of the point in the element, of points far away in its ball."""
+        """Return the depth of the point in the element, or in its ball if far, (..., 1, 1)."""
         size, e = self._ball(U, signals, p)
         depth = np.asarray(size - np.sqrt(dot(e, e)))
         near = depth[..., 0, 0] > 0
@@ -335,7 +335,7 @@ class BeamPairContact(PairContact):
         return depth
 
     def closing(self, U: Array, M: Array, signals: Array, p: Array, U_o: Array) -> Array:
-        """Return the way of the point relative to both ends, and what slopes add beside them."""
+        """Return the way of the point relative to both ends, and by slopes, (..., 1, 1)."""
         point, X, _ = self._split(M)
         ways, slopes = longest(point[..., :1, :] - X[..., :2, :]), longest(X[..., 2:, :])
         beside = _SLOPES * signals[..., 3:4, None] * slopes.sum(axis=-2, keepdims=True)
