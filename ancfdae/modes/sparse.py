@@ -137,7 +137,7 @@ def _inwards(small: Linearised, size: float) -> tuple[Advance, Factorization]:
 def _near(
     small: Linearised, shift: float, count: int, tolerance: float, known: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return eigenvalues of K - z M next to a shift, without those of the known vectors."""
+    """Return eigenvalues of K - z M next to a shift that do not belong to known vectors."""
     factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
     options = {"sigma": shift, "OPinv": _inverse(small, factors, known)}
     return _sorted(small, small.symmetric, count, tolerance, factors, options)
@@ -146,7 +146,7 @@ def _near(
 def _highest(
     small: Linearised, count: int, tolerance: float, known: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return the eigenvalues of largest real part, without those of the known vectors."""
+    """Return the eigenvalues of largest real part that do not belong to known vectors."""
     factors, symmetric = small.mass_factors, small.symmetric
     options = {"which": "LA" if symmetric else "LR", "Minv": _inverse(small, factors, known)}
     return _sorted(small, symmetric, count, tolerance, factors, options)

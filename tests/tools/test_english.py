@@ -73,16 +73,16 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "opens with what": 50,
+    "opens with what": 44,
     "as far as": 5,
-    "is none": 68,
-    "that of, those of": 513,
+    "is none": 65,
+    "that of, those of": 479,
     "inversion": 1,
-    "tells": 75,
-    "all of them": 48,
-    "the other": 32,
-    "instants": 495,
-    "array without a shape": 319,
+    "tells": 72,
+    "all of them": 47,
+    "the other": 28,
+    "instants": 488,
+    "array without a shape": 309,
     "long sentence": 232,
 }
 
@@ -152,13 +152,22 @@ def new(name: str) -> list[Hit]:
     return added
 
 
-@pytest.mark.parametrize("name", CHECKS)
-def test_no_sentence_is_added_that_the_guide_would_rewrite(name):
+def test_no_sentence_is_added_that_the_guide_would_rewrite():
+    """All checks in one case, since every process of the test runner that has one reads all."""
+    read = Counter(text.kind for text in texts())
+    assert {kind for kind, n in read.items() if n >= 100} == KINDS
+    wrong = [words for words in map(_judged, CHECKS) if words]
+    if wrong:
+        pytest.fail("\n".join(wrong))
+
+
+def _judged(name: str) -> str:
+    """Say how the hits of a check differ from the count allowed; empty if they do not."""
     count, most = len(hits()[name]), AT_MOST.get(name, 0)
     if count > most:
         lines = [f"  {text.file}:{text.line} ({text.kind}): {near}" for text, near in new(name)]
-        pytest.fail(f"{name!r}: {count} hits, at most {most} allowed. New:\n" + "\n".join(lines))
-    assert count == most, f"{name!r}: {count} hits are left: lower AT_MOST to it"
+        return f"{name!r}: {count} hits, at most {most} allowed. New:\n" + "\n".join(lines)
+    return "" if count == most else f"{name!r}: {count} hits are left: lower AT_MOST to it"
 
 
 @pytest.mark.parametrize(
@@ -183,8 +192,3 @@ def test_a_check_finds_what_it_is_for(name, bad, good):
     mark = re.compile(PATTERNS[name][1])
     assert _near(bad, mark, name)
     assert not _near(good, mark, name)
-
-
-def test_all_kinds_of_prose_are_read():
-    count = Counter(text.kind for text in texts())
-    assert {name for name, n in count.items() if n >= 100} == KINDS
