@@ -5,7 +5,8 @@
 
 draw 1,000 scenes from seeds 0, 1, ..., or 200 from seed 4000 on, and print those that do not end
 as they must. Events happen at once or never, touch zero, have poles, are NaN, steep, or
-closed at the start; restitutions are 0, 1, tiny, or above one; modes lead to each other, or hold
+closed at the start; restitutions are 0, 1, tiny, or above one; a part of the impacts has friction
+or Poisson's law; modes lead to each other, or hold
 joints that are open. Every scene must end within a time limit as a run, an outcome in words or an
 error of the package. A run that reaches its end must have finite states and gaps that are not
 negative beyond round-off. Where no impact adds energy it must not gain any. Its gradient, if it has
@@ -32,6 +33,7 @@ from ancfdae import (
     DirectDifferentiation,
     EndEvent,
     Impact,
+    ImpactLaw,
     InitialVelocity,
     Material,
     Mode,
@@ -79,6 +81,9 @@ class _Scene:
 
     def __init__(self, seed: int) -> None:
         self.rng = rng = np.random.default_rng([38, seed])
+        # Numbers of their own, so that the rest of a scene does not change with them.
+        self.rough = np.random.default_rng([39, seed])
+        self.laws = [ImpactLaw(x) for x in self.rough.permutation([x.value for x in ImpactLaw])]
         self.design = ["a.position_y"]
         self.adds_energy = False
         gravity = (0.0, -float(rng.choice([0.0, 1e-6, 9.81, 9.81, 1e4])))
@@ -87,7 +92,7 @@ class _Scene:
         else:
             points, self.model, self.other = self._bodies(gravity)
         self.gaps = self._gaps(points)
-        self.events: list[Any] = [self._impact(k, gap) for k, gap in enumerate(self.gaps)]
+        self.events: list[Any] = [self._impact(k, gap, points) for k, gap in enumerate(self.gaps)]
         self.events += [self._odd(k, points) for k in range(int(rng.integers(0, 3)))]
         rng.shuffle(self.events)
         self.modes = {"other": Mode(self.other, self.events[: int(rng.integers(0, 3))])}
@@ -139,11 +144,19 @@ class _Scene:
             gaps.append(1e3 * gaps[0])
         return gaps
 
-    def _impact(self, k: int, gap: Observable) -> Impact:
+    def _impact(self, k: int, gap: Observable, points: list[Any]) -> Impact:
         e = float(self.rng.choice([0.0, 1e-8, 0.5, 0.9, 1.0, 1.5]))
         self.adds_energy = self.adds_energy or e > 1
         rest = str(self.rng.choice(["", "", "other"])) or None
-        return Impact(gap, e, f"gap {k}", rest)
+        law = self.laws[int(self.rough.random() < 0.05)]
+        if self.rough.random() < 0.6:
+            return Impact(gap, e, f"gap {k}", rest, law=law)
+        # With friction Newton's law may gain energy.
+        self.adds_energy = self.adds_energy or law is ImpactLaw.NEWTON
+        friction, sliding = float(self.rough.choice([1e-9, 0.1, 0.5, 3.0])), velocity(points[0], 0)
+        if 0 < k < len(points):
+            sliding = velocity(points[k], 0) - velocity(points[k - 1], 0)
+        return Impact(gap, e, f"gap {k}", rest, friction, sliding, law)
 
     def _odd(self, k: int, points: list[Any]) -> Any:
         """Return an event whose function is bad or extreme."""

@@ -25,6 +25,7 @@ from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.passed_contacts import Passed, passed_contacts
 from ancfdae.equations.contact_record import ContactRecord, MissedContact
+from ancfdae.model.loads.contact import ContactLoad
 from ancfdae.model.loads.pair_contact import PairContact
 from ancfdae.model.parts import Elements
 from ancfdae.numerics.arrays import Array
@@ -64,6 +65,10 @@ class Groups(NamedTuple):
     def forces(self, Q: Array) -> Array:
         """Return the sizes of W^(-1/2) Q of each group, (k, n_q) to (k, n)."""
         return self._sizes(Q / self.root)
+
+    def of_coordinates(self, columns: Array) -> Array:
+        """Return the groups to which coordinates belong."""
+        return np.searchsorted(self.starts, columns, side="right") - 1
 
     def _sizes(self, x: Array) -> Array:
         return np.sqrt(np.add.reduceat(x * x, self.starts, axis=-1))
@@ -114,6 +119,10 @@ class RunContacts(ContactRecord):
             self._look(some, begin and k == 0)  # type: ignore[arg-type]
         self._last = tuple(x[-1:].copy() for x in states)  # type: ignore[assignment]
 
+    def passes(self, t: Array, q: Array, v: Array) -> bool:
+        """Whether surfaces touch between two time points, (2,), at neither of which they do."""
+        return any(load.passes((t, q.real, v.real)) for load in self._loads)
+
     def _look(self, states: tuple[Array, Array, Array], begin: bool) -> None:
         largest = self._groups.momenta(states[2]).max(axis=0)
         np.maximum(self._scale, largest, out=self._scale)
@@ -147,6 +156,15 @@ class _LoadContacts:
             self._rows(group, t, F[:, group], begin)
         for each in passed_contacts(self._load, self._groups, states, F):
             self._add_passed(each)
+
+    def passes(self, states: tuple[Array, Array, Array]) -> bool:
+        """Whether surfaces touch between time points, of a load that says how deep they lie."""
+        if not isinstance(self._load.item.load, ContactLoad):
+            return False
+        t, q, v = states
+        F = self._groups.forces(self._load.force(q, v, t).real)
+        found = passed_contacts(self._load, self._groups, states, F)
+        return any(np.any(self._counts(slice(None), each.impulses)) for each in found)
 
     def _rows(self, group: int, t: Array, F: Array, begin: bool) -> None:
         """Add the forces on a group to its contacts, and judge those that end."""
@@ -185,7 +203,10 @@ class _LoadContacts:
     def _add_passed(self, found: Passed) -> None:
         for group in np.flatnonzero(self._counts(slice(None), found.impulses)).tolist():
             lasts = found.end - found.begin
-            words = f"lasts {lasts:.3g} s, between two time points. {_remedy(_SPREAD * lasts)}"
+            words = (
+                f"lasts {lasts:.3g} s, between two time points. {_remedy(_SPREAD * lasts)} DOP853 "
+                f"and IDA see it with stops=({found.begin + lasts / 4:.12g},)."
+            )
             self._suspects.append(_Suspect(found.begin, float(found.impulses[group]), group, words))
 
     def _counts(self, group: int | slice, impulse: Array | float) -> Array:

@@ -50,6 +50,9 @@ class Grouped(Protocol):
     def forces(self, Q: Array) -> Array:
         """Return the sizes of the forces on each group, (k, n_q) to (k, n)."""
 
+    def of_coordinates(self, columns: Array) -> Array:
+        """Return the groups to which coordinates belong."""
+
 
 class _Steps(NamedTuple):
     """Steps of contacts, one each: time, size, vectors U and their rates at both ends, signals."""
@@ -86,11 +89,11 @@ def passed_contacts(
     size = max(1, _ROOM // (len(item.own) * item.reference.size))
     for k in range(0, len(t) - 1, size):
         some = slice(k, k + size + 1)
-        yield from _in_packet(item, groups, (t[some], q[some], v[some]))
+        yield from _in_packet(item, groups, (t[some], q[some], v[some]), F[some])
 
 
 def _in_packet(
-    item: LoadInput, groups: Grouped, states: tuple[Array, Array, Array]
+    item: LoadInput, groups: Grouped, states: tuple[Array, Array, Array], F: Array
 ) -> Iterator[Passed]:
     t, q, v = states
     U, V = (item.by_copies(item.vectors.of(x)) for x in (q, v))
@@ -99,17 +102,40 @@ def _in_packet(
     way = h[:, None, None, None]
     middle = 3 * np.diff(U, axis=0) - way * (V[:-1] + V[1:])
     rate = item.closing(U[:-1], np.stack([way * V[:-1], middle, way * V[1:]]), signals[:-1])
-    apart = (depth[:-1] < 0) & (depth[1:] < 0) & (h[:, None] > 0)
-    k, copy = np.nonzero(apart & (depth[:-1] + depth[1:] + rate >= 0))
-    if not len(k):
+    apart = (depth[:-1] <= 0) & (depth[1:] <= 0) & (h[:, None] > 0)
+    k, copy = np.nonzero(apart & (depth[:-1] + depth[1:] + rate > 0))
+    idle = _idle(item, groups, depth, F)
+    if not len(k) and not len(idle[0]):
         return
+    free, k, copy = len(k), np.append(k, idle[0]), np.append(copy, idle[1])
     U_k, V_k, signals_k = ((x[k, copy], x[k + 1, copy]) for x in (U, V, signals))
     steps = _Steps(t[k], h[k], U_k, V_k, signals_k)
     bounds = rate[k, copy], depth[k, copy], depth[k + 1, copy]
-    which, within = _touching(item, steps, bounds)
+    which, within = _touching(item, steps, tuple(x[:free] for x in bounds))  # type: ignore[arg-type]
+    which = np.append(which, free + np.arange(len(idle[0])))
+    within = np.concatenate([within, idle[2]])
     for begin in range(0, min(len(which), _MOST), _PLACES):
         some = slice(begin, begin + _PLACES)
         yield from _impulses(item, groups, steps, which[some], within[some], copy)
+
+
+def _idle(item: LoadInput, groups: Grouped, depth: Array, F: Array) -> tuple[Array, Array, Array]:
+    """Return steps with an end at which surfaces touch without a force, copies, and three parts.
+
+    So it is in the middle of a ball. The parts are as of `_touching`.
+    """
+    row, copy = np.nonzero(depth > 0)
+    group = groups.of_coordinates(
+        item.vectors.column[item.vectors.first[: -1 : item.reference.size]]
+    )
+    idle, last = F[row, group[copy]] == 0, len(depth) - 1
+    row, copy = row[idle], copy[idle]
+    before = (row > 0) & (F[np.maximum(row - 1, 0), group[copy]] == 0)
+    behind = (row < last) & (F[np.minimum(row + 1, last), group[copy]] == 0)
+    parts = np.array([[0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+    which = np.repeat([0, 1], [before.sum(), behind.sum()])
+    steps = np.concatenate([row[before] - 1, row[behind]])
+    return steps, np.concatenate([copy[before], copy[behind]]), parts[which]
 
 
 def _touching(
@@ -130,7 +156,7 @@ def _touching(
         size /= 2
         U, _, signals = steps.at(s + size, which)
         middle = item.depth(U[:, None], signals[:, None])[:, 0]
-        touch = (middle >= 0) & ~found[which]
+        touch = (middle > 0) & ~found[which]
         found[which[touch]] = True
         parts[which[touch]] = s[touch, None] + size * np.arange(3)
         left = ~found[which]
@@ -172,7 +198,7 @@ def _boundary(item: LoadInput, steps: _Steps, which: Array, apart: Array, touch:
     for _ in range(_HALVINGS):
         middle = (apart + touch) / 2
         U, _, signals = steps.at(middle, which)
-        inside = item.depth(U[:, None], signals[:, None])[:, 0] >= 0
+        inside = item.depth(U[:, None], signals[:, None])[:, 0] > 0
         apart, touch = np.where(inside, apart, middle), np.where(inside, middle, touch)
     return touch
 

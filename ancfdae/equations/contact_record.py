@@ -26,5 +26,9 @@ class ContactRecord(abc.ABC):
         """
 
     @abc.abstractmethod
+    def passes(self, t: Array, q: Array, v: Array) -> bool:
+        """Whether surfaces touch between two time points, (2,), at neither of which they do."""
+
+    @abc.abstractmethod
     def missed(self) -> MissedContact | None:
         """Return the first contact that the steps do not resolve, None if they resolve all."""

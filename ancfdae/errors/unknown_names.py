@@ -50,7 +50,7 @@ _PLOT = "ancfdae.plotting has the calls history, animate, snapshots and write_vt
 
 # Names in lower case without underscores, as people know them from other programs.
 _ANSWERS = {
-    **dict.fromkeys(("cable", "rope", "string", "ancfcable", "ancfcable2d", "wire"), _CABLE),
+    **dict.fromkeys(("cable", "string", "ancfcable", "ancfcable2d", "wire"), _CABLE),
     **dict.fromkeys(
         ("collision", "floor", "wall", "obstacle", "penalty", "hertz", "huntcrossley", "touch"),
         _CONTACT,

@@ -29,7 +29,7 @@ from ancfdae.events.objectives import (
     value_of,
 )
 from ancfdae.events.perturbed import at_complex
-from ancfdae.events.run import Jump, PhasedRun, PhaseMarch
+from ancfdae.events.run import Beginning, Jump, PhasedRun, PhaseMarch
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.step_control import PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
@@ -82,7 +82,10 @@ class EventRun:
         if isinstance(integrator, SteppedIntegrator) and isinstance(
             integrator.steps, PrescribedSteps
         ):
-            rule, repair = "must choose steps itself in a run with events", "Give step or rtol."
+            rule, repair = (
+                "must choose steps itself with events, or t_end in the design",
+                "Give step.",
+            )
             raise InvalidInputError("integrator.steps", rule, repr(integrator.steps), repair)
         known = {_OWN: ModeSystem(_OWN, system, require_events(events))}
         require_kind("modes", modes or {}, (Mapping,), 'For example {"closed": Mode(scene)}.')
@@ -112,10 +115,10 @@ class EventRun:
         return (*self.system.design_names, *((END,) if self.free_end else ()))
 
     @in_one_thread
-    def phased(self) -> PhasedRun:
-        """Integrate all phases."""
+    def phased(self, begins: Beginning | None = None) -> PhasedRun:
+        """Integrate all phases, from the start or from where an earlier run ended."""
         march = PhaseMarch(self.modes, self.t_end, self.integrator)
-        return march.run(self.modes[_OWN], self.progress)
+        return march.run(self.modes[_OWN], self.progress, begins)
 
     def at(self, b: Array) -> EventRun:
         """Return the same run at other design values."""
@@ -174,7 +177,7 @@ class EventRun:
         self, run: PhasedRun, objectives: Sequence[Objective]
     ) -> list[tuple[float, Array]]:
         if not isinstance(self.integrator, SteppedIntegrator):
-            rule = "needs HHT or Radau in a run with events"
+            rule = "needs HHT or Radau with events, or with t_end in the design"
             repair = "Take one of them, or DirectDifferentiation()."
             raise InvalidInputError("Adjoint", rule, repr(self.integrator), repair)
         results = []

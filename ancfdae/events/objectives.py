@@ -117,7 +117,8 @@ def require_reductions(objectives: Sequence[Objective]) -> None:
         for leaf in leaves(objective):
             if not isinstance(leaf, Reduction):
                 rule = "must be made of Integral, Terminal, AtTimes and smooth maxima"
-                raise InvalidInputError("objective of a run with events", rule, repr(leaf))
+                where = "objective with events, or with t_end in the design"
+                raise InvalidInputError(where, rule, repr(leaf))
 
 
 def along_phases(

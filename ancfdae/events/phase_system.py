@@ -381,7 +381,8 @@ class PhaseSystem(LaterSystem):
         for i in range(n, self.n_b):
             if any(np.any(each[:, i]) for each in x_b):
                 moved = [y + 1j * STEP * y_b[:, i] for y, y_b in zip(x, x_b, strict=True)]
-                along, at = StateDirection(direction.t, *moved[4:]), (*moved[:4],)
+                q, v, a, lam, dq, dv = moved
+                along, at = StateDirection(direction.t, dq, dv), (q, v, a, lam)
                 total[:, i] += np.imag(residual_along(self, t, at, along)) / STEP
         return total
 
@@ -485,6 +486,10 @@ class _PhaseContacts(ContactRecord):
     def follow(self, t: Array, q: Array, v: Array) -> None:
         """Look at the next states of the phase."""
         self._own.follow(*self._phase.states_of(t, q, v))
+
+    def passes(self, t: Array, q: Array, v: Array) -> bool:
+        """Whether surfaces touch between two time points of the phase."""
+        return self._own.passes(*self._phase.states_of(t, q, v))
 
     def missed(self) -> MissedContact | None:
         """Return the first contact that the steps of the phase miss."""

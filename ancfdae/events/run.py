@@ -169,6 +169,17 @@ class PhasedRun:
 
 
 @final
+@dataclass(frozen=True)
+class Beginning:
+    """Where a run goes on: mode, state, the events that have just happened, the phase before it."""
+
+    mode: str
+    state: tuple[float, Array, Array]
+    happened: tuple[Event, ...]
+    duration: float
+
+
+@final
 class PhaseMarch:
     """Runs through the phases of one run at a real design."""
 
@@ -178,17 +189,35 @@ class PhaseMarch:
         self._modes, self._t_end, self._integrator = modes, t_end, integrator
         self._window, self._size = t_end * _FIRST, 0.0
 
-    def run(self, mode: ModeSystem, progress: bool) -> PhasedRun:
-        """Run from the start of a mode to the end; a failure keeps the phases before."""
-        with progress_bar(progress, total=self._t_end, unit="s") as bar:
-            return self._through(mode, bar)
+    def run(self, mode: ModeSystem, progress: bool, begins: Beginning | None = None) -> PhasedRun:
+        """Run from the start of a mode to the end; a failure keeps the phases before.
 
-    def _through(self, mode: ModeSystem, bar: Any) -> PhasedRun:
+        With `begins` the run goes on there.
+        """
+        with progress_bar(progress, total=self._t_end, unit="s") as bar:
+            if begins is None:
+                return self._from_start(mode, bar)
+            self._window = max(_GROWTH * begins.duration, REST * self._t_end)
+            phase = self._modes[begins.mode], begins.state, begins.happened
+            return self._through(None, phase, False, bar)
+
+    def _from_start(self, mode: ModeSystem, bar: Any) -> PhasedRun:
+        """Run from the start of a mode, after impacts of gaps that close there."""
         q, v = mode.system.start()
         before = self._at_start(mode, q, v)
-        state, happened, first = (0.0, q, v), _impacts(before), before is None
-        if before is not None:
-            state = 0.0, q, before.velocities(v)
+        after = v if before is None else before.velocities(v)
+        phase = mode, (0.0, q, after), _impacts(before)
+        return self._through(before, phase, before is None, bar)
+
+    def _through(
+        self,
+        before: Jump | None,
+        begins: tuple[ModeSystem, tuple[float, Array, Array], Sequence[Event]],
+        first: bool,
+        bar: Any,
+    ) -> PhasedRun:
+        """Run through all phases from a mode, a state, and the events that have just happened."""
+        mode, state, happened = begins
         phases: list[Phase] = []
         short = closed = 0
         while len(phases) < _MOST:

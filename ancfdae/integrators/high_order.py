@@ -173,6 +173,7 @@ class HighOrder(QuadratureIntegrator):
 
     # The solvers are real wherever the start is, and would drop imaginary parts of the forces.
     real_only: ClassVar[bool] = True
+    checks_contacts: ClassVar[bool] = True
 
     rtol: float = 1e-8
     intervals: int | None = None

@@ -127,6 +127,8 @@ class Integrator(abc.ABC):
     """
 
     real_only: ClassVar[bool] = False
+    #: Whether runs come with the outcome that they miss a contact (`with_contacts`).
+    checks_contacts: ClassVar[bool] = False
     order: ClassVar[int | None] = None
 
     @property

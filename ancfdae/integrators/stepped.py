@@ -45,6 +45,7 @@ class SteppedIntegrator(AdjointIntegrator):
     Solutions have `degree` instants for each step, and the polynomials between them its degree.
     """
 
+    checks_contacts: ClassVar[bool] = True
     degree: ClassVar[int] = 1
 
     steps: StepControl

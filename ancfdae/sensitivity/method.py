@@ -25,6 +25,7 @@ from ancfdae.errors.kinds import AncfdaeError, InvalidInputError, SingularMatrix
 from ancfdae.errors.outcomes import PassFailed, Verdict, uninterrupted
 from ancfdae.errors.text import PrintedTable, TableText
 from ancfdae.integrators.integrator import Integrator, QuadratureIntegrator
+from ancfdae.integrators.missed_contacts import with_contacts
 from ancfdae.integrators.prescribed_motion import nearest_to_singular, singular_position
 from ancfdae.integrators.recorder import Rows
 from ancfdae.numerics.arrays import Array
@@ -359,6 +360,8 @@ class Run:
 
     def _told(self, run: Solution, sensitivities: bool) -> Solution:
         """Return a run with advice; refuse one without the derivatives that were asked for."""
+        contacts = None if self.integrator.checks_contacts else self.system.contacts()
+        run = with_contacts(run, contacts) if contacts else run
         if not run.outcome.success:
             return self._advised(run)
         if sensitivities and run.sensitivities is None:

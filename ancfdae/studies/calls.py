@@ -62,6 +62,7 @@ def simulate(
     t_end: float,
     integrator: Integrator,
     *,
+    after: EventSolution | None = None,
     events: Sequence[Event],
     modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
@@ -88,7 +89,7 @@ def simulate(
     tolerance: float | None = None,
     observables: Sequence[Observable] | None = None,
     at: Sequence[float] | Array | None = None,
-    after: Solution | None = None,
+    after: Solution | EventSolution | None = None,
     keep: Keep | None = None,
     events: Sequence[Event] | None = None,
     modes: Mapping[str, Mode] | None = None,
@@ -114,9 +115,10 @@ def simulate(
     observables, at : sequences, optional
         What the tolerance is for, ``[position(rod.at_end, 1)]``; and its instants, ascending in
         [0, t_end], by default 65, equally far apart; s.
-    after : Solution, optional
+    after : Solution or EventSolution, optional
         A run of this model by the same integrator that ended before, at its end time, early or at
-        Ctrl-C: it goes on there, to round-off; under error control within the tolerance.
+        Ctrl-C: it goes on there, to round-off; under error control within the tolerance. A run with
+        events needs the same events and modes, and integrates its last phase again.
     keep : int or sequence of float, optional
         Store only part of a run with prescribed steps. An int k stores the start, every k-th step
         and the end; a sequence of ascending times in [0, t_end], s, stores states interpolated as
@@ -131,16 +133,14 @@ def simulate(
     """
     system = as_system(model)
     if events is not None or modes is not None:
-        _require_alone(
-            "events", tolerance=tolerance, observables=observables, after=after, keep=keep
-        )
+        _require_alone("events", tolerance=tolerance, observables=observables, keep=keep)
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import simulated
 
         run_with_events = EventRun.of(
             system, t_end, integrator, events or (), modes, None, progress
         )
-        phased = simulated(run_with_events)
+        phased = simulated(run_with_events, after)
         warn_of_strains("simulate", system, phased.q)
         return phased
     if tolerance is not None:
@@ -151,7 +151,9 @@ def simulate(
     if observables is not None or at is not None:
         rule, repair = "need `tolerance`", "Call observe(observable, solution)."
         raise InvalidInputError("observables, at", rule, "an integrator", repair)
-    run = Run(system, t_end, cast("Integrator", integrator), progress, after)
+    run = Run(
+        system, t_end, cast("Integrator", integrator), progress, cast("Solution | None", after)
+    )
     if keep is not None:
         return _thinned(run, keep)
     solution = with_remedies(model, run, uninterrupted(run.solution()))

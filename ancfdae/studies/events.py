@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from ancfdae.equations.event_solution import EventSolution
-from ancfdae.errors.kinds import InvalidInputError
+from ancfdae.errors.checks import require_kind
+from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
 from ancfdae.errors.outcomes import uninterrupted
 from ancfdae.events.calls import EventRun, solution, states_of
 from ancfdae.events.objectives import along_phases, require_reductions, value_of
-from ancfdae.events.run import PhasedRun
+from ancfdae.events.run import Beginning, PhasedRun
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
@@ -21,9 +22,49 @@ from ancfdae.sensitivity.objectives import AtTimes, Objective
 from ancfdae.sensitivity.observables.observable import Observable
 
 
-def simulated(run: EventRun) -> EventSolution:
-    """Return the motion with its events."""
-    return uninterrupted(solution(run.phased()))
+def simulated(run: EventRun, after: object = None) -> EventSolution:
+    """Return the motion with its events, from `after` if given.
+
+    The last phase of `after`, which no event ended, is integrated again: its steps are those of a
+    run in one go.
+    """
+    if after is None:
+        return uninterrupted(solution(run.phased()))
+    require_kind("after", after, (EventSolution,), "Pass what simulate returned with events.")
+    assert isinstance(after, EventSolution)
+    begins = _beginning(run, after)
+    if begins is None:
+        return uninterrupted(solution(run.phased()))
+    found, t_0 = solution(run.phased(begins)), begins.state[0]
+    records = tuple(x for x in after.events if x.time <= t_0)
+    return uninterrupted(
+        replace(found, phases=after.phases[:-1] + found.phases, events=records + found.events)
+    )
+
+
+def _beginning(run: EventRun, after: EventSolution) -> Beginning | None:
+    """Return where the last phase of an earlier run began; None if that is the start.
+
+    InvalidInputError for a run of another model, or one that has passed the end time.
+    """
+    last, n_q = after.phases[-1], run.system.n_q
+    if last.q.shape[1] != n_q:
+        got = f"{last.q.shape[1]} coordinates in place of {n_q}"
+        raise InvalidInputError("after", "must be a run of this model", got)
+    if run.t_end < last.t[-1]:
+        rule, got = "must not have passed t_end", f"{last.t[-1]:.6g} s and {run.t_end:.6g} s"
+        raise InvalidInputError("after", rule, got, "Take Solution.at, or run again.")
+    if len(after.phases) == 1:
+        return None
+    t_0 = float(last.t[0])
+    records = [x for x in after.events if x.time <= t_0]
+    name, just = records[-1].mode, {x.name for x in records if x.time == t_0}
+    if name not in run.modes:
+        raise UnknownNameError("mode in which `after` ends", name, list(run.modes))
+    happened = tuple(x for x in run.modes[name].events if x.name in just)
+    before = after.phases[-2]
+    duration = float(before.t[-1] - before.t[0])
+    return Beginning(name, (t_0, last.q[0], last.v[0]), happened, duration)
 
 
 def differentiated(run: EventRun, method: object) -> EventSolution:

@@ -706,7 +706,7 @@ def test_bad_events_are_refused_in_words():
         simulate(DoublePendulum(spin=5.0), 1.0, HHT(step=0.01), events=[early], modes=locked)
     with pytest.raises(InvalidInputError, match="choose steps itself"):
         simulate(ball, 3.0, HHT(PrescribedSteps((0.0, 3.0))), events=[BOUNCE])
-    with pytest.raises(InvalidInputError, match="without `after`"):
+    with pytest.raises(InvalidInputError, match="after: must be"):
         simulate(ball, 3.0, step, events=[BOUNCE], after=simulate(ball, 1.0, step))
     with pytest.raises(InvalidInputError, match="complex numbers"):
         gradient(ball, Terminal(HEIGHT), 3.0, DOP853(), method=ComplexStep(), events=[BOUNCE])

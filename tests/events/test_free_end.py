@@ -15,11 +15,14 @@ from ancfdae import (
     DirectDifferentiation,
     EndEvent,
     FiniteDifference,
+    Impact,
     Integral,
     Material,
     Pin,
+    PrescribedSteps,
     Radau,
     Responses,
+    RigidBody,
     Scene,
     SmoothMaximum,
     Terminal,
@@ -109,3 +112,37 @@ def test_end_time_is_refused_where_it_cannot_be_a_variable():
     rod, scene = flexible_rod()
     with pytest.raises(InvalidInputError, match="t_end"):
         gradient(scene, Terminal(position(rod.at_end, 1)), 0.2, design=["t_end"], tolerance=1e-3)
+
+
+@pytest.mark.parametrize("method", EXACT)
+def test_the_end_time_alone_is_a_design_of_a_run_with_impacts(method):
+    # Free fall from 1 m, and up again at half the speed: the rate of the height at 0.6 s.
+    body = RigidBody("body", (0, 1.0), mass=1.0, inertia=0.1)
+    height, scene = position(body.at(0, 0), 1), Scene([], [], (0, -10.0), bodies=[body])
+    call = Terminal(height), 0.6, HHT(0.01)
+    found = gradient(scene, *call, design=["t_end"], events=[Impact(height, 0.5)], method=method)
+    fall = 0.2**0.5
+    up = 10 * fall / 2 - 10 * (0.6 - fall)
+    assert found.gradient == pytest.approx([up], rel=1e-10)
+
+
+@pytest.mark.parametrize("t_end", [0.6, 0.6001, 0.61])
+@pytest.mark.parametrize("time", [0.555, 0.3, 0.0071])
+def test_a_value_at_a_time_between_steps_does_not_depend_on_the_design(t_end, time):
+    body = RigidBody("body", (0, 1.0), mass=1.0, inertia=0.1)
+    read = AtTimes(position(body.at(0, 0), 1), time)
+    scene = Scene([], [], (0, -10.0), bodies=[body])
+    for design in (["body.position_y"], ["body.position_y", "t_end"]):
+        found = gradient(scene, read, t_end, HHT(0.01), design=design)
+        # A cubic, and HHT, have no error in a parabola.
+        assert found.value == pytest.approx(1 - 5 * time**2, rel=1e-12)
+        assert found.gradient == pytest.approx([1.0, 0.0][: len(design)], abs=1e-10)
+
+
+def test_messages_name_the_end_time_where_there_are_no_events():
+    body = RigidBody("body", (0, 1.0), mass=1.0, inertia=0.1)
+    scene, read = Scene([], [], (0, -10.0), bodies=[body]), Terminal(position(body.at(0, 0), 1))
+    with pytest.raises(InvalidInputError, match="t_end in the design"):
+        gradient(scene, read, 0.6, HHT(PrescribedSteps((0.0, 0.3, 0.6))), design=["t_end"])
+    with pytest.raises(InvalidInputError, match="t_end in the design"):
+        gradient(scene, read, 0.6, DOP853(1e-8), design=["t_end"], method=Adjoint())

@@ -1,6 +1,7 @@
 """Integrals of the paths of high order: the tolerance rules them, not the reported instants."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -85,9 +86,15 @@ def numbers(found):
     return np.array([found.value, *found.gradient])
 
 
-def over_panels(system, objective, t_end, integrator):
+@functools.cache
+def of_many_panels(build, t_end, integrator):
+    """A system with its run in many panels, for all objectives of it."""
+    system = build()
+    return system, differentiate(system, t_end, integrator)
+
+
+def over_panels(system, objective, solution):
     """Value and gradient by quadrature over the instants of a run."""
-    solution = differentiate(system, t_end, integrator)
     partials, s = objective.partials(system, states_of(solution)), solution.sensitivities
     total = partials.b
     for rows, x_b in ((partials.q, s.q_b), (partials.v, s.v_b), (partials.lam, s.lam_b)):
@@ -100,11 +107,11 @@ def over_panels(system, objective, t_end, integrator):
 @pytest.mark.parametrize("name", CASES)
 def test_one_interval_gives_what_a_thousand_panels_give(name, kind):
     build, objective, t_end = CASES[name]
-    system = build()
+    system, run = of_many_panels(build, t_end, kind(RTOL, intervals=256))
     ours = numbers(
         gradient(system, objective, t_end, kind(RTOL, intervals=1), method=DirectDifferentiation())
     )
-    panels = over_panels(system, objective, t_end, kind(RTOL, intervals=256))
+    panels = over_panels(system, objective, run)
     # Both are integrals of the same steps, each within its own error of the order of RTOL; the
     # nine instants of one panel alone miss the gradient by 1e-3 to 1.
     assert np.max(np.abs(ours / panels - 1)) < 10 * RTOL
@@ -137,10 +144,10 @@ def test_differences_of_runs_see_the_same_integral():
 @pytest.mark.parametrize("sharpness", [30.0, 3000.0])
 def test_integrands_sharper_than_the_motion_are_resolved(kind, sharpness):
     # exp(3000 x) has a peak of 1e-2 s, passed in one step or two; the steps of DOP853 are 0.1 s.
-    system, integrator = CartesianPendulum(), kind(1e-8, intervals=1)
     objective = SmoothMaximum(custom(lambda t, q, v, lam, b: q[:, 0]), sharpness)
-    panels = over_panels(system, objective, 2.0, dataclasses.replace(integrator, intervals=400))
-    found = numbers(gradient(system, objective, 2.0, integrator))
+    system, fine = of_many_panels(CartesianPendulum, 2.0, kind(1e-8, intervals=400))
+    panels = over_panels(system, objective, fine)
+    found = numbers(gradient(system, objective, 2.0, kind(1e-8, intervals=1)))
     # Errors of x between steps, of the order of the tolerance, change exp(k x) by k times as much.
     assert np.max(np.abs(found / panels - 1)) < 10 * sharpness * 1e-8
 

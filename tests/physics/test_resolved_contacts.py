@@ -1,5 +1,8 @@
 """What the check of contacts lets pass is right, and what is right passes, in every kind of run."""
 
+import dataclasses
+import re
+
 import numpy as np
 import pytest
 
@@ -24,6 +27,7 @@ from ancfdae import (
     simulate,
     taylor_test,
 )
+from ancfdae.extend import Integrator
 from ancfdae.observables import position
 from ancfdae.results import Verdict
 from ancfdae.sensitivity.method import UnfinishedRunError
@@ -229,3 +233,51 @@ def test_the_bound_of_the_rate_of_a_depth_holds_on_the_path():
         depth = item.depth(item.by_copies(item.vectors.of(path)), np.repeat(signals, 101, 0))[:, 0]
         assert np.abs(np.diff(depth)).max() * 100 <= bound * (1 + 1e-9)
         assert bound < 30 * np.abs(np.diff(depth)).max() * 100 + 1e-9
+
+
+@pytest.mark.parametrize("speed", [10.0, 1e3])
+@pytest.mark.parametrize("integrator", [HHT(rtol=1e-5), Radau(rtol=1e-6)])
+def test_error_control_shortens_steps_that_would_pass_over_a_contact(integrator, speed):
+    # Undamped, equal masses: the first ball stops, and the other one flies on at its speed.
+    pair = ball("a", (0.0, 0.0)), ball("b", (1.03, 0.0))
+    touch = SphereContacts(["a", "b"], [0.1, 0.1], stiffness=1e7 * speed**2, name="pair")
+    start = [flying(pair[0], (speed, 0.0))]
+    scene = Scene([], [], (0, 0), bodies=pair, loads=[touch], start=start)
+    run = simulate(scene, 1.0 / speed, integrator)
+    assert run.outcome.success
+    speeds = run.v[-1].reshape(2, 3, 2)[:, 0, 0] / speed
+    np.testing.assert_allclose(speeds, [0.0, 1.0], atol=2e-3)
+
+
+def test_a_stop_that_a_message_names_lets_a_long_step_see_a_contact():
+    # A small ball meets another one in free flight, which takes DOP853 a step or two.
+    pair = ball("a", (0.0, 0.0)), ball("b", (0.7313, 0.0))
+    touch = SphereContacts(["a", "b"], [1e-3, 1e-3], stiffness=1e12, name="pair")
+    start = [flying(pair[0], (10.0, 0.0))]
+    scene = Scene([], [], (0, 0), bodies=pair, loads=[touch], start=start)
+    run = simulate(scene, 0.1, DOP853(1e-8))
+    assert run.outcome.verdict is Verdict.MISSED_CONTACT
+    stop = float(re.search(r"stops=\((\S+),\)", str(run.outcome))[1])
+    again = simulate(scene, 0.1, DOP853(1e-8, stops=(stop,)))
+    assert again.outcome.success
+    speeds = again.v[-1].reshape(2, 3, 2)[:, 0, 0]
+    np.testing.assert_allclose(speeds, [0.0, 10.0], atol=1e-4)
+
+
+class Own(Integrator):
+    """An integrator from outside the package, which knows nothing of contacts."""
+
+    def refined(self, solution):
+        return self
+
+    def integrate(self, system, t_end, *, sensitivities=False, progress=False):
+        run = LONG.integrate(system, t_end, sensitivities=sensitivities, progress=progress)
+        outcome = dataclasses.replace(run.outcome, verdict=Verdict.FINISHED, advice="")
+        return dataclasses.replace(run, outcome=outcome)
+
+
+def test_runs_of_an_integrator_of_ones_own_are_checked():
+    scene, height = drop()
+    assert simulate(scene, 0.6, Own()).outcome.verdict is Verdict.MISSED_CONTACT
+    with pytest.raises(UnfinishedRunError, match="do not resolve a contact"):
+        gradient(scene, Terminal(height), 0.6, Own(), design=["floor.radius"])

@@ -89,6 +89,12 @@ def impact(x: Names) -> bool:
     return abs(after + 0.7 * before) < 1e-9 and run.position(tip)[:, 1].min() > -0.3 - 1e-9
 
 
+def crane(x: Names) -> bool:
+    """The load that swung by 3 m stays within a micrometre, at rest on arrival."""
+    before, after = (np.ptp(series.y[series.x > x["t_end"]]) for series in x["lines"])
+    return bool(before > 2.0 and after < 1e-6)
+
+
 def controller(x: Names) -> bool:
     """Tuned gains cost less than the first ones."""
     return x["found"].fun < 0.9 * x["model"]["cost"](x["model"].start)
@@ -96,7 +102,7 @@ def controller(x: Names) -> bool:
 
 CHECKS: list[Callable[[Names], bool]] = [
     four_bar, paper_crank_slider, tracked_arm, net, rotor, arch, fit, magnet, whirling_bead,
-    impact, controller,
+    impact, crane, controller,
 ]  # fmt: skip
 
 

@@ -335,9 +335,9 @@ class HHTStepper(OneStepMethod[State]):
     # A step of a small mechanism takes 0.2 to 2 ms.
     many: ClassVar[int] = 20_000
     remedy: ClassVar[str] = (
-        "error control follows every undamped wave that its tolerance sees. Give the material a "
-        "damping_time, or take a fixed step, HHT(step=...), which steps over those that do not "
-        "matter (docs/howto/integrator.md)."
+        "error control follows every undamped wave, and every contact, that its tolerance sees. "
+        "Give materials a damping_time and contacts less stiffness, or take a fixed step, "
+        "HHT(step=...), which steps over waves that do not matter (docs/howto/integrator.md)."
     )
 
     def __init__(

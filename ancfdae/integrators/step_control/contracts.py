@@ -39,12 +39,13 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, final
 import numpy as np
 
 from ancfdae.equations import ErrorEstimates, MechanicalSystem, Sensitivities
+from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.solution import Solution
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.integrators.prescribed_motion import Watch, half_a_turn_off, lock
 from ancfdae.integrators.problem import Scales
-from ancfdae.integrators.recorder import SolutionRecorder
+from ancfdae.integrators.recorder import Rows, SolutionRecorder
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 
@@ -179,6 +180,7 @@ Record = tuple[float | Array, Array, Array, Array, Array, tuple[Array, ...]]
 
 
 _NONE = np.zeros(0)
+_UNSEEN = "However short the steps are, they pass over the contact."
 # Steps that a controller may take back, one after another.
 BACK = 4
 # Ends of runs for which joints that lock may be the reason.
@@ -331,12 +333,15 @@ def march(
     if reached is _NOWHERE:
         recorder.record(*method.consistent())
     watch, lost = Watch(method.system, recorder), None
+    # Steps under control are shorter where they would pass over a contact.
+    contacts = method.system.contacts()
     path = deque([reached], maxlen=1 + BACK)
     with progress_bar(progress, total=t_end, initial=reached.t, unit="s") as bar:
         try:
             # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                while isinstance(end := _next(method, controller, recorder, path), Reached):
+                tools = method, controller, recorder, contacts
+                while isinstance(end := _next(*tools, path), Reached):
                     bar.update(end.t - reached.t)
                     reached = end
                     if lost := watch.missed():
@@ -363,6 +368,7 @@ def _next(
     method: OneStepMethod[Any],
     controller: Controller,
     recorder: SolutionRecorder,
+    contacts: ContactRecord | None,
     path: deque[Reached],
 ) -> Reached | Failure:
     """Try a step; return where the run stands then, or how it ends there.
@@ -384,9 +390,14 @@ def _next(
     after = method.advance(h, before, end)
     if not isinstance(after, Failure) and not len(sizes):
         # A shorter step finds the right root.
-        instants, q, *_ = method.recorded(after)
-        why = half_a_turn_off(method.system, t, np.atleast_1d(instants), np.atleast_2d(q))
+        instants, q, v, *_ = method.recorded(after)
+        rows = Rows(np.atleast_1d(instants), np.atleast_2d(q), np.atleast_2d(v))
+        why = half_a_turn_off(method.system, t, rows.t, rows.q)
         after = Failure(Verdict.OFF_ROOT, 0.0, why) if why else after
+        if contacts and contacts.passes(
+            *map(np.concatenate, zip(recorder.last(1), rows, strict=True))
+        ):
+            after = Failure(Verdict.MISSED_CONTACT, 0.0, _UNSEEN)
     failed = isinstance(after, Failure)
     if failed and after.verdict is Verdict.SINGULAR:
         return after

@@ -62,7 +62,8 @@ class Pulley:
         Whether the rope passes clockwise around the centre on its way from start to end, in space
         seen against `axis`; by default counterclockwise.
     axis : sequence of float, optional
-        In space: axis in the reference configuration, which turns with the body.
+        In space: axis in the reference configuration, which turns with the body; its length does
+        not count (dimensionless).
     friction : float, optional
         mu, not negative; dimensionless.
     turns : int, optional
@@ -134,7 +135,7 @@ class _Span(NamedTuple):
 
 
 class _Reeving(NamedTuple):
-    """A rope: spans, wrapped angles, and the length along all of them."""
+    """A rope: spans, wrapped angles, and the length along the whole path."""
 
     spans: list[_Span]
     angles: list[Any]
@@ -218,7 +219,10 @@ class Rope(Load):
             raise InvalidInputError(where, rule, "places on the ground", repair)
         rubbed = any(pulley.friction is not None for pulley in self.pulleys)
         if rubbed != (self.slip_speed is not None):
-            rule, repair = "must be given where a pulley has friction, and only there", "Give both."
+            rule, repair = (
+                "must be given where a pulley has friction, and only there",
+                "Give both or leave both out.",
+            )
             raise InvalidInputError(f"{where}, slip_speed", rule, self.slip_speed, repair)
 
     # -- what it touches, and its numbers ------------------------------------------------------
@@ -311,7 +315,7 @@ class Rope(Load):
         rows = list[Array]()
         for place, pulley in zip(self._places.values(), self._stops, strict=True):
             if isinstance(place, MaterialPoint):
-                # Directions of a body are not known yet; that of an axis is the declared one.
+                # Directions of a body are not known yet; its axis has the declared direction.
                 count = _axis_count(pulley, elements.d)
                 rows += [elements.place_of(place), *np.eye(elements.d)[:count]]
         U = np.array(rows)
@@ -330,7 +334,7 @@ class Rope(Load):
     # -- tension and forces ------------------------------------------------------------------------
 
     def signals(self, p: Array, t: Array, order: int) -> Array | None:
-        """Return what is paid out and its rate, or time derivatives of these, (k, 2)."""
+        """Return the length paid out and its rate, or their time derivatives, (k, 2)."""
         if self.payout is None:
             return None
         its = self.split(p)[4]
