@@ -78,6 +78,7 @@ def test_a_shorter_step_is_named_only_where_the_longer_ones_stop():
     assert len(run.t) == run.outcome.step + 1
 
 
+@pytest.mark.filterwarnings("ignore:the errors of this run:ancfdae.errors.StabilityWarning")
 def test_gradients_at_the_step_that_is_named_are_exact():
     scene, tip = whip()
     call = scene, Integral(tip), 0.1

@@ -219,6 +219,7 @@ def test_a_maximum_at_the_start_is_no_raw_error():
     assert found.value == pytest.approx(0.5 + np.log(mean) / 1e5, rel=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:the errors of this run:ancfdae.errors.StabilityWarning")
 def test_one_step_has_no_error_bar():
     with pytest.raises(InvalidInputError, match="steps"):
         error_bars(Mass(lambda q: 0 * q), Integral(SQUARE), 2.0, HHT(2.0))
