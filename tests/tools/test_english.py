@@ -73,16 +73,16 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "opens with what": 50,
+    "opens with what": 44,
     "as far as": 5,
-    "is none": 68,
-    "that of, those of": 513,
+    "is none": 65,
+    "that of, those of": 481,
     "inversion": 1,
-    "tells": 75,
-    "all of them": 48,
-    "the other": 32,
-    "instants": 495,
-    "array without a shape": 319,
+    "tells": 72,
+    "all of them": 47,
+    "the other": 28,
+    "instants": 488,
+    "array without a shape": 309,
     "long sentence": 232,
 }
 
