@@ -281,3 +281,22 @@ def test_runs_of_an_integrator_of_ones_own_are_checked():
     assert simulate(scene, 0.6, Own()).outcome.verdict is Verdict.MISSED_CONTACT
     with pytest.raises(UnfinishedRunError, match="do not resolve a contact"):
         gradient(scene, Terminal(height), 0.6, Own(), design=["floor.radius"])
+
+
+def test_a_path_that_is_fast_between_its_ends_is_followed():
+    # At rest at both ends of a step of 1 s, and at 1.5 m/s in the middle, through a small ball.
+    pair = ball("a", (0.0, 0.0)), ball("b", (0.37, 0.0))
+    touch = SphereContacts(["a", "b"], [1e-3, 1e-3], stiffness=1e6, name="pair")
+    system = assemble(Scene([], [], (0, 0), bodies=pair, loads=[touch]))
+    q, _ = system.start()
+    later = q.copy()
+    later[0] += 1.0
+    for end, missed in ((later, True), (q, False)):
+        contacts = system.contacts()
+        contacts.follow(np.array([0.0, 1.0]), np.array([q, end]), np.zeros((2, len(q))))
+        assert (contacts.missed() is not None) == missed
+    # 3 s^2 - 2 s^3 = 0.368 at the begin of the contact.
+    first = system.contacts()
+    first.follow(np.array([0.0, 1.0]), np.array([q, later]), np.zeros((2, len(q))))
+    s = first.missed().time
+    assert 3 * s**2 - 2 * s**3 == pytest.approx(0.368, abs=1e-9)
