@@ -25,8 +25,8 @@ from ancfdae.sensitivity.observables.observable import Observable
 def simulated(run: EventRun, after: object = None) -> EventSolution:
     """Return the motion with its events, from `after` if given.
 
-    The last phase of `after`, which no event ended, is integrated again: its steps are those of a
-    run in one go.
+    The last phase of `after`, which no event ended, is integrated again, so that its steps
+    equal the steps of a run in one go.
     """
     if after is None:
         return uninterrupted(solution(run.phased()))

@@ -323,3 +323,120 @@ def test_bad_friction_is_refused_in_words():
     ]  # fmt: skip
     with pytest.raises(InvalidInputError, match="must follow one law"):
         simulate(Disc(STICKS), 0.6, HHT(0.05), events=both)
+
+
+class Anvil(FormulaSystem):
+    """A mass that touches the ground without weight, and a hammer that strikes it."""
+
+    n_q, n_lam = 2, 0
+    design_names = ("speed", "e", "e_ground", "hammer")
+    gaps = (
+        custom(lambda t, q, v, lam, b: q[:, 0], "ground"),
+        custom(lambda t, q, v, lam, b: q[:, 1] - q[:, 0] - 1.0, "head"),
+    )
+
+    def with_values(self, b):
+        return type(self)(b)
+
+    def start(self):
+        speed = self.b[0]
+        return np.array([0 * speed, 1.5 + 0 * speed]), np.array([0 * speed, -speed])
+
+    def mass_matrix(self, q):
+        return np.diag([5.0, 1.0]) * np.array([[1.0, 1.0], [1.0, self.b[3]]])
+
+    def force(self, t, q, v):
+        return 0 * q * self.b[0]
+
+    def position_constraint(self, t, q):
+        return np.zeros(0)
+
+    @classmethod
+    def impacts(cls):
+        e, e_ground = (custom(lambda t, q, v, lam, b, k=k: b[k] + 0 * t, f"b{k}") for k in (1, 2))
+        ground, head = cls.gaps
+        return [
+            Impact(head, e, "head", law=ImpactLaw.POISSON),
+            Impact(ground, e_ground, "ground", law=ImpactLaw.POISSON),
+        ]
+
+
+def test_poissons_law_loads_a_contact_that_does_not_close():
+    """Compression stops both: P = m u at head and ground; expansion adds e P and e_ground P."""
+    b = np.array([2.0, 0.4, 0.9, 0.5])
+    speed, e, e_ground, hammer = b
+    place = custom(lambda t, q, v, lam, b: 3 * v[:, 0] + v[:, 1], "both")
+    up = (e_ground - e) * hammer * speed / 5.0
+    slopes = [
+        3 * up / speed + e,
+        -3 * hammer * speed / 5.0 + speed,
+        3 * hammer * speed / 5.0,
+        3 * up / hammer,
+    ]
+    for method in EXACT:
+        found = gradient(
+            Anvil(b), Terminal(place), 0.6, HHT(0.05), method=method, events=Anvil.impacts()
+        )
+        assert found.value == pytest.approx(3 * up + e * speed, rel=1e-12)
+        np.testing.assert_allclose(found.gradient, slopes, rtol=1e-10)
+    head, ground = found.event_solution.events
+    assert head.impulse == pytest.approx((1 + e) * hammer * speed, rel=1e-12)
+    assert ground.impulse == pytest.approx((1 + e_ground) * hammer * speed, rel=1e-12)
+
+
+class Block(FormulaSystem):
+    """A block of 0.4 m by 0.2 m that falls flat on both corners: x, y and angle."""
+
+    n_q, n_lam = 3, 0
+    design_names = ("vx", "mu", "e", "mass")
+
+    def with_values(self, b):
+        return type(self)(b)
+
+    def start(self):
+        vx = self.b[0]
+        return np.array([0 * vx, 0.6 + 0 * vx, 0 * vx]), np.array([vx, -1.0 + 0 * vx, 0 * vx])
+
+    def mass_matrix(self, q):
+        return np.diag([1.0, 1.0, 0.02]) * self.b[3]
+
+    def force(self, t, q, v):
+        return 0 * q * self.b[0]
+
+    def position_constraint(self, t, q):
+        return np.zeros(0)
+
+    @staticmethod
+    def impacts(law):
+        mu, e = (custom(lambda t, q, v, lam, b, k=k: b[k] + 0 * t, f"b{k}") for k in (1, 2))
+        found = []
+        for name, x in (("left", -0.2), ("right", 0.2)):
+
+            def gap(t, q, v, lam, b, x=x):
+                return q[:, 1] + x * np.sin(q[:, 2]) - 0.1 * np.cos(q[:, 2])
+
+            def sliding(t, q, v, lam, b, x=x):
+                return v[:, 0] - (x * np.sin(q[:, 2]) - 0.1 * np.cos(q[:, 2])) * v[:, 2]
+
+            found.append(Impact(custom(gap, name), e, name, None, mu, custom(sliding, name), law))
+        return found
+
+
+@pytest.mark.parametrize(
+    ("law", "vx"),
+    # Where it sticks, expansion by Poisson's law turns the block.
+    [*((law, vx) for law in ImpactLaw for vx in (3.0, -3.0)), (ImpactLaw.NEWTON, 0.2)],
+)
+def test_block_on_two_corners_slides_or_sticks(law, vx):
+    """Both corners push, so that it does not turn: it slides on with |v| - mu (1 + e), or stops."""
+    b = np.array([vx, 0.3, 0.5, 2.0])
+    speed = custom(lambda t, q, v, lam, b: v[:, 0] + 0.1 * v[:, 1] + v[:, 2], "speed")
+    sign, slides = np.sign(vx), abs(vx) > 1
+    exact = (vx - sign * 0.3 * 1.5 if slides else 0.0) + 0.05
+    slopes = [1.0, -1.5 * sign, 0.1 - 0.3 * sign, 0.0] if slides else [0.0, 0.0, 0.1, 0.0]
+    for method in EXACT:
+        found = gradient(
+            Block(b), Terminal(speed), 0.8, HHT(0.05), method=method, events=Block.impacts(law)
+        )
+        assert found.value == pytest.approx(exact, rel=1e-12)
+        np.testing.assert_allclose(found.gradient, slopes, atol=1e-10)
