@@ -260,7 +260,7 @@ class AccelerationsAdjoint:
         self._second_rate = system.constraint_q(t, q, v, a)
 
     def pull_back(self, on_a: Array, on_lam: Array) -> tuple[Array, Array, Array]:
-        """Return the adjoint vectors of q, v and b from those of a and lam."""
+        """Return the adjoint vectors of q, v and b from given ones of a and lam."""
         mu, zeta = solve_transposed(self._factors, on_a, on_lam)
         system, (t, q, v, a, lam) = self._system, self.state
         on_b = -system.pull_back(self._t, self._states, (mu[None], np.zeros_like(lam[None])))

@@ -221,6 +221,34 @@ def test_a_winch_lifts_with_the_force_of_weight_and_acceleration():
     assert height.value == pytest.approx(-3 + 0.75, abs=2e-3)
 
 
+def hauled(held):
+    """A winch that hauls at 0.2 m/s over a bollard of 0.1 m, 1 m ahead of it and 2 m behind."""
+    load = body("load", (0.1, -2), 5.0)
+    bollard = Pulley((0, 0), 0.1, clockwise=True, friction=0.3)
+    rope = Rope(
+        (-0.1, -1), load.origin, [bollard], stiffness=1e4, damping=5e2, slip_speed=0.05,
+        payout=ConstantAcceleration(-0.2), name="rope",
+    )  # fmt: skip
+    joint = Pin(load.origin) if held else PointOnLine(load.origin, (0, 1))
+    start = [] if held else [InitialVelocity("load", *_still(2), velocity=(0, 0.2))]
+    return Scene([], [joint], (0, -G), start, [rope], bodies=[load])
+
+
+def test_a_winch_that_lifts_over_a_bollard_pulls_against_its_friction():
+    scene = hauled(held=False)
+    near, far = tensions(simulate(scene, 1.0, HHT(2.0**-9)), scene, 2)[:, -1]
+    assert far == pytest.approx(5 * G, rel=1e-4)
+    # All of the rope moves with the winch.
+    assert near / far == pytest.approx(np.exp(0.3 * np.pi * np.tanh(0.2 / 0.05)), rel=1e-4)
+
+
+def test_a_rope_that_a_winch_stretches_slips_by_the_share_of_the_length_behind():
+    scene = hauled(held=True)
+    near, far = tensions(simulate(scene, 0.1, HHT(2.0**-9)), scene, 2)[:, -1]
+    share = (2 + 0.05 * np.pi) / (3 + 0.1 * np.pi)
+    assert near / far == pytest.approx(np.exp(0.3 * np.pi * np.tanh(0.2 * share / 0.05)), rel=1e-9)
+
+
 def test_lengths_are_those_of_open_and_crossed_belts():
     """Straight parts of 2 m, a tangent and arcs, by elementary geometry."""
     R, r, c = 0.3, 0.1, 1.0

@@ -60,7 +60,7 @@ _SHORTEST = 1e-3
 def completed(
     system: MechanicalSystem, factors: Factorization, t: float, q: Array, V: Array
 ) -> tuple[Array, Array, Array]:
-    """Return v, a and lam; `factors` are those of M and Phi_q at q."""
+    """Return v, a and lam; `factors` factorise M and Phi_q at q."""
     v = V - solve(factors, np.zeros_like(V), system.constraint(t, q, V))[0]
     return v, *solve(factors, system.force(t, q, v), acceleration_side(system, t, q, v))
 
