@@ -16,9 +16,8 @@ from ancfdae import (
 )
 from ancfdae.errors import InvalidInputError, UnknownNameError
 from ancfdae.observables import multiplier, position
-from tests.events.test_event_studies import rod_on_a_stop
-from tests.events.test_events import falling_rod
 from tests.support.balls import BOUNCE, HEIGHT, Ball, ball_by_hand
+from tests.support.rods_on_stops import falling_rod, rod_on_a_stop
 from validation.events.woodpecker import Woodpecker
 
 

@@ -6,18 +6,11 @@ import scipy
 
 from ancfdae import (
     HHT,
-    Beam,
     Evaluator,
     FiniteDifference,
     Impact,
-    Material,
     Misfit,
-    Mode,
-    Pin,
-    PointOnLine,
     Responses,
-    Scene,
-    Switch,
     Terminal,
     differentiate,
     gradient,
@@ -26,9 +19,9 @@ from ancfdae import (
     sweep,
 )
 from ancfdae.errors import InvalidInputError
-from ancfdae.observables import multiplier, position
-from ancfdae.sections import Rectangle
+from ancfdae.observables import position
 from tests.support.balls import BOUNCE, HEIGHT, Ball, ball_by_hand, slopes_by_hand
+from tests.support.rods_on_stops import rod_on_a_stop
 
 FLOOR = Impact(HEIGHT, 0.8, "floor")
 
@@ -72,17 +65,6 @@ def test_sweep_runs_with_events():
     assert np.count_nonzero(np.diff(result["t"]) == 0) == 3
     exact = [ball_by_hand(t, rows[1]) for t in result["t"]]
     np.testing.assert_allclose(result["value"], exact, atol=1e-10)
-
-
-def rod_on_a_stop(height=0.03):
-    material = Material(1000, 2e8, 0.3, damping_time=1e-3)
-    rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(height, 0.03), material)
-    hinge, gravity = Pin(rod.at_start), (0, -9.81)
-    line = PointOnLine(rod.at_end, (1, 0), through=(0, -0.3), name="line")
-    stop = Impact(position(rod.at_end, 1) + 0.3, 0.5, "stop", rest="held")
-    leave = Switch(-multiplier("line", 0), to="start", direction=-1, name="leave")
-    held = Mode(Scene([rod], [hinge, line], gravity=gravity), [leave])
-    return rod, Scene([rod], [hinge], gravity=gravity), [stop], {"held": held}
 
 
 def test_sweep_moves_modes_with_the_scene():

@@ -12,7 +12,6 @@ from ancfdae import (
     IDA,
     Adjoint,
     AtTimes,
-    Beam,
     ComplexStep,
     ContinuousAdjoint,
     DirectDifferentiation,
@@ -21,11 +20,7 @@ from ancfdae import (
     Impact,
     InitialVelocity,
     Integral,
-    Material,
     Mode,
-    Pin,
-    PointMass,
-    PointOnLine,
     PrescribedSteps,
     Radau,
     RigidBody,
@@ -53,7 +48,6 @@ from ancfdae.observables import (
     slope_angle,
     velocity,
 )
-from ancfdae.sections import Rectangle
 from tests.support.balls import (
     BOUNCE,
     HEIGHT,
@@ -64,6 +58,7 @@ from tests.support.balls import (
     slopes_by_hand,
 )
 from tests.support.mechanisms import GuidedDoublePendulum
+from tests.support.rods_on_stops import falling_rod
 from tests.support.scenes import planar_machine
 
 EXACT = (DirectDifferentiation(), Adjoint(), ComplexStep())
@@ -353,20 +348,6 @@ def test_pendulum_that_locks_its_elbow_takes_the_impulse_of_the_lock():
 
 
 # -- scenes: a flexible rod on a stop --------------------------------------------------------------
-
-
-def falling_rod(tip=0.0, damping=1e-3):
-    """A pinned rod that falls on a stop at y = -0.3, and the same held there."""
-    material = Material(1000.0, 2e8, 0.3, damping_time=damping)
-    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 3, Rectangle(0.03, 0.03), material)
-    bodies = [PointMass(rod.at_end, tip)] if tip else []
-    hinge = Pin(rod.at_start, name="hinge")
-    line = PointOnLine(rod.at_end, (1.0, 0.0), through=(0.0, -0.3), name="stop")
-    free, held = (
-        Scene([rod], joints, gravity=(0.0, -9.81), bodies=bodies)
-        for joints in ([hinge], [hinge, line])
-    )
-    return rod, free, held
 
 
 ROD_DESIGN = ["rod.youngs_modulus", "rod.height", "rod.density"]
