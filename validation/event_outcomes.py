@@ -3,13 +3,13 @@
     python -m validation.event_outcomes 1000
     python -m validation.event_outcomes 200 4000
 
-draw 1,000 scenes from seeds 0, 1, ..., or 200 from seed 4000 on, and print those that do not end
-as they must. Events happen at once or never, touch zero, have poles, are NaN, steep, or
-closed at the start. Restitutions are 0, 1, tiny, or above one. A part of the impacts has friction
-or Poisson's law. Modes lead to each other, or hold joints that are open. Every scene must end
-within a time limit as a run, an outcome in words or an error of the package. A run that reaches its
-end must have finite states and gaps that are not negative beyond round-off. Where no impact adds
-energy it must not gain any. Its gradient, if it has one, must be finite and equal by two methods.
+draw 1,000 scenes from seeds 0, 1, ..., or 200 from seed 4000 on, and print those that do not end as
+they must. Events happen at once or never, touch zero, have poles, are NaN, steep, or closed at the
+start. Restitutions are 0, 1, tiny, or above one. A part of the impacts has friction or Poisson's
+law. Modes lead to each other, or hold joints that are open. Every scene must end within a time
+limit as a run, an outcome in words or an error of the package. A run that reaches its end must have
+finite states and gaps that are not negative beyond round-off. Where no impact adds energy it must
+not gain any. Its gradient, if it has one, must be finite and equal by two methods.
 """
 
 from __future__ import annotations

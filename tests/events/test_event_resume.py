@@ -17,7 +17,7 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError, UnknownNameError
 from ancfdae.observables import multiplier, position
 from tests.support.balls import BOUNCE, HEIGHT, Ball, ball_by_hand
-from tests.support.falling_rods import falling_rod, rod_on_a_stop
+from tests.support.rods_on_stops import falling_rod, rod_on_a_stop
 from validation.events.woodpecker import Woodpecker
 
 

@@ -21,7 +21,7 @@ from ancfdae import (
 from ancfdae.errors import InvalidInputError
 from ancfdae.observables import position
 from tests.support.balls import BOUNCE, HEIGHT, Ball, ball_by_hand, slopes_by_hand
-from tests.support.falling_rods import rod_on_a_stop
+from tests.support.rods_on_stops import rod_on_a_stop
 
 FLOOR = Impact(HEIGHT, 0.8, "floor")
 

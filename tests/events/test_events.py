@@ -57,8 +57,8 @@ from tests.support.balls import (
     of_design,
     slopes_by_hand,
 )
-from tests.support.falling_rods import falling_rod
 from tests.support.mechanisms import GuidedDoublePendulum
+from tests.support.rods_on_stops import falling_rod
 from tests.support.scenes import planar_machine
 
 EXACT = (DirectDifferentiation(), Adjoint(), ComplexStep())
