@@ -157,7 +157,7 @@ class AncfSystem(PlannedSystem):
             return name
 
         for joint in self._scene.joints:
-            names = [point.beam for point in joint.points]
+            names = [*(point.beam for point in joint.points), *joint.whole_beams]
             first, second = (root(x) for x in (*names, "")[:2])
             if first == second:
                 return True

@@ -152,6 +152,11 @@ class RestModes:
     forward: str | None = None
     backward: str | None = None
 
+    def __post_init__(self) -> None:
+        for field in ("sticks", "forward", "backward"):
+            if getattr(self, field) is not None:
+                require_text(f"RestModes.{field}", getattr(self, field))
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the modes that are given."""

@@ -689,7 +689,7 @@ def test_calls_without_states_say_so():
         replace(scene, start=[EquilibriumStart()])
     with pytest.raises(InvalidInputError, match=r"Scene.frame.*pid"):
         replace(scene, gravity=None, frame=RotatingFrame(2.0))
-    with pytest.raises(InvalidInputError, match="axis: must lie in 0 to 0"):
+    with pytest.raises(InvalidInputError, match="effort of 'pid': must lie in 0 to 0"):
         values(effort("pid", 1), simulate(scene, 0.1, HHT(0.05)), assemble(scene))
     with pytest.raises(InvalidInputError, match="law: must be left out"):
         PID(arm.origin, REFERENCE, 1.0, law=REFERENCE)

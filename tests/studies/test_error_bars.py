@@ -86,6 +86,7 @@ def test_halved_steps_of_a_controlled_run_contain_its_instants():
     np.testing.assert_allclose(fine[1::2], 0.5 * (coarse[1:] + coarse[:-1]))
 
 
+@pytest.mark.filterwarnings("ignore:the errors of this run:ancfdae.errors.StabilityWarning")
 def test_bars_widen_where_runs_do_not_converge():
     # Steps of a third of a swing: orders are not reached, and the bar does not believe in them.
     objective = Terminal(HEIGHT)

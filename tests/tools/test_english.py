@@ -76,7 +76,7 @@ AT_MOST: dict[str, int] = {
     "opens with what": 44,
     "as far as": 5,
     "is none": 65,
-    "that of, those of": 476,
+    "that of, those of": 475,
     "inversion": 1,
     "tells": 72,
     "all of them": 47,
