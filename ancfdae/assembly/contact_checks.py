@@ -108,9 +108,12 @@ class RunContacts(ContactRecord):
         """Look at the next states of the run; states that were looked at are left out."""
         states = t, q.real, v.real
         if self._last is not None:
-            new = t > self._last[0]
+            # At the last time, if it comes again, velocities may have jumped.
+            again = bool(np.any(t == self._last[0]))
+            new = t >= self._last[0] if again else t > self._last[0]
+            before = tuple(x[: 1 - again] for x in self._last)
             states = tuple(  # type: ignore[assignment]
-                np.concatenate([x, y[new]]) for x, y in zip(self._last, states, strict=True)
+                np.concatenate([x, y[new]]) for x, y in zip(before, states, strict=True)
             )
         size = max(1, _ROOM // q.shape[1])
         begin = self._last is None
@@ -226,6 +229,6 @@ class _LoadContacts:
 def _remedy(spread: float) -> str:
     """Say what helps a contact whose impulse is spread over this time, s."""
     return (
-        f"Take steps of {spread / 8:.2g} s in HHT or {spread / 4:.2g} s in Radau, error control as "
-        "in HHT(rtol=1e-4), or a softer contact."
+        f"Take steps of {spread / 8:.2g} s in HHT or {spread / 4:.2g} s in Radau, error control "
+        "with a smaller rtol than before, as in HHT(rtol=1e-5), or a softer contact."
     )

@@ -21,8 +21,8 @@ class ContactRecord(abc.ABC):
     def follow(self, t: Array, q: Array, v: Array) -> None:
         """Look at the next time points, (k,), with rows of q and v, (k, n_q).
 
-        Time points up to the last one that was looked at are left out, so that packets may overlap
-        or come again.
+        Time points before the last one that was looked at are left out, so that packets may
+        overlap or come again. The last one may have other velocities, after an impact.
         """
 
     @abc.abstractmethod

@@ -16,6 +16,7 @@ from typing import Any, cast, final
 import numpy as np
 
 from ancfdae.equations import Solution
+from ancfdae.equations.contact_record import MissedContact
 from ancfdae.errors.kinds import InconsistentStartError, InvalidInputError
 from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.events.crossing import Crossing, first_crossing
@@ -537,10 +538,32 @@ class PhaseMarch:
         self, before: Jump | None, phases: Sequence[Phase], outcome: RunOutcome | None
     ) -> PhasedRun:
         ended = self._outcome(Verdict.FINISHED, phases, "")
+        missed = self._missed_contact(phases) if outcome is None else None
         if outcome is not None:
             time = phases[-1].t_0 + phases[-1].run.outcome.time
             ended = replace(outcome, time=time, step=ended.step)
+        elif missed is not None:
+            ended = self._outcome(Verdict.MISSED_CONTACT, phases, missed.advice)
+            ended = replace(ended, time=missed.time)
         return PhasedRun(before, tuple(phases), ended)
+
+    def _missed_contact(self, phases: Sequence[Phase]) -> MissedContact | None:
+        """Return the first contact that steps do not resolve, across the phases of one mode.
+
+        Each phase was judged by itself, without contacts in which it begins or ends.
+        """
+        if len(phases) < 2 or not isinstance(self._integrator, SteppedIntegrator):
+            return None
+        system, record = phases[0].mode.system, phases[0].mode.system.contacts()
+        for phase in phases:
+            if phase.mode.system is not system:
+                missed = None if record is None else record.missed()
+                if missed is not None:
+                    return missed
+                system, record = phase.mode.system, phase.mode.system.contacts()
+            if record is not None:
+                record.follow(phase.times, phase.run.q, phase.run.v)
+        return None if record is None else record.missed()
 
 
 def _impacts(jump: Jump | None) -> tuple[Event, ...]:

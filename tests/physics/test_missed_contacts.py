@@ -15,6 +15,7 @@ from ancfdae import (
     Scene,
     Sphere,
     SphereContacts,
+    Switch,
     Terminal,
     gradient,
     simulate,
@@ -22,7 +23,7 @@ from ancfdae import (
 from ancfdae.numerics.enclosures import Interval, enclosed, values
 from ancfdae.numerics.operations import Listed, Operations
 from ancfdae.numerics.vector_formulas import positive, step
-from ancfdae.observables import position
+from ancfdae.observables import elapsed_time, position, velocity
 from ancfdae.results import Verdict
 from ancfdae.sensitivity.method import UnfinishedRunError
 from tests.support.contacts import falling
@@ -91,6 +92,28 @@ def test_a_contact_of_two_steps_is_not_resolved_even_if_its_impulse_fits():
     scene, _ = falling(1.0, restitution=0.7, impact_speed=1.0)
     assert simulate(scene, 0.06, HHT(5e-3)).outcome.verdict is Verdict.MISSED_CONTACT
     assert simulate(scene, 0.06, HHT(5e-4)).outcome.success
+
+
+@pytest.mark.parametrize(("step", "resolved"), [(1.7e-4, False), (4e-6, True)])
+def test_a_contact_that_an_event_cuts_is_judged_as_a_whole(step, resolved):
+    ball = RigidBody("ball", (0, 0, 0.11), mass=0.01, inertia=(1e-5,) * 3)
+    law = {"stiffness": 1e8, "radius": 0.01, "restitution": 0.7, "impact_speed": 20.0}
+    floor = Contact(ball.origin, Plane((0, 0, 0), (0, 0, 1)), name="floor", **law)
+    start = [InitialVelocity("ball", (0, 0, 0), (0, 0, 0), (0, 0, -20.0))]
+    scene = Scene([], [], bodies=[ball], loads=[floor], start=start)
+    # The contact lasts from 5.00 to 5.16 ms.
+    switch = Switch(elapsed_time() - 5.016e-3, to="start", name="switch")
+    speed = Terminal(velocity(ball.origin, 2))
+    call = scene, speed, 0.01, HHT(step)
+    if resolved:
+        found = gradient(*call, design=["floor.restitution"], events=[switch])
+        assert found.value == pytest.approx(14.0, rel=1e-2)
+        assert found.gradient[0] == pytest.approx(20.0, rel=1e-2)
+        return
+    run = simulate(scene, 0.01, HHT(step), events=[switch])
+    assert run.outcome.verdict is Verdict.MISSED_CONTACT
+    with pytest.raises(UnfinishedRunError, match="do not resolve a contact"):
+        gradient(*call, design=["floor.restitution"], events=[switch])
 
 
 def test_rates_of_what_is_positive_are_one_or_zero():
