@@ -204,8 +204,8 @@ def _measured(small: Linearised, s: complex) -> ConstrainedMatrix:
 
 
 # Up to this many independent motions dense matrices take over where Arnoldi's method fails or may
-# have missed a vibration; some seconds.
-_DENSE_CROWDED = 800
+# have missed a vibration; half a minute.
+_DENSE_CROWDED = 1500
 # Arnoldi's method looks for _MORE pairs than are asked for, and for that number times the next of
 # _TIMES where some may be missing.
 _MORE, _TIMES = 2, (1, 2, 4)

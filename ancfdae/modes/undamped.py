@@ -10,11 +10,14 @@ import numpy as np
 
 from ancfdae.errors.kinds import SingularMatrix
 from ancfdae.modes import dense, sparse
+from ancfdae.modes.counted import highest_of_all, lowest_of_all
 from ancfdae.modes.eigenpairs import (
     Eigenpairs,
     finished,
     floor,
+    half_gap,
     likely_error,
+    noise_of,
     rigid_motions,
     with_zeros,
 )
@@ -24,6 +27,8 @@ from ancfdae.modes.precise import ALLOWED, NoModes, lost, precise_modes, refuse_
 from ancfdae.numerics.arrays import Array
 
 _SWEEPS = 2
+# Of modes that coincide F is factorised at this many times the distance between them.
+_ASIDE = 16.0
 
 
 def sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Array]:
@@ -70,17 +75,33 @@ def each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array,
     F(z + dz) y = F'(z) (x + dz y) in first order: dz follows where that vanishes along y.
     """
     z, X, change = z.astype(complex), X.astype(complex), np.zeros(len(z))
+    beside = _beside_groups(small, z, X)
     for j in range(len(z)):
         for _ in range(_SWEEPS):
-            x, (factors, exact) = X[:, j], small.factor_beside(z[j])
-            y = small.solve(factors, small.slope_times(z[j], x))
+            x, (factors, exact) = X[:, j], small.factor_beside(z[j] + beside[j])
+            y = small.solve(factors, small.slope_times(z[j] + beside[j], x))
             if not np.any(y):  # A double root: F'(z) x vanishes.
                 break
             along = np.conj(small.times(small.M, y))
-            step = 0.0 if exact else (along @ x) / (along @ y)
+            step = 0.0 if exact else (along @ x) / (along @ y) - beside[j]
             z[j], change[j] = z[j] - step, np.abs(step)
             X[:, j] = y / np.sqrt(np.real(along @ y))
     return z if small.D is None else _quotients(small, z, X), X, change
+
+
+def _beside_groups(small: Linearised, z: Array, X: Array) -> Array:
+    """Return how far from each z it is sharpened: zero for modes that coincide with no other.
+
+    At z the nearest of several vibrations that coincide would take the place of the others.
+    """
+    noise, beside = noise_of(small, z, X), np.zeros(len(z))
+    half = half_gap(z, noise)
+    for j in np.flatnonzero(z.imag) if small.D is not None else range(len(z)):
+        apart = np.abs(z - z[j])
+        same = apart <= half + half[j]
+        if np.sum(same) > 1:
+            beside[j] = _ASIDE * max(float(np.max(apart[same])), noise[j])
+    return beside
 
 
 def _quotients(small: Linearised, s: Array, X: Array) -> Array:
@@ -110,6 +131,12 @@ def _quotients(small: Linearised, s: Array, X: Array) -> Array:
 # modes faster than Lanczos's method with a count; damped motions have twice as many exponents, all
 # of which dense methods find (docs/measurements.md, "Modes").
 _DENSE, _DENSE_LOWEST, _DENSE_DAMPED = 300, 100, 120
+# Up to this many they take over where Lanczos's method has not found all modes by the count.
+_DENSE_MOST = 3000
+_UNCOUNTED = (
+    "modes: more modes lie below the last one than were found, or round-off hides their number. "
+    "Ask for another number of modes, or use fewer elements."
+)
 # ARPACK needs room for its basis.
 _ROOM = 40
 # Part of the next value that one counts as freed by a load at.
@@ -124,12 +151,7 @@ def undamped(small: Linearised, count: int, highest: bool, asked: int | None = N
     """
     if not small.symmetric:
         return _asymmetric(small, count, highest)
-    few = is_small(small, count)
-    alone = not highest and small.n_free > max(_DENSE_LOWEST, 3 * count + _ROOM)
-    found = lowest(small, count, asked or count) if alone else None
-    if found is None:
-        z, X = (dense if few else sparse).undamped(small, count, highest)
-        found = (z, X, np.zeros(len(z))) if highest else sharpened(small, z, X)
+    found = _found(small, count, asked or count, highest)
     z, X, change = found if highest else with_zeros(small, *found)
     order = np.argsort(-z if highest else z, kind="stable")
     pairs = finished(small, z[order], X[:, order])
@@ -147,6 +169,27 @@ def undamped(small: Linearised, count: int, highest: bool, asked: int | None = N
             return pairs
         raise
     return precise
+
+
+def _found(small: Linearised, count: int, asked: int, highest: bool) -> tuple[Array, Array, Array]:
+    """Return values, shapes and changes by Lanczos's method with a count, or by dense matrices.
+
+    NoModes of large systems where the count shows that modes lack, or round-off hides it.
+    """
+    large = not is_small(small, count)
+    found = None
+    if highest and large:
+        found = highest_of_all(small, count, asked)
+    elif not highest and small.n_free > max(_DENSE_LOWEST, 3 * count + _ROOM):
+        found = lowest(small, count, asked) or (
+            lowest_of_all(small, count, asked) if large else None
+        )
+    if found is not None:
+        return found
+    if small.n_free > _DENSE_MOST:
+        raise NoModes(_UNCOUNTED)
+    z, X = dense.undamped(small, count, highest)
+    return (z, X, np.zeros(len(z))) if highest else sharpened(small, z, X)
 
 
 def _mixed(small: Linearised, pairs: Eigenpairs) -> bool:
