@@ -6,9 +6,11 @@ neither units nor stiff waves of the section matter.
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
-from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.kinds import SingularMatrix, StabilityWarning
 from ancfdae.modes import dense, sparse
 from ancfdae.modes.counted import highest_of_all, lowest_of_all
 from ancfdae.modes.eigenpairs import (
@@ -25,6 +27,7 @@ from ancfdae.modes.lanczos import lowest, ritz
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.modes.precise import ALLOWED, NoModes, lost, precise_modes, refuse_lost
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.inertia import WEAK, WHOLE
 
 _SWEEPS = 2
 # Of modes that coincide F is factorised at this many times the distance between them.
@@ -213,17 +216,48 @@ def _sorted(pairs: Eigenpairs) -> Eigenpairs:
 
 
 def _asymmetric(small: Linearised, count: int, highest: bool) -> Eigenpairs:
+    """Return modes where loads turn with the motion: growing ones first, of all up to WHOLE."""
     rigid = rigid_motions(small)
-    if is_small(small, count):
-        z, X = dense.asymmetric(small, rigid)
+    if small.n_free <= WHOLE:
+        z, error, X = dense.asymmetric(small, rigid)
     else:
         z, X = sparse.undamped(small, count, highest, rigid)
-    order = np.lexsort((z.imag, -z.real if highest else z.real))[:count]
-    z, X, change = with_rigid(rigid, *each_sharpened(small, z[order], X[:, order]))
-    order = np.argsort(-z.real if highest else z.real, kind="stable")[:count]
-    pairs = finished(small, z[order], X[:, order])
+        error = np.full(len(z), EPS)
+        warn_of_part()
+    noise = ROUND_OFF * np.sqrt(error) * np.abs(z)
+    order = np.argsort(-z.real, kind="stable") if highest else _first(z, noise)
+    z, X, change = with_rigid(rigid, *each_sharpened(small, z[order[:count]], X[:, order[:count]]))
+    pairs = finished(small, z, X)
+    order = np.argsort(-z.real, kind="stable") if highest else _first(pairs.z, 0.0)
+    order = order[:count]
+    pairs = Eigenpairs(pairs.z[order], pairs.X[:, order], pairs.noise[order])
     refuse_lost(small, pairs.z, likely_error(small, pairs, change[order]))
     return pairs
+
+
+def warn_of_part() -> None:
+    """Warn of a large system whose motions have not all been searched for growing ones."""
+    warnings.warn(
+        "modes: motions may grow, and only those next to zero were searched for it, since there "
+        f"are more than {WHOLE:,}. Use fewer elements, or look at parts of the scene alone.",
+        StabilityWarning,
+        stacklevel=2,
+    )
+
+
+def _first(z: Array, noise: Array | float) -> Array:
+    """Return the order of z = -s^2: growing motions, fastest first, others, decaying ones.
+
+    Up to the noise z is real, or zero. Each kind goes by size. Vibrations that grow by less than
+    WEAK of their frequency stand among the others: waves of single elements may.
+    """
+    s = np.sqrt(-z.astype(complex))
+    s = np.where(s.imag < 0, -s, s)
+    turns = np.abs(z.imag) > np.maximum(noise, 2.0 * WEAK * np.abs(z))
+    growing, decaying = turns & (s.real > 0), turns & (s.real < 0)
+    growing |= ~turns & (z.real < -np.asarray(noise))
+    kind = np.where(growing, 0, np.where(decaying, 2, 1))
+    return np.lexsort((np.where(growing, -np.abs(s.real), np.abs(s)), kind))
 
 
 def with_rigid(rigid: Array, z: Array, X: Array, change: Array) -> tuple[Array, Array, Array]:

@@ -7,6 +7,7 @@ from ancfdae import (
     Beam,
     Clamp,
     DesignVariable,
+    FollowerForce,
     Material,
     PointForce,
     RotatingFrame,
@@ -17,6 +18,7 @@ from ancfdae import (
 )
 from ancfdae.modes import counted
 from ancfdae.modes.linearised import LinearisationPoint, Linearised
+from ancfdae.numerics import inertia
 from ancfdae.sections import Rectangle
 
 STEEL, RUBBER = Material(7850, 2.1e11, 0.3), Material(1100, 5e6, 0.3)
@@ -158,3 +160,64 @@ def test_blades_that_coincide_have_the_derivatives_of_one():
         many.frequencies_b, np.repeat(one.frequencies_b, 30, axis=0), rtol=1e-5
     )
     np.testing.assert_allclose(many.natural_frequencies_b, many.frequencies_b, rtol=1e-5)
+
+
+def beck(beams, loads):
+    """Return clamped columns whose tips are pushed along them, by parts of E I / L^2."""
+    stiffness = 2.1e11 * HEIGHT**4 / 12
+    forces = [
+        FollowerForce(beam.at_end, (-load * stiffness, 0), name=f"push {beam.name}")
+        for beam, load in zip(beams, loads, strict=True)
+    ]
+    return scene(beams, forces)
+
+
+@pytest.mark.parametrize("elements", [20, 40])
+def test_flutter_is_seen_beside_a_soft_strip(elements):
+    """Beck's column flutters above 20.05; thirty motions of the strip are slower."""
+    beams, _ = columns([0.0])
+    alone, strip = (
+        beck(beams, [25.0]),
+        Beam("strip", (0, 1), (3, 1), elements, Rectangle(HEIGHT, HEIGHT), RUBBER),
+    )
+    joints = [Clamp(beams[0].at_start), Clamp(strip.at_start)]
+    both = Scene([*beams, strip], joints, loads=alone.loads)
+    wanted = modes(alone, 1, at=equilibrium(alone)).exponents[0]
+    assert wanted.real > 50
+    at = equilibrium(both)
+    assert at.outcome.flutter == pytest.approx(wanted, rel=1e-6)
+    assert at.outcome.flutter_searched
+    for count in (1, 6, 12):
+        s = modes(both, count, at=at).exponents
+        assert s[0] == pytest.approx(wanted, rel=1e-6)
+        assert np.sum(s.real > 1.0) == 1
+    calm = Scene([*beams, strip], joints, loads=beck(beams, [19.0]).loads)
+    assert equilibrium(calm).outcome.flutter is None
+
+
+@pytest.mark.parametrize("damping_time", [0.0, 1e-5])
+def test_columns_that_flutter_come_first_as_each_alone(damping_time):
+    material = Material(7850, 2.1e11, 0.3, damping_time=damping_time)
+    loads = np.random.default_rng(3).uniform(15, 30, 10)
+    beams, _ = columns(loads, material)
+    wanted = []
+    for beam, load in zip(beams, loads, strict=True):
+        alone = beck([beam], [load])
+        s = modes(alone, 4, at=equilibrium(alone)).exponents
+        wanted += list(s[s.real > 1.0])
+    wanted = np.array(sorted(wanted, key=lambda s: -s.real))
+    assert len(wanted) > 3
+    together = beck(beams, loads)
+    at = equilibrium(together)
+    for count in (1, 2, 5):
+        first = min(count, len(wanted))
+        found = modes(together, count, at=at).exponents[:first]
+        np.testing.assert_allclose(found, wanted[:first], rtol=1e-5)
+
+
+def test_a_verdict_on_part_of_the_motions_says_so(monkeypatch):
+    monkeypatch.setattr(inertia, "WHOLE", 50)
+    beams, _ = columns([0.0] * 3)
+    found = equilibrium(beck(beams, [5.0] * 3)).outcome
+    assert not found.flutter_searched
+    assert "only the twenty next to zero" in str(found)
