@@ -45,11 +45,18 @@ from ancfdae.modes.eigenpairs import (
     rigid_motions,
     undamped_part,
 )
+from ancfdae.modes.lanczos import Count
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.modes.precise import ALLOWED, NoModes, refuse_lost
-from ancfdae.modes.undamped import each_sharpened, is_small, undamped, with_rigid
+from ancfdae.modes.undamped import (
+    each_sharpened,
+    is_small,
+    undamped,
+    warn_of_part,
+    with_rigid,
+)
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.inertia import ConstrainedMatrix
+from ancfdae.numerics.inertia import WHOLE, ConstrainedMatrix
 
 
 def retardation_time(small: Linearised) -> float | None:
@@ -204,8 +211,8 @@ def _measured(small: Linearised, s: complex) -> ConstrainedMatrix:
 
 
 # Up to this many independent motions dense matrices take over where Arnoldi's method fails or may
-# have missed a vibration; some seconds.
-_DENSE_CROWDED = 800
+# have missed a vibration; half a minute.
+_DENSE_CROWDED = 1500
 # Arnoldi's method looks for _MORE pairs than are asked for, and for that number times the next of
 # _TIMES where some may be missing.
 _MORE, _TIMES = 2, (1, 2, 4)
@@ -235,7 +242,8 @@ def damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
         if np.all(_disproportion(small, tau, pairs) <= ALLOWED * np.abs(pairs.z)):
             return pairs
     rigid = rigid_motions(small)
-    if not is_small(small, count):
+    grows = not (highest or is_small(small, count)) and _may_grow(small)
+    if not (is_small(small, count) or (grows and small.n_free <= WHOLE)):
         try:
             few = _of_large(small, count, highest, rigid)
         except scipy.sparse.linalg.ArpackError:
@@ -243,16 +251,36 @@ def damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
                 raise
             few = None
         if few is not None:
+            if grows:
+                warn_of_part()
             return few
         if small.n_free > _DENSE_CROWDED:
-            raise NoModes(small.words(_HIDDEN, _CROWDED))
+            raise _missing(small)
     s, X = dense.damped(small, rigid, _size(small, highest))
     if highest:
         return _highest(small, count, s, X)
     lowest = _lowest(small, count, rigid, s, X)
     if lowest is None or not _has_all_that_vibrate(small, 0, rigid, s, lowest):
-        raise NoModes(small.words(_HIDDEN, _CROWDED))
+        raise _missing(small)
     return lowest
+
+
+def _may_grow(small: Linearised) -> bool:
+    """Whether a motion may grow: none does where K and what dissipates are positive definite."""
+    assert small.D is not None
+    if not small.is_symmetric(small.K):
+        return True
+    least, shifted = ROUND_OFF * EPS, small.D.copy()
+    shifted[small.system.pattern.diagonal] += least * small.largest(small.D) * small.system.weights
+    feeds = small.saddle.constrained.scaled(shifted, small.Phi_q, small.system.weights).negative()
+    return feeds[0] > 0 or Count(small, -least * small.size).number > 0
+
+
+def _missing(small: Linearised) -> NoModes:
+    """Return the error for vibrations that may be missing; nothing creeps where D is gyroscopic."""
+    assert small.D is not None
+    gyroscopic = small.is_symmetric(small.D, sign=-1.0)
+    return NoModes(_CROWDED if gyroscopic else small.words(_HIDDEN, _CROWDED))
 
 
 def _of_large(small: Linearised, count: int, highest: bool, rigid: Array) -> Eigenpairs | None:

@@ -16,6 +16,7 @@ from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.modes.eigenpairs import undamped_part
 from ancfdae.modes.linearised import Linearised
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.inertia import shifted_back, shifted_inverse
 
 
 def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array]:
@@ -29,16 +30,17 @@ def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array
     return z, within.motions(scipy.linalg.lapack.dtrtrs(L, Y, lower=True, trans=1)[0])
 
 
-def asymmetric(small: Linearised, rigid: Array) -> tuple[Array, Array]:
-    """Return z = -s^2 of all but the rigid motions R, which are orthonormal in M, and the shapes.
+def asymmetric(small: Linearised, rigid: Array) -> tuple[Array, Array, Array]:
+    """Return z = -s^2 of all but the rigid motions R, their relative errors, and the shapes.
 
-    With P what is orthogonal to R they are those of P^T K_N P. The shapes lack their part in R,
-    which inverse iteration adds.
+    R is orthonormal in M. With P what is orthogonal to R they are those of P^T K_N P. The shapes
+    lack their part in R, which inverse iteration adds.
     """
     N, K = _reduced(small, small.K)
     P = _complement(N.T @ small.times(small.M, rigid))
-    z, W = scipy.linalg.eig(P.T @ K @ P)
-    return z, N @ (P @ W)
+    inverse, g = shifted_inverse(P.T @ K @ P)
+    theta, W = scipy.linalg.eig(inverse)
+    return *shifted_back(theta, g), N @ (P @ W)
 
 
 def damped(small: Linearised, rigid: Array, size: float) -> tuple[Array, Array]:

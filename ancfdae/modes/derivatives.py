@@ -212,26 +212,36 @@ def _drifts(small: Linearised, pairs: Eigenpairs, group: list[int]) -> bool:
     return small.D is not None and bool(pairs.z[group[0]] == 0)
 
 
+# Left vectors of modes that coincide are found at _ASIDE times the distance between them, which
+# leaves a part of others that _LEFT sweeps take away.
+_ASIDE, _LEFT = 16.0, 2
+
+
 def left_vectors(small: Linearised, pairs: Eigenpairs, mu: Array, group: list[int]) -> Array:
     """Return solutions [y, nu] of the transposed equations as columns.
 
-    Where they are not [x, mu], one step of inverse iteration: z is known to round-off, which is
-    the part of other modes that it leaves.
+    Where they are not [x, mu], inverse iteration beside z, farther from it than the modes of the
+    group are from each other: at z the nearest of them would take the place of all.
     """
     X, n = pairs.X[:, group], small.system.n_q
     if small.symmetric:
         return np.concatenate([X, mu[:, group]])
     right = np.zeros((n + small.system.n_lam, len(group)), dtype=X.dtype)
     right[:n] = np.conj(small.times(small.M, X))
+    z, spread = pairs.z[group[0]], np.max(np.abs(pairs.z[group] - pairs.z[group[0]]))
+    beside = 0.0 if len(group) == 1 else _ASIDE * max(spread, np.max(pairs.noise[group]))
     try:
-        factors = small.factor_beside(pairs.z[group[0]])[0]
+        factors = small.factor_beside(z + beside)[0]
     except SingularMatrix as error:
         raise NoModes(
-            f"mode {group[0]}: its exponent {pairs.z[group[0]]:.6g} is a double root with one "
+            f"mode {group[0]}: its exponent {z:.6g} is a double root with one "
             "shape, which has no derivative with respect to the design. Change the load, the "
             "damping or the design by more than a millionth of itself."
         ) from error
     Y = factors.solve_transposed(right)
+    for _ in range(_LEFT if beside else 0):
+        right[:n] = np.conj(small.times(small.M, np.linalg.qr(np.conj(Y[:n]))[0]))
+        Y = factors.solve_transposed(right)
     return np.asarray(Y / np.max(np.abs(Y), axis=0))
 
 

@@ -16,43 +16,58 @@ from ancfdae.modes.linearised import EPS, Linearised
 from ancfdae.numerics.arrays import Array
 
 # First shift, relative to the largest entry of K: round-off leaves zero at 1e-16 of it.
-_NEAR_ZERO = 1e-12
+NEAR_ZERO = 1e-12
 # A pair theta, x has converged where |F^-1 M x - theta x| is this part of theta. _ENOUGH shows
 # whether a mode coincides with the last one asked for, from which it then differs by less than
 # _NEXT_TO. At most _EACH rows are kept for each mode, and _BESIDE more.
 _CONVERGED, _ENOUGH, _NEXT_TO, _EACH, _BESIDE = 1e-13, 1e-5, 0.01, 4, 120
 # The number of modes is counted at this part of the distance to the next one, if round-off may
 # move modes by _TRUSTED of that at most.
-_BETWEEN, _TRUSTED = 0.25, 0.1
+BETWEEN, _TRUSTED = 0.25, 0.1
 # Motions of which less than this part is left beside the others are taken apart from them again.
 _LEFT = 0.5
 
 
 @final
 class Lanczos:
-    """Ritz's values of F(shift)^-1 M in a space that grows; `count` are sought."""
+    """Ritz's values of F(shift)^-1 M in a space that grows; `count` are sought.
 
-    def __init__(self, small: Linearised, shift: float, count: int) -> None:
+    The space is orthogonal in M to known motions, columns. Without a shift it is that of M^-1 K,
+    whose largest values are the highest z.
+    """
+
+    def __init__(
+        self, small: Linearised, shift: float | None, count: int, known: Array | None = None
+    ) -> None:
         self._small, self.shift, self._count = small, shift, count
-        self.factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
-        self._most = min(small.n_free, _EACH * count + _BESIDE)
-        self._V, self._MV = np.empty((2, self._most, small.system.n_q))
+        self.factors = (
+            small.mass_factors
+            if shift is None
+            else small.saddle.factor(small.K - shift * small.M, small.Phi_q)
+        )
+        n = small.system.n_q
+        self._known = np.zeros((0, n)) if known is None else np.ascontiguousarray(known.T)
+        self._M_known = small.times(small.M, self._known.T).T
+        self._most = min(small.n_free - len(self._known), _EACH * count + _BESIDE)
+        self._V, self._MV = np.empty((2, self._most, n))
         self._T, self._m = np.zeros((self._most, self._most)), 0
         root = np.sqrt(small.system.weights)
-        self._next = self._solved(np.random.default_rng(1).standard_normal(len(root)) * root)
+        # A start of its own: the last one has no part left in copies of the modes it found.
+        push = np.random.default_rng(1 + len(self._known)).standard_normal(n) * root
+        self._next = self._solved(push)
         self._left = self._size(self._next)
 
     def converge(self, asked: int) -> bool:
         """Extend the space until the values asked for have converged, and all others roughly."""
-        look = 2 * self._count + 2
+        look = min(2 * self._count + 2, self._most)
         while self._m < self._most:
             self._extend()
             if self._m < look:
                 continue
             # Values of a large space are not looked at in every step.
-            look = self._m + max(2, self._m // 8)
+            look = min(self._m + max(2, self._m // 8), self._most)
             theta, S = np.linalg.eigh(self._T[: self._m, : self._m])
-            order = np.argsort(-np.abs(theta))
+            order = np.argsort(-theta if self.shift is None else -np.abs(theta))
             self._theta, self._S = theta[order], S[:, order]
             size = np.abs(self._theta[: self._count])
             residuals = self._left * np.abs(self._S[-1, : self._count])
@@ -66,7 +81,8 @@ class Lanczos:
     @property
     def z(self) -> Array:
         """Values that are sought and the next one, from the shift away, shape (count + 1,)."""
-        return np.asarray(self.shift + 1.0 / self._theta[: self._count + 1])
+        theta = self._theta[: self._count + 1]
+        return np.asarray(theta if self.shift is None else self.shift + 1.0 / theta)
 
     @property
     def X(self) -> Array:
@@ -77,7 +93,8 @@ class Lanczos:
         """Add a motion to the space."""
         m, self._m = self._m, self._m + 1
         self._V[m], self._MV[m] = self._normal(m)
-        y = self._solved(self._MV[m])
+        K, far = self._small.K, self.shift is None
+        y = self._solved(self._small.times(K, self._V[m]) if far else self._MV[m])
         along = self._MV[: m + 1] @ y
         self._T[m, : m + 1] = self._T[: m + 1, m] = along
         self._next = y - along @ self._V[: m + 1]
@@ -88,6 +105,8 @@ class Lanczos:
         x, before = self._next, self._left
         for _ in range(3):
             x = x - (self._MV[:m] @ x) @ self._V[:m]
+            if len(self._known):
+                x = x - (self._M_known @ x) @ self._known
             Mx = self._small.times(self._small.M, x)
             size = float(np.sqrt(x @ Mx))
             # What is left of a motion that depends on the others is round-off, a motion like any.
@@ -114,31 +133,52 @@ def lowest(small: Linearised, count: int, asked: int) -> tuple[Array, Array, Arr
     for and any that coincide with them to all digits, and a count of negative eigenvalues shows
     that none of these lacks.
     """
-    space = Lanczos(small, -_NEAR_ZERO * small.size, count)
+    near = NEAR_ZERO * small.size
+    space = Lanczos(small, -near, count)
     # Beside motions without stiffness the others would have no digits.
-    if not space.converge(0) or np.min(space.z) <= -space.shift or not space.converge(asked):
+    if not space.converge(0) or np.min(space.z) <= near or not space.converge(asked):
         return None
     z, X = space.z, space.X
     # The widest gap behind those asked for: a group of modes that coincide is not cut.
     known = asked + int(np.argmax(np.diff(z[asked - 1 :]) / np.abs(z[asked:])))
-    if not _all_below(small, z[known - 1], z[known], X[:, :known]):
+    if not all_below(small, z[known - 1], z[known], X[:, :known]):
         return None
     found = ritz(small, small.constrained(space.factors, X))
     return None if found is None else (*found, np.abs(found[0] - z[:-1]))
 
 
-def _all_below(small: Linearised, last: float, beyond: float, X: Array) -> bool:
-    """Whether as many z as there are columns in X lie between the last one and the next.
+def all_below(small: Linearised, last: float, beyond: float, X: Array) -> bool:
+    """Whether as many z as there are columns in X lie between the last one and the next."""
+    z = last + BETWEEN * (beyond - last)
+    count = Count(small, z)
+    return count.number == X.shape[1] and count.is_certain(X, z - last)
+
+
+@final
+class Count:
+    """The number of modes below a z, or above it; no fewer than there are.
 
     By Sylvester's law of inertia K - z M has a negative eigenvalue for each mode below z.
     """
-    z = last + _BETWEEN * (beyond - last)
-    diagonal = small.system.pattern.diagonal
-    K, M = small.K, small.M
-    D = np.abs(K[diagonal]) + np.abs(z) * M[diagonal]
-    negative, growth = small.saddle.constrained.scaled(K - z * M, small.Phi_q, D).negative()
-    noise = EPS * growth * float(np.max(np.einsum("ij,i,ij->j", X, D, X)))
-    return negative == X.shape[1] and noise <= _TRUSTED * (z - last)
+
+    def __init__(self, small: Linearised, z: float, above: bool = False) -> None:
+        diagonal = small.system.pattern.diagonal
+        K, M = small.K, small.M
+        self._D = np.abs(K[diagonal]) + np.abs(z) * M[diagonal]
+        F = z * M - K if above else K - z * M
+        self.number, self._growth = small.saddle.constrained.scaled(
+            F, small.Phi_q, self._D
+        ).negative()
+
+    @property
+    def fails(self) -> bool:
+        """Whether pivots vanish, which proves nothing."""
+        return not np.isfinite(self._growth)
+
+    def is_certain(self, X: Array, distance: float) -> bool:
+        """Whether round-off moves motions, columns of X, by less than part of a distance of z."""
+        size = np.max(np.einsum("ij,i,ij->j", X, self._D, X), initial=0.0)
+        return bool(EPS * self._growth * size <= _TRUSTED * distance)
 
 
 def ritz(small: Linearised, Z: Array) -> tuple[Array, Array] | None:

@@ -185,12 +185,13 @@ class Linearised:
         """Whether K and D are symmetric to round-off, as where forces have potentials."""
         if self.D is None and self.system.traits.symmetric:
             return True
-        return all(self._is_symmetric(x) for x in (self.K, self.D) if x is not None)
+        return all(self.is_symmetric(x) for x in (self.K, self.D) if x is not None)
 
-    def _is_symmetric(self, values: Array) -> bool:
+    def is_symmetric(self, values: Array, sign: float = 1.0) -> bool:
+        """Whether a matrix is symmetric to round-off; with the sign -1, skew."""
         pattern, root = self.system.pattern, np.sqrt(self.system.weights)
         scaled = pattern.csr(values / (root[pattern.rows] * root[pattern.columns]))
-        skew = abs(scaled - scaled.T)
+        skew = abs(scaled - sign * scaled.T)
         return bool(skew.max() <= ROUND_OFF * EPS * abs(scaled).max())
 
     # -- the pencil ----------------------------------------------------------------------------

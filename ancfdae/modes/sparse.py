@@ -2,9 +2,7 @@
 
 The inverse of F(shift) within the constraints maps every force to a motion that keeps them, so
 that all Krylov vectors do. Shifts are of the size of the eigenvalues asked for: taken from a first
-rough pass at a shift near zero. A Krylov space holds one vector of a multiple eigenvalue, and the
-others by round-off only: the space orthogonal to the computed vectors is searched until nothing
-is nearer.
+rough pass at a shift near zero. Symmetric systems without damping are not among them: `lanczos`.
 """
 
 from __future__ import annotations
@@ -30,20 +28,18 @@ _ROUGH = 1e-2
 _SHIFTS = 6
 # Restarts of Arnoldi's method for damped motions; three where exponents do not crowd.
 _RESTARTS = 60
-# Vectors searched for beside those found.
-_MORE = 2
 
 
 def undamped(
     small: Linearised, count: int, highest: bool, known: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return z = -s^2 in increasing order of its real part, and the shapes as columns.
+    """Return z = -s^2 of a K that is not symmetric, by its real part, and the shapes as columns.
 
-    Known vectors, orthonormal in M, are left out where K is not symmetric.
+    Known vectors, orthonormal in M, are left out.
     """
     if highest:
-        z, X = _highest(small, count, 0.0, known)
-        return _completed(small, -z, X, lambda X: _highest(small, _MORE, 0.0, X), -1)
+        z, X = _highest(small, count, known)
+        return z[::-1], X[:, ::-1]
     shift = -_NEAR_ZERO * small.size
     z, _ = _near(small, shift, count, _ROUGH, known)
     for _ in range(_SHIFTS):
@@ -52,32 +48,7 @@ def undamped(
         z, X = _near(small, shift, count, 0.0, known)
         if np.min(z.real) > shift:
             break
-    return _completed(small, z, X, lambda X: _near(small, shift, _MORE, 0.0, X), 1)
-
-
-def _completed(
-    small: Linearised, z: Array, X: Array, left: Callable[[Array], tuple[Array, Array]], sign: int
-) -> tuple[Array, Array]:
-    """Add what comes before the last of sign z; where K has no potential vectors do not split."""
-    count = len(z)
-    # No more than there are motions, even if round-off suggests more.
-    while small.symmetric and len(z) < small.n_free:
-        more, Y = left(X)
-        # One that is found again, by round-off, is no other.
-        again = np.sum((X.T @ small.times(small.M, Y)) ** 2, axis=0)
-        missed = (sign * more < np.max(z)) & (again < 0.5)
-        if not np.any(missed):
-            break
-        z, X = np.append(z, sign * more[missed]), np.hstack([X, Y[:, missed]])
-    chosen = np.argsort(z.real, kind="stable")[:count]
-    chosen = chosen[np.argsort(sign * z[chosen].real, kind="stable")]
-    return sign * z[chosen], X[:, chosen]
-
-
-def largest(small: Linearised) -> float:
-    """Size of the largest z = -s^2, to some per cent."""
-    z, _ = _highest(small, 1, _ROUGH)
-    return float(abs(z[0]))
+    return z, X
 
 
 def damped(
@@ -140,21 +111,18 @@ def _near(
     """Return eigenvalues of K - z M next to a shift that do not belong to known vectors."""
     factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
     options = {"sigma": shift, "OPinv": _inverse(small, factors, known)}
-    return _sorted(small, small.symmetric, count, tolerance, factors, options)
+    return _sorted(small, count, tolerance, factors, options)
 
 
-def _highest(
-    small: Linearised, count: int, tolerance: float, known: Array | None = None
-) -> tuple[Array, Array]:
+def _highest(small: Linearised, count: int, known: Array | None = None) -> tuple[Array, Array]:
     """Return the eigenvalues of largest real part that do not belong to known vectors."""
-    factors, symmetric = small.mass_factors, small.symmetric
-    options = {"which": "LA" if symmetric else "LR", "Minv": _inverse(small, factors, known)}
-    return _sorted(small, symmetric, count, tolerance, factors, options)
+    factors = small.mass_factors
+    options = {"which": "LR", "Minv": _inverse(small, factors, known)}
+    return _sorted(small, count, 0.0, factors, options)
 
 
 def _sorted(
     small: Linearised,
-    symmetric: bool,
     count: int,
     tolerance: float,
     factors: Factorization,
@@ -167,8 +135,8 @@ def _sorted(
     """
     n, M = small.system.n_q, small.system.pattern.csr(small.M)
     K = _operator(n, lambda x: small.times(small.K, x))
-    routine = scipy.sparse.linalg.eigsh if symmetric else scipy.sparse.linalg.eigs
-    z, X = routine(K, count, M, v0=_start(small, factors), tol=tolerance, **options)
+    start = _start(small, factors)
+    z, X = scipy.sparse.linalg.eigs(K, count, M, v0=start, tol=tolerance, **options)
     order = np.argsort(z.real, kind="stable")
     return z[order], X[:, order]
 

@@ -6,15 +6,20 @@ neither units nor stiff waves of the section matter.
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
-from ancfdae.errors.kinds import SingularMatrix
+from ancfdae.errors.kinds import SingularMatrix, StabilityWarning
 from ancfdae.modes import dense, sparse
+from ancfdae.modes.counted import highest_of_all, lowest_of_all
 from ancfdae.modes.eigenpairs import (
     Eigenpairs,
     finished,
     floor,
+    half_gap,
     likely_error,
+    noise_of,
     rigid_motions,
     with_zeros,
 )
@@ -22,8 +27,11 @@ from ancfdae.modes.lanczos import lowest, ritz
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.modes.precise import ALLOWED, NoModes, lost, precise_modes, refuse_lost
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.inertia import WEAK, WHOLE
 
 _SWEEPS = 2
+# Of modes that coincide F is factorised at this many times the distance between them.
+_ASIDE = 16.0
 
 
 def sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Array]:
@@ -70,17 +78,33 @@ def each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array,
     F(z + dz) y = F'(z) (x + dz y) in first order: dz follows where that vanishes along y.
     """
     z, X, change = z.astype(complex), X.astype(complex), np.zeros(len(z))
+    beside = _beside_groups(small, z, X)
     for j in range(len(z)):
         for _ in range(_SWEEPS):
-            x, (factors, exact) = X[:, j], small.factor_beside(z[j])
-            y = small.solve(factors, small.slope_times(z[j], x))
+            x, (factors, exact) = X[:, j], small.factor_beside(z[j] + beside[j])
+            y = small.solve(factors, small.slope_times(z[j] + beside[j], x))
             if not np.any(y):  # A double root: F'(z) x vanishes.
                 break
             along = np.conj(small.times(small.M, y))
-            step = 0.0 if exact else (along @ x) / (along @ y)
+            step = 0.0 if exact else (along @ x) / (along @ y) - beside[j]
             z[j], change[j] = z[j] - step, np.abs(step)
             X[:, j] = y / np.sqrt(np.real(along @ y))
     return z if small.D is None else _quotients(small, z, X), X, change
+
+
+def _beside_groups(small: Linearised, z: Array, X: Array) -> Array:
+    """Return how far from each z it is sharpened: zero for modes that coincide with no other.
+
+    At z the nearest of several vibrations that coincide would take the place of the others.
+    """
+    noise, beside = noise_of(small, z, X), np.zeros(len(z))
+    half = half_gap(z, noise)
+    for j in np.flatnonzero(z.imag) if small.D is not None else range(len(z)):
+        apart = np.abs(z - z[j])
+        same = apart <= half + half[j]
+        if np.sum(same) > 1:
+            beside[j] = _ASIDE * max(float(np.max(apart[same])), noise[j])
+    return beside
 
 
 def _quotients(small: Linearised, s: Array, X: Array) -> Array:
@@ -110,6 +134,12 @@ def _quotients(small: Linearised, s: Array, X: Array) -> Array:
 # modes faster than Lanczos's method with a count; damped motions have twice as many exponents, all
 # of which dense methods find (docs/measurements.md, "Modes").
 _DENSE, _DENSE_LOWEST, _DENSE_DAMPED = 300, 100, 120
+# Up to this many they take over where Lanczos's method has not found all modes by the count.
+_DENSE_MOST = 3000
+_UNCOUNTED = (
+    "modes: more modes lie below the last one than were found, or round-off hides their number. "
+    "Ask for another number of modes, or use fewer elements."
+)
 # ARPACK needs room for its basis.
 _ROOM = 40
 # Part of the next value that one counts as freed by a load at.
@@ -124,12 +154,7 @@ def undamped(small: Linearised, count: int, highest: bool, asked: int | None = N
     """
     if not small.symmetric:
         return _asymmetric(small, count, highest)
-    few = is_small(small, count)
-    alone = not highest and small.n_free > max(_DENSE_LOWEST, 3 * count + _ROOM)
-    found = lowest(small, count, asked or count) if alone else None
-    if found is None:
-        z, X = (dense if few else sparse).undamped(small, count, highest)
-        found = (z, X, np.zeros(len(z))) if highest else sharpened(small, z, X)
+    found = _found(small, count, asked or count, highest)
     z, X, change = found if highest else with_zeros(small, *found)
     order = np.argsort(-z if highest else z, kind="stable")
     pairs = finished(small, z[order], X[:, order])
@@ -147,6 +172,27 @@ def undamped(small: Linearised, count: int, highest: bool, asked: int | None = N
             return pairs
         raise
     return precise
+
+
+def _found(small: Linearised, count: int, asked: int, highest: bool) -> tuple[Array, Array, Array]:
+    """Return values, shapes and changes by Lanczos's method with a count, or by dense matrices.
+
+    NoModes of large systems where the count shows that modes lack, or round-off hides it.
+    """
+    large = not is_small(small, count)
+    found = None
+    if highest and large:
+        found = highest_of_all(small, count, asked)
+    elif not highest and small.n_free > max(_DENSE_LOWEST, 3 * count + _ROOM):
+        found = lowest(small, count, asked) or (
+            lowest_of_all(small, count, asked) if large else None
+        )
+    if found is not None:
+        return found
+    if small.n_free > _DENSE_MOST:
+        raise NoModes(_UNCOUNTED)
+    z, X = dense.undamped(small, count, highest)
+    return (z, X, np.zeros(len(z))) if highest else sharpened(small, z, X)
 
 
 def _mixed(small: Linearised, pairs: Eigenpairs) -> bool:
@@ -170,17 +216,48 @@ def _sorted(pairs: Eigenpairs) -> Eigenpairs:
 
 
 def _asymmetric(small: Linearised, count: int, highest: bool) -> Eigenpairs:
+    """Return modes where loads turn with the motion: growing ones first, of all up to WHOLE."""
     rigid = rigid_motions(small)
-    if is_small(small, count):
-        z, X = dense.asymmetric(small, rigid)
+    if small.n_free <= WHOLE:
+        z, error, X = dense.asymmetric(small, rigid)
     else:
         z, X = sparse.undamped(small, count, highest, rigid)
-    order = np.lexsort((z.imag, -z.real if highest else z.real))[:count]
-    z, X, change = with_rigid(rigid, *each_sharpened(small, z[order], X[:, order]))
-    order = np.argsort(-z.real if highest else z.real, kind="stable")[:count]
-    pairs = finished(small, z[order], X[:, order])
+        error = np.full(len(z), EPS)
+        warn_of_part()
+    noise = ROUND_OFF * np.sqrt(error) * np.abs(z)
+    order = np.argsort(-z.real, kind="stable") if highest else _first(z, noise)
+    z, X, change = with_rigid(rigid, *each_sharpened(small, z[order[:count]], X[:, order[:count]]))
+    pairs = finished(small, z, X)
+    order = np.argsort(-z.real, kind="stable") if highest else _first(pairs.z, 0.0)
+    order = order[:count]
+    pairs = Eigenpairs(pairs.z[order], pairs.X[:, order], pairs.noise[order])
     refuse_lost(small, pairs.z, likely_error(small, pairs, change[order]))
     return pairs
+
+
+def warn_of_part() -> None:
+    """Warn of a large system whose motions have not all been searched for growing ones."""
+    warnings.warn(
+        "modes: motions may grow, and only those next to zero were searched for it, since there "
+        f"are more than {WHOLE:,}. Use fewer elements, or look at parts of the scene alone.",
+        StabilityWarning,
+        stacklevel=2,
+    )
+
+
+def _first(z: Array, noise: Array | float) -> Array:
+    """Return the order of z = -s^2: growing motions, fastest first, others, decaying ones.
+
+    Up to the noise z is real, or zero. Each kind goes by size. Vibrations that grow by less than
+    WEAK of their frequency stand among the others: waves of single elements may.
+    """
+    s = np.sqrt(-z.astype(complex))
+    s = np.where(s.imag < 0, -s, s)
+    turns = np.abs(z.imag) > np.maximum(noise, 2.0 * WEAK * np.abs(z))
+    growing, decaying = turns & (s.real > 0), turns & (s.real < 0)
+    growing |= ~turns & (z.real < -np.asarray(noise))
+    kind = np.where(growing, 0, np.where(decaying, 2, 1))
+    return np.lexsort((np.where(growing, -np.abs(s.real), np.abs(s)), kind))
 
 
 def with_rigid(rigid: Array, z: Array, X: Array, change: Array) -> tuple[Array, Array, Array]:

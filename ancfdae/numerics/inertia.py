@@ -161,8 +161,8 @@ _BOUNDS = 40
 _ROUNDINGS = 64
 # Fewer motions than this are looked at all at once; eigenvalues first sought around a centre.
 _DENSE, _AROUND = 100, 12
-# Motions of a large system that are searched for a growing vibration.
-_LOWEST = 20
+# Motions of a large system that are searched for a growing vibration; up to WHOLE all are.
+_LOWEST, WHOLE, WEAK = 20, 1500, 1e-3
 # Up to this many coordinates dense matrices may be formed: about a second.
 _LARGE = 800
 # In the order as given. Pivots are taken from the diagonal whatever their size, or exchanged.
@@ -381,18 +381,30 @@ class ConstrainedMatrix:
         real |= (np.abs(kappa.imag) <= _EPS**-0.5 * noise) & (kappa.real < -np.abs(kappa.imag))
         return bool(np.any(kappa.real[real] < -noise))
 
+    @property
+    def seen_whole(self) -> bool:
+        """Whether `growing` looks at all motions, not at the _LOWEST alone."""
+        return self.pattern.K.shape[0] - self.pattern.B.shape[0] <= WHOLE
+
     def growing(self, M: Array) -> complex | None:
         """Return s, Im s > 0, of the vibration x e^{st} that grows fastest, K x = -s^2 M x.
 
         None if no kappa = -s^2 is complex, of all or of the _LOWEST of a large system. Round-off e
-        splits a double kappa by its root, with e of the smallest one times eps.
+        splits a double kappa by its root. Beyond the _LOWEST a vibration counts that grows by more
+        than WEAK of its frequency: waves of single elements may grow by less, and any damping
+        holds them.
         """
-        K, B = self.pattern.K, self.pattern.B
-        few = K.shape[0] - B.shape[0] <= _DENSE
-        kappa = self.eigenvalues(M) if few else self.nearest(M, _LOWEST)
-        size = np.abs(kappa)
-        noise = _ROUNDINGS * np.sqrt(_EPS * size / np.min(size, initial=1.0)) * size
-        pairs = kappa[np.abs(kappa.imag) > noise]
+        if self.seen_whole:
+            kappa, error = spectrum(*self._within(M))
+        else:
+            kappa = self.nearest(M, _LOWEST)
+            size = np.abs(kappa)
+            error = _EPS * size / np.min(size, initial=1.0)
+        order = np.argsort(np.abs(kappa))
+        kappa, error = kappa[order], error[order]
+        least = _ROUNDINGS * np.sqrt(error)
+        least[_LOWEST:] = np.maximum(least[_LOWEST:], 2.0 * WEAK)
+        pairs = kappa[np.abs(kappa.imag) > least * np.abs(kappa)]
         # The root with a positive real part, in the upper half plane.
         s = np.sqrt(-pairs)
         return complex(max(np.where(s.imag < 0, np.conj(s), s), key=np.real)) if len(s) else None
@@ -408,15 +420,20 @@ class ConstrainedMatrix:
 
     def eigenvalues(self, M: Array) -> Array:
         """Return all eigenvalues of K x = kappa M x, the smallest with most digits."""
-        Z = scipy.linalg.null_space(self.pattern.B.dense(self.B)) if len(self.B) else None
-        matrices = [self.pattern.K.dense(x) for x in (self.K, M)]
-        if Z is not None:
-            matrices = [Z.T @ x @ Z for x in matrices]
+        matrices = self._within(M)
         try:
             inverse = np.linalg.eigvals(np.linalg.solve(*matrices))
         except np.linalg.LinAlgError:  # Zero is an eigenvalue.
             return np.zeros(1, dtype=complex)
         return np.asarray(1.0 / inverse[inverse != 0], dtype=complex)
+
+    def _within(self, M: Array) -> list[Array]:
+        """Return K and M, dense, on the null space of B."""
+        matrices = [self.pattern.K.dense(x) for x in (self.K, M)]
+        if not len(self.B):
+            return matrices
+        Z = scipy.linalg.null_space(self.pattern.B.dense(self.B))
+        return [Z.T @ x @ Z for x in matrices]
 
     def nearest(self, M: Array, count: int) -> Array:
         """Return the eigenvalues of K x = kappa M x that are nearest to zero, by Arnoldi."""
@@ -450,6 +467,39 @@ class ConstrainedMatrix:
             return scipy.sparse.linalg.splu(matrix, **options)
         except RuntimeError:  # An exactly singular matrix.
             return None
+
+
+def spectrum(K: Array, M: Array) -> tuple[Array, Array]:
+    """Return all kappa of K x = kappa M x and their relative errors, of dense matrices.
+
+    M is symmetric and positive definite.
+    """
+    L = scipy.linalg.cholesky(M, lower=True)
+    half = scipy.linalg.solve_triangular(L, K, lower=True)
+    inverse, g = shifted_inverse(scipy.linalg.solve_triangular(L, half.T, lower=True).T)
+    return shifted_back(np.linalg.eigvals(inverse), g)
+
+
+def shifted_inverse(A: Array) -> tuple[Array, float]:
+    """Return (A + g)^-1 and g, between the smallest and the largest eigenvalue.
+
+    Eigenvalues of the inverse have the round-off of the largest: both ends then have half of the
+    digits that their ratio leaves.
+    """
+    largest = float(np.linalg.norm(A))
+    try:
+        smallest = 1.0 / float(np.linalg.norm(np.linalg.inv(A)))
+    except np.linalg.LinAlgError:  # Zero is an eigenvalue.
+        smallest = 0.0
+    g = (largest * max(smallest, _EPS * largest)) ** 0.5
+    return np.linalg.inv(A + g * np.eye(len(A))), g
+
+
+def shifted_back(theta: Array, g: float) -> tuple[Array, Array]:
+    """Return kappa of theta = 1 / (kappa + g) and their relative errors."""
+    kappa = np.asarray(1.0 / theta - g, dtype=complex)
+    size, error = np.abs(kappa), _EPS * np.max(np.abs(theta), initial=0.0) / np.abs(theta) ** 2
+    return kappa, error / np.where(size == 0, 1.0, size)
 
 
 def _exchanges(order: Array) -> int:

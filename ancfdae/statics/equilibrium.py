@@ -290,7 +290,8 @@ def _judged(balance: Balance, end: SearchEnd) -> SearchEnd:
     soft = softest(balance, 1.0, end.q, end.lam)
     if end.outcome.stable_to is None and not end.definite:
         _warn_of_neutral(soft)
-    return replace(end, outcome=replace(end.outcome, flutter=soft.flutter))
+    outcome = replace(end.outcome, flutter=soft.flutter, flutter_searched=soft.seen_whole)
+    return replace(end, outcome=outcome)
 
 
 def _warn_of_neutral(soft: Softness) -> None:

@@ -71,6 +71,9 @@ class EquilibriumOutcome:
     flutter : complex or None
         Exponent s of the vibration that grows fastest without damping, where loads turn with the
         motion and feed it; 1/s. None where there is none.
+    flutter_searched : bool
+        Whether all motions were searched for flutter: False where loads turn with more than 1,500
+        independent motions, of which the twenty next to zero were.
     """
 
     verdict: Verdict
@@ -82,6 +85,7 @@ class EquilibriumOutcome:
     gyroscopic: bool = False
     folded: str = ""
     flutter: complex | None = None
+    flutter_searched: bool = True
 
     @property
     def success(self) -> bool:
@@ -121,5 +125,10 @@ class EquilibriumOutcome:
             text += (
                 "; unless damping holds it, it flutters: its loads turn with the motion, and a "
                 f"vibration of {self.flutter.imag:.4g} rad/s grows by {self.flutter.real:.3g} 1/s"
+            )
+        if not self.flutter_searched:
+            text += (
+                "; of its many motions only the twenty next to zero were searched for flutter from "
+                "loads that turn with the motion"
             )
         return f"{text}."

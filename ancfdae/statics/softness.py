@@ -82,6 +82,11 @@ class Softness:
         """Exponent of the vibration that loads which turn make grow, without damping; or None."""
         return self._matrix.growing(self._M) if self.follows else None
 
+    @property
+    def seen_whole(self) -> bool:
+        """Whether all motions were searched for flutter, not some next to zero alone."""
+        return not self.follows or self._matrix.seen_whole
+
     @cached_property
     def _M(self) -> Array:
         scale, pattern = 1.0 / np.sqrt(self.D), self.balance.system.pattern

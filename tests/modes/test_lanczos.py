@@ -56,11 +56,11 @@ def test_one_mode_that_lacks_is_counted():
     small = linearised(frame(4))
     z, X, _ = lanczos.lowest(small, 5, 5)
     beyond = dense(small, 6)[-1]
-    assert lanczos._all_below(small, z[-1], beyond, X)
+    assert lanczos.all_below(small, z[-1], beyond, X)
     # Without any one of them there are more eigenvalues than shapes.
     for k in range(4):
-        assert not lanczos._all_below(small, z[-1], beyond, np.delete(X, k, axis=1))
-    assert not lanczos._all_below(small, z[-2], beyond, X[:, :-1]) or z[-1] > z[-2] + 0.25 * (
+        assert not lanczos.all_below(small, z[-1], beyond, np.delete(X, k, axis=1))
+    assert not lanczos.all_below(small, z[-2], beyond, X[:, :-1]) or z[-1] > z[-2] + 0.25 * (
         beyond - z[-2]
     )
 

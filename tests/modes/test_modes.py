@@ -28,7 +28,6 @@ from ancfdae import (
 )
 from ancfdae.errors import InvalidInputError, RedundantConstraintsError
 from ancfdae.extend import FormulaSystem, SystemProperties
-from ancfdae.modes import sparse as arpack
 from ancfdae.modes import undamped
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.precise import NoModes
@@ -497,26 +496,6 @@ def test_no_copy_of_a_multiple_eigenvalue_is_missed(monkeypatch, free, damping_t
     assert [len(group) for group in sparse.coincide] == ([18] if free else [6, 6])
     assert sparse.coincide == dense.coincide
     np.testing.assert_allclose(sparse.exponents, dense.exponents, rtol=1e-8)
-
-
-def test_round_off_found_beside_all_motions_ends_the_search():
-    # A search that never stops finding something before the others: beside every motion what is
-    # left of the inverse is round-off, and its reciprocal has any sign.
-    beam = rod(1, (0, 0), (1, 0), 0.05)
-    system = assemble(Scene([beam], [Clamp(beam.at_start)]))
-    small = Linearised.of(
-        system, LinearisationPoint(system.start()[0], np.zeros(system.n_lam)), None
-    )
-    rounds = []
-
-    def junk(X):
-        rounds.append(X.shape[1])
-        return np.array([-1e9, -1e9]), np.zeros((small.system.n_q, 2))
-
-    z, X = arpack._completed(small, np.array([1.0]), np.zeros((small.system.n_q, 1)), junk, 1)
-    assert z.shape == (1,)
-    assert X.shape == (small.system.n_q, 1)
-    assert rounds == list(range(1, small.n_free, 2))
 
 
 @pytest.mark.parametrize("damping_time", [None, 1e-6, 1e-4])
