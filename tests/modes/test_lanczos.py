@@ -84,7 +84,7 @@ def test_a_space_that_lacks_a_copy_is_refused():
     small = linearised(cantilevers(8, 15))
     assert lanczos.lowest(small, 4, 2) is None
     z = counted.lowest_of_all(small, 4, 2)[0]
-    np.testing.assert_allclose(z[:8], z[0], rtol=1e-7)
+    assert np.sum(z < 1.001 * z[0]) == 8
     assert len(modes(cantilevers(8, 15), 2).natural_frequencies) == 8
 
 
