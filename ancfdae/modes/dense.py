@@ -33,7 +33,7 @@ def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array
 def asymmetric(small: Linearised, rigid: Array) -> tuple[Array, Array, Array]:
     """Return z = -s^2 of all but the rigid motions R, their relative errors, and the shapes.
 
-    R is orthonormal in M. With P what is orthogonal to R they are those of P^T K_N P. The shapes
+    R is orthonormal in M. P, orthogonal to R, reduces K_N to P^T K_N P. The shapes
     lack their part in R, which inverse iteration adds.
     """
     N, K = _reduced(small, small.K)

@@ -32,7 +32,7 @@ _LEFT = 0.5
 class Lanczos:
     """Ritz's values of F(shift)^-1 M in a space that grows; `count` are sought.
 
-    The space is orthogonal in M to known motions, columns. Without a shift it is that of M^-1 K,
+    The space is orthogonal in M to known motions, columns. Without a shift it belongs to M^-1 K,
     whose largest values are the highest z.
     """
 

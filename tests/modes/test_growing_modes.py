@@ -142,7 +142,7 @@ def test_blades_that_coincide_have_the_derivatives_of_one():
                     f"b{k}",
                     tuple(0.2 * along),
                     tuple(1.2 * along),
-                    2,
+                    4,
                     Rectangle(0.01, 0.05),
                     STEEL,
                     height_axis=(-along[1], along[0], 0),
