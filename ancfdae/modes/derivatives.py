@@ -218,7 +218,7 @@ _ASIDE, _LEFT = 16.0, 2
 
 
 def left_vectors(small: Linearised, pairs: Eigenpairs, mu: Array, group: list[int]) -> Array:
-    """Return solutions [y, nu] of the transposed equations as columns.
+    """Return solutions [y, nu] of the transposed equations as columns, (n_q + n_lam, k).
 
     Where they are not [x, mu], inverse iteration beside z, farther from it than the modes of the
     group are from each other: at z the nearest of them would take the place of all.

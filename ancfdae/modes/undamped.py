@@ -30,7 +30,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.inertia import WEAK, WHOLE
 
 _SWEEPS = 2
-# Of modes that coincide F is factorised at this many times the distance between them.
+# F is factorised at this many times the distance between modes that coincide.
 _ASIDE = 16.0
 
 
@@ -93,9 +93,9 @@ def each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array,
 
 
 def _beside_groups(small: Linearised, z: Array, X: Array) -> Array:
-    """Return how far from each z it is sharpened: zero for modes that coincide with no other.
+    """Return how far from each z it is sharpened, shape (k,): zero for modes that stand alone.
 
-    At z the nearest of several vibrations that coincide would take the place of the others.
+    At z the nearest of several vibrations that coincide would take the place of all.
     """
     noise, beside = noise_of(small, z, X), np.zeros(len(z))
     half = half_gap(z, noise)
@@ -246,10 +246,10 @@ def warn_of_part() -> None:
 
 
 def _first(z: Array, noise: Array | float) -> Array:
-    """Return the order of z = -s^2: growing motions, fastest first, others, decaying ones.
+    """Return the order, (k,), of z = -s^2: growing motions, fastest first, others, decaying ones.
 
     Up to the noise z is real, or zero. Each kind goes by size. Vibrations that grow by less than
-    WEAK of their frequency stand among the others: waves of single elements may.
+    WEAK of their frequency stand among vibrations: waves of single elements may.
     """
     s = np.sqrt(-z.astype(complex))
     s = np.where(s.imag < 0, -s, s)
