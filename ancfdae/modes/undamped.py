@@ -81,7 +81,10 @@ def each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array,
     beside = _beside_groups(small, z, X)
     for j in range(len(z)):
         for _ in range(_SWEEPS):
-            x, (factors, exact) = X[:, j], small.factor_beside(z[j] + beside[j])
+            try:
+                x, (factors, exact) = X[:, j], small.factor_beside(z[j] + beside[j])
+            except SingularMatrix:  # A double root with one shape, which `refuse_lost` names.
+                break
             y = small.solve(factors, small.slope_times(z[j] + beside[j], x))
             if not np.any(y):  # A double root: F'(z) x vanishes.
                 break

@@ -486,6 +486,8 @@ def shifted_inverse(A: Array) -> tuple[Array, float]:
     Eigenvalues of the inverse have the round-off of the largest: both ends then have half of the
     digits that their ratio leaves.
     """
+    if not A.size:
+        return A, 1.0
     largest = float(np.linalg.norm(A))
     try:
         smallest = 1.0 / float(np.linalg.norm(np.linalg.inv(A)))
