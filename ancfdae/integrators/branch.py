@@ -65,9 +65,8 @@ class Form:
     """Scales that make coordinates and rows of Phi_q comparable, independent of their units.
 
     Coordinates are scaled as sqrt(w_i) q_i; rows of Phi_q have length one in these coordinates at
-    the
-    first state of the motion. `taken` is a mask, (n_lam,), of the constraints that are examined;
-    `used` are the indices of the coordinates that occur in them.
+    the first state of the motion. `taken` is a mask, (n_lam,), of the constraints that are
+    examined; `used` are the indices of the coordinates that occur in them.
     """
 
     def __init__(self, system: MechanicalSystem, values: Array, taken: Array | None = None) -> None:
@@ -217,9 +216,8 @@ def followed(
     """Follow a motion on its branch from (t, q) to `end`; return the time reached, and q there.
 
     The time is less than `end` where Phi_q loses rank on the way. `guide` gives the aim of the
-    motion
-    where constraints leave motions free; `taken` is a mask, (n_lam,), of the constraints that are
-    followed, by default all.
+    motion where constraints leave motions free; `taken` is a mask, (n_lam,), of the constraints
+    that are followed, by default all.
     """
     h, least = end - t, _SHORTEST * (end - t)
     values = system.constraint_q(t, q)

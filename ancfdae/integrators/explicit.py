@@ -65,8 +65,7 @@ class Tables(NamedTuple):
 
     `stages` are coefficients of y, h u and h^2 K in Y, and of y, u and h K in U. `errors` are
     coefficients of the two error estimates, `nodes` the c_i, `within` coefficients of the rates in
-    the
-    last terms of the dense output.
+    the last terms of the dense output.
     """
 
     stages: Array
@@ -112,8 +111,7 @@ class Tolerances(NamedTuple):
     """Error tolerances of a step: `rtol` times the size of each vector, plus `floor`, (2, rows, n).
 
     Sizes of positions count from `place`, (n,), the mean position of the start; `vector`
-    consecutive
-    coordinates are the components of one vector.
+    consecutive coordinates are the components of one vector.
     """
 
     rtol: float
@@ -126,8 +124,7 @@ class Kept(NamedTuple):
     """Accepted steps that are stored for quadrature: `spans`, (k, 2), holds start and end time; s.
 
     `states`, (k, used, 2, rows, n), and `lam`, (k, used, rows, m), are states and multipliers at
-    the
-    stages with indices `used`.
+    the stages with indices `used`.
     """
 
     spans: Array

@@ -67,10 +67,8 @@ class March(abc.ABC):
     """One run of a solver of high order, step by step, in a context; it counts as `Statistics` do.
 
     Contacts are checked at `parts` of each step, the last one its end. `residual` is the norm of
-    the
-    last finite scaled residual (dimensionless), zero where a step leaves none. It is stored,
-    because
-    the equations must not be evaluated again after an interrupt or a failure.
+    the last finite scaled residual (dimensionless), zero where a step leaves none. It is stored,
+    because the equations must not be evaluated again after an interrupt or a failure.
     """
 
     parts: ClassVar[tuple[float, ...]] = (1.0,)
@@ -100,8 +98,7 @@ class March(abc.ABC):
         """Step until the first of the ascending `times` is passed, or return why it is not reached.
 
         Return the states (`stacked`) at that time and at all further `times` that were passed, (k,
-        2, rows,
-        n). May raise NotFinite, if the equations yield NaN or infinity, or SingularMatrix.
+        2, rows, n). May raise NotFinite, if the equations yield NaN or infinity, or SingularMatrix.
         """
         with self._context():
             while self._t < times[0]:
@@ -218,8 +215,7 @@ class HighOrder(QuadratureIntegrator):
         """Return the integrator with few output times, for a run of which only the end is read.
 
         Given `intervals` are kept. A prescribed motion keeps the default number of intervals,
-        because it
-        is checked from one output time to the next.
+        because it is checked from one output time to the next.
         """
         times = np.linspace(0.0, t_end, INTERVALS + 1)
         prescribed = system.n_lam == system.n_q

@@ -29,8 +29,7 @@ class Rule:
     """Quadrature rule on a panel of length one, with n points.
 
     `weights`, (n,), minus the weights of an embedded rule of lower order are `error`, minus those
-    of a
-    rule of still lower order `coarse`; zero without such a rule.
+    of a rule of still lower order `coarse`; zero without such a rule.
     """
 
     weights: Array
@@ -44,8 +43,7 @@ class Points:
     """States at k quadrature points of several panels, panel after panel; h are panel lengths, s.
 
     q, v and lam have the shape (k, n), q_b, v_b and lam_b (k, n, n_b). Arrays that were not
-    requested
-    are None.
+    requested are None.
     """
 
     rule: Rule
@@ -90,9 +88,8 @@ class PartialIntegral:
     """Integral of an integrand over a part of the run, of `duration` s.
 
     `slopes`, (n_b,), are the design derivatives of `value`; `size`, (n,), are integrals of
-    magnitudes.
-    `error` is estimated, relative to the size of the integral, and NaN if any value is not finite;
-    `not_finite` is the time of the first such point, s, or None.
+    magnitudes. `error` is estimated, relative to the size of the integral, and NaN if any value is
+    not finite; `not_finite` is the time of the first such point, s, or None.
     """
 
     duration: float
@@ -127,8 +124,7 @@ class Integrator(abc.ABC):
     """Immutable settings of an integration method.
 
     If `real_only`, complex design values, which the complex step needs, are rejected. `order` is
-    the
-    power of the step size with which errors fall, None where a tolerance controls them.
+    the power of the step size with which errors fall, None where a tolerance controls them.
     """
 
     real_only: ClassVar[bool] = False
@@ -145,8 +141,7 @@ class Integrator(abc.ABC):
         """Return the integrator that repeats the steps of `solution` at another design.
 
         Steps chosen by an error estimate jump with the design, and so do differences of runs.
-        Integrators
-        that cannot repeat steps return themselves.
+        Integrators that cannot repeat steps return themselves.
         """
         return self
 
@@ -194,8 +189,8 @@ class Integrator(abc.ABC):
         """Continue `after`, a run of this integrator on this system, from its last time to `t_end`.
 
         Returns the whole solution, equal to an uninterrupted run to round-off. Raises
-        InvalidInputError
-        if `after` is a run of another system or integrator, or the integrator cannot continue runs.
+        InvalidInputError if `after` is a run of another system or integrator, or the integrator
+        cannot continue runs.
         """
         rule = "needs an integrator whose runs can go on, such as HHT"
         raise InvalidInputError("after", rule, repr(self), "Run again from t = 0.")
@@ -231,8 +226,7 @@ class Seeds:
     """Partial derivatives of an objective in q, v and lam, one row per output time; None for zeros.
 
     They start the backward pass. `densities` are pairs of a weight and the partial derivatives of
-    an
-    integrand that a `QuadratureIntegrator` integrated during its steps.
+    an integrand that a `QuadratureIntegrator` integrated during its steps.
     """
 
     q: Array | None
@@ -259,8 +253,7 @@ class AdjointIntegrator(Integrator):
         """Return the gradient of an objective, (n_b,), from its partial derivatives in the states.
 
         `solution` is a finished run of this integrator on this system. The explicit partial
-        derivative of
-        the objective in b is not included.
+        derivative of the objective in b is not included.
         """
 
     def back_factorisations(self, solution: Solution) -> int:
@@ -285,10 +278,8 @@ class RunInParts(abc.ABC):
     """A run whose parts can be integrated again, from one index of its time points `t` to another.
 
     A part starts from a checkpoint, the full state of the method at the end of the part before.
-    `taken`
-    counts the steps, repeated ones included. A step has `degree` time points, as in a solution;
-    parts
-    end at ends of steps.
+    `taken` counts the steps, repeated ones included. A step has `degree` time points, as in a
+    solution; parts end at ends of steps.
     """
 
     degree: ClassVar[int] = 1
@@ -304,8 +295,8 @@ class RunInParts(abc.ABC):
         """Integrate from a checkpoint at index `first` of `t` to index `last`.
 
         Return the states from `first` to `last` as a solution, and the checkpoint at its end. If
-        the part
-        fails or is interrupted, the solution holds the steps so far and its outcome says so.
+        the part fails or is interrupted, the solution holds the steps so far and its outcome says
+        so.
         """
 
     @abc.abstractmethod
@@ -315,8 +306,7 @@ class RunInParts(abc.ABC):
         """Run the adjoint recurrence backward over a part that starts at the checkpoint `node`.
 
         `on` are the adjoint vectors of the states after the part. Return its contribution to the
-        gradient,
-        (n_b,), and the adjoint vectors of the states before it.
+        gradient, (n_b,), and the adjoint vectors of the states before it.
         """
 
     @abc.abstractmethod

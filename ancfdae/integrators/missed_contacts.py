@@ -15,8 +15,7 @@ def with_contacts(run: Solution, contacts: ContactRecord, whole: bool = True) ->
     """Return `run`, with the outcome MISSED_CONTACT if its steps passed over a contact.
 
     `contacts` records the states of the run, which may be a part of a longer one. Contacts are
-    judged
-    only if the run is `whole`, or the last part.
+    judged only if the run is `whole`, or the last part.
     """
     if not run.outcome.success:
         return run

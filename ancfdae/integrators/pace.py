@@ -25,9 +25,8 @@ class Pace:
 
     It warns once, with the `remedy`, if twenty hundreds of steps in a row predict more than `many`
     steps; if the solver is `sure` of its first steps, the first hundred suffices. Short steps
-    around a
-    kick, at a start from rest, or where round-off disturbs some, do not predict the number of the
-    others.
+    around a kick, at a start from rest, or where round-off disturbs some, do not predict the number
+    of later steps.
     """
 
     def __init__(self, t_end: float, many: int, remedy: str, *, sure: bool = False) -> None:
@@ -45,10 +44,8 @@ class Pace:
         """Count a step to time t, s; return whether the last hundred steps made no progress.
 
         A run without progress diverges, meets a jump too large to integrate, or integrates noise.
-        The
-        number of steps of the run is predicted from the second half of the hundred, unless steps
-        still
-        grow in it, or the run makes no progress.
+        The number of steps of the run is predicted from the second half of the hundred, unless
+        steps still grow in it, or the run makes no progress.
         """
         self._taken += 1
         if 2 * self._taken == _STEPS:

@@ -4,11 +4,10 @@ Constraints have several solutions, and a long step can end at another one than 
 The equation of a prescribed angle holds half a turn off as well: its root is checked at the start
 (`refuse_opposite` of the assembly), and here after every step. Joints may also close in another way
 (the crossed four-bar), or lock on the way: steps of prescribed motions that change Phi_q much are
-followed (`branch`).
-Coordinates that the constraints determine alone, as of a driven linkage with a pendulum at its
-slider, are followed without the free ones, which could lead them past a singular position. They
-are followed also in steps in which their velocities change much: joints that lock and open again
-within a step leave Phi_q as it was.
+followed (`branch`). Coordinates that the constraints determine alone, as of a driven linkage with a
+pendulum at its slider, are followed without the free ones, which could lead them past a singular
+position. They are followed also in steps in which their velocities change much: joints that lock
+and open again within a step leave Phi_q as it was.
 """
 
 from __future__ import annotations
@@ -173,10 +172,9 @@ def singular_position(system: MechanicalSystem, rows: Rows) -> float | None:
     """Return the first time (s) between `rows` at which Phi_q loses rank; None if it does not.
 
     A step that changes Phi_q much is followed along the cubic through its ends; following ends
-    early
-    only where parts of 1e-9 of the step still change Phi_q by more than itself. In long runs the
-    search
-    begins with every 16th row: a rank that is lost between two of these rotates a row of Phi_q.
+    early only where parts of 1e-9 of the step still change Phi_q by more than itself. In long runs
+    the search begins with every 16th row: a rank that is lost between two of these rotates a row of
+    Phi_q.
     """
     last = len(rows.t) - 1
     stride = min(max(last // _FEW, 1), _MOST_STRIDE)
@@ -211,9 +209,8 @@ def nearest_to_singular(system: MechanicalSystem, rows: Rows) -> tuple[float, fl
     Nearness is the smallest singular value of Phi_q W^(-1/2) with rows of length one, W the weights
     of the coordinates. The largest such value of a run over the smallest one is the factor by which
     errors grow along the constraints there. It is taken at some states, evenly spaced and at the
-    ends
-    of the steps that turn the velocity most. Coordinates that constraints determine alone have no
-    growing errors and are left out; the factor is one if these are all.
+    ends of the steps that turn the velocity most. Coordinates that constraints determine alone have
+    no growing errors and are left out; the factor is one if these are all.
     """
     taken, known = system.constraint_pattern.determined
     if np.all(taken):

@@ -12,17 +12,17 @@ onto the constraints in the norm of M,
     M dv + Phi_q^T sigma = 0,   Phi_q dv = nu - Phi_q v,
 
 by one Newton step: the drift of one integration step is small, and its square is round-off. The
-matrix is that at the state before, the right side of the second line is at the moved q. The
-design derivatives of the state are moved onto the derivatives of the constraints in the same way.
+matrix is that at the state before, the right side of the second line is at the moved q. The design
+derivatives of the state are moved onto the derivatives of the constraints in the same way.
 
 **Sizes.** Coordinates are compared in the weighted form sqrt(w_i) q_i, which has one unit for all
 of them. Positions count from the mean position of the start, the place p of the system, and the
-size of a coordinate is the root mean square of its vector, so that no size depends on where a
-scene stands or how it is rotated. The scale of q is the root mean square of q - p at the start in
-the weighted form; that of v is the speed that the start has or that its accelerations reach over
-that length; that of the multipliers follows from the forces at the start through the rows of
-Phi_q. Forces that are round-off count as zero: for a mechanism at rest they would give a
-meaningless speed scale, 1e-8 of the speed that the mechanism is to reach.
+size of a coordinate is the root mean square of its vector, so that no size depends on where a scene
+stands or how it is rotated. The scale of q is the root mean square of q - p at the start in the
+weighted form; that of v is the speed that the start has or that its accelerations reach over that
+length; that of the multipliers follows from the forces at the start through the rows of Phi_q.
+Forces that are round-off count as zero: for a mechanism at rest they would give a meaningless speed
+scale, 1e-8 of the speed that the mechanism is to reach.
 """
 
 from __future__ import annotations
@@ -383,8 +383,7 @@ class InitialValueProblem:
         """Return the problem with the design derivatives of its start.
 
         With `for_accelerations` they are computed by the kernel's lists for accelerations, if there
-        are
-        any, which the run needs anyway.
+        are any, which the run needs anyway.
         """
         solver = self.accelerations if for_accelerations else None
         rows = solver.rows if isinstance(solver, ListedAccelerations) else None

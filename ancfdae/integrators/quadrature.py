@@ -50,8 +50,7 @@ class Multipliers:
     """Computes the multipliers of a run part by part: lam and lam_b, shape (k, n_lam, 1 + n_b).
 
     Interpolated reactions are accepted if their error is below `accepted` times their mean norm
-    plus
-    the residual force that the solver's own accelerations leave in the equations of motion.
+    plus the residual force that the solver's own accelerations leave in the equations of motion.
     """
 
     def __init__(self, accelerations: Accelerations, accepted: float) -> None:
@@ -76,8 +75,7 @@ class Multipliers:
         """Store multipliers at every `_STRIDE`-th step; return the mean residual force there.
 
         The residual is that of the solver's own accelerations, in the norm of the weights. The last
-        nodes
-        of the previous part are kept: the first polynomials of this part pass through them.
+        nodes of the previous part are kept: the first polynomials of this part pass through them.
         """
         last = len(steps.t) - 1
         nodes = np.append(np.arange(0, last, _STRIDE), last)
@@ -163,8 +161,7 @@ class Quadrature:
     """Adds the integrals of integrands over a run, part by part.
 
     Points without multipliers are first given to an integrand as they are: if its value is then
-    NaN,
-    the integrand reads multipliers, and from then on `Multipliers` computes them for it.
+    NaN, the integrand reads multipliers, and from then on `Multipliers` computes them for it.
     """
 
     def __init__(
@@ -183,8 +180,7 @@ class Quadrature:
         """Add the next part of the run; multipliers are interpolated between its `steps`.
 
         `choices` are quadrature points of the same part on ever finer panels; each integrand uses
-        the
-        first choice on which its error is accepted, or the last.
+        the first choice on which its error is accepted, or the last.
         """
         self._multipliers.follow(steps)
         pending, unfinished = self._integrands, list[tuple[Integrand, PartialIntegral]]()

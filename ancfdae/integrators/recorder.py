@@ -107,8 +107,7 @@ class SolutionRecorder:
         """Store a state, its design derivatives (q_b, v_b, a_b, lam_b) and `control`.
 
         `control` is the state of step control. With an array t, (k,), all arrays hold k rows. Rows
-        count
-        only when all are stored, so that an interrupt leaves no incomplete row.
+        count only when all are stored, so that an interrupt leaves no incomplete row.
         """
         rows = slice(self.instants, self.instants + np.size(t))
         while rows.stop > len(self._arrays[0]):

@@ -78,8 +78,7 @@ def consistent_start(
 
     Raises InconsistentStartError if the declared start violates a constraint and `project_start` is
     false, or if the projection does not converge; InvalidInputError if the start, or the forces at
-    it,
-    are not finite.
+    it, are not finite.
     """
     q, v = system.start()
     if not (finite(q) and finite(v)):
@@ -122,8 +121,7 @@ def start_sensitivity(
     """Return the design derivatives of `consistent_start`.
 
     `rows` returns (a, lam) above their design derivatives, from q and v above theirs:
-    `Accelerations.
-    rows` of a run that evaluates them anyway. By default they are solved for here.
+    `Accelerations. rows` of a run that evaluates them anyway. By default they are solved for here.
     """
     t, q, v, a, lam = state
     moves = _Moves.of(system, matrices, state)
@@ -172,9 +170,9 @@ def _refuse_inconsistent_derivatives(
 
     Its derivatives then miss Phi_q q_b + Phi_b = 0, or the same of velocities, by the change that
     projection makes: `projected` minus `declared`. The change is compared, in the norm of the
-    weights,
-    with the larger of the two and with the size of the motion per relative change of the variable.
-    Scenes close their joints by construction, have derivatives of their own and are not checked.
+    weights, with the larger of the two and with the size of the motion per relative change of the
+    variable. Scenes close their joints by construction, have derivatives of their own and are not
+    checked.
     """
     if system.traits.project_start or not system.n_lam:
         return
@@ -245,8 +243,7 @@ class AccelerationsAdjoint:
     """Transpose of the derivatives of a and lam in q, v and b at one time.
 
     With g_1 = M a + Phi_q^T lam - Q, g_2 = Phi_q a - gamma, and mu and zeta from the adjoint
-    vectors of
-    a and lam by a solve with the transposed matrix,
+    vectors of a and lam by a solve with the transposed matrix,
 
         on_q = -((g_1)_q^T mu + (g_2)_q^T zeta)     (g_2)_q = d^2Phi_q/dt^2
         on_v = -((g_1)_v^T mu + (g_2)_v^T zeta)     (g_2)_v = 2 dPhi_q/dt
@@ -293,8 +290,8 @@ def pull_back_start(
     """Return the design derivative of a number through the start, shape (n_b,).
 
     `on` are its adjoint vectors. This is the transpose of `start_sensitivity`, in reverse order:
-    one
-    transposed solve for each of steps 3, 2 and 1, independent of the number of design variables.
+    one transposed solve for each of steps 3, 2 and 1, independent of the number of design
+    variables.
     """
     moves = _Moves.of(system, matrices, state)
     if type(system).start_pull_back is MechanicalSystem.start_pull_back:

@@ -129,8 +129,7 @@ class SteppedIntegrator(AdjointIntegrator):
         """Return the integrator that repeats the steps of `solution` at any design.
 
         Steps under error control jump with the design, so the run as a function of the design has
-        no
-        derivative. Every sensitivity method differentiates it at the steps as they were taken.
+        no derivative. Every sensitivity method differentiates it at the steps as they were taken.
         """
         steps = self.steps.frozen(solution.t[:: self.degree])
         return self if steps is self.steps else self._changed(steps=steps)
@@ -253,8 +252,7 @@ class SteppedIntegrator(AdjointIntegrator):
         """Return `solution`, a run of this integrator, with its design derivatives (eqs. 22-25).
 
         If a matrix is singular or the pass is interrupted, the solution is cut after the last state
-        that
-        has derivatives, and its outcome says so.
+        that has derivatives, and its outcome says so.
         """
         return self._differentiate(
             InitialValueProblem.of(system, float(solution.t[-1]) or 1.0), solution

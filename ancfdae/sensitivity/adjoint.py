@@ -75,8 +75,7 @@ class Adjoint(GradientMethod):
     """Gradients by the discrete adjoint: one forward run, then one backward pass per objective.
 
     The backward pass is the transpose of the recurrence of direct differentiation, so the two agree
-    to
-    round-off at any step size. Its cost grows little with the number of design variables: report
+    to round-off at any step size. Its cost grows little with the number of design variables: report
     `performance` measures it with six variables and with a thousand.
 
     Parameters
@@ -250,8 +249,7 @@ class _Watched:
         """Return partials of the objective in the states of the part that starts at index `first`.
 
         Its partials in the design variables are added to `gradient`. The first time point of a part
-        is
-        left out, since it is the last one of the part before.
+        is left out, since it is the last one of the part before.
         """
         states = replace(states, past=self._past[first])
         total: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))

@@ -65,10 +65,8 @@ class ContinuousAdjoint(GradientMethod):
     """Gradients by the adjoint equations of the paper, integrated backward with HHT-I3.
 
     For objectives that are functions of time integrals, on the output times of a run of any
-    integrator.
-    Provided for comparison: `Adjoint` costs the same and is exact for the discrete run. The error
-    is of
-    second order in even steps, of first order in uneven ones.
+    integrator. Provided for comparison: `Adjoint` costs the same and is exact for the discrete run.
+    The error is of second order in even steps, of first order in uneven ones.
 
     Parameters
     ----------
@@ -124,8 +122,7 @@ def _with_smooth_multipliers(
     """Return the solution with multipliers recomputed from positions and velocities.
 
     Multipliers of HHT-I3 carry transients of O(h^2) from the start and from changes of the step.
-    (37)
-    would divide these by h^2 on the way to zeta, and the gradient would err by O(h).
+    (37) would divide these by h^2 on the way to zeta, and the gradient would err by O(h).
     """
     accelerations = Accelerations(system, saddle_point(system, 0.0))
     states = list(zip(solution.t[1:], solution.q[1:], solution.v[1:], strict=True))

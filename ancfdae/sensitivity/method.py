@@ -174,8 +174,8 @@ class ToleranceSearch(PrintedTable):
 class Accuracy(ToleranceSearch):
     """Error bars of value and gradient that a call with `tolerance` reached.
 
-    The tolerance is relative to the norm of the gradient scaled by the design values,
-    (b_j dpsi/db_j); for a value to the larger of that norm and the magnitude of the value.
+    The tolerance is relative to the norm of the gradient scaled by the design values, (b_j
+    dpsi/db_j); for a value to the larger of that norm and the magnitude of the value.
 
     Attributes
     ----------

@@ -99,8 +99,8 @@ class FiniteDifference(Perturbation):
     Parameters
     ----------
     relative_step : float
-        Perturbation of each design variable relative to its value, between 0 and 1; the paper
-        uses 0.01.
+        Perturbation of each design variable relative to its value, between 0 and 1; the paper uses
+        0.01.
     central : bool
         Whether to use central differences, with two runs per variable in place of one.
     sizes : mapping of str to float, optional

@@ -1,8 +1,8 @@
 """The integrator IDA of SUNDIALS (package scikit-sundae) on index-reduced equations.
 
-Sensitivities are appended to the system and error-controlled with it. The iteration matrix is
-exact for the states; the blocks that couple the sensitivities to them are one-sided differences
-of that matrix along the sensitivities, which affects the convergence of Newton's method only.
+Sensitivities are appended to the system and error-controlled with it. The iteration matrix is exact
+for the states; the blocks that couple the sensitivities to them are one-sided differences of that
+matrix along the sensitivities, which affects the convergence of Newton's method only.
 
 Guards that the wrapper lacks: steps are taken one by one and counted, a solver that has not
 factorised is never freed, views are copied, residuals that are not finite end the run.
@@ -216,8 +216,8 @@ class _IdaMarch(March):
 def _keep(solver: Any) -> None:
     """Add a reference to a solver, so that it is never freed, not even at exit.
 
-    Freed before its first factorisation, it ends the process (its linear solver then frees
-    memory that it never got). A solver whose first step fails is therefore left in memory.
+    Freed before its first factorisation, it ends the process (its linear solver then frees memory
+    that it never got). A solver whose first step fails is therefore left in memory.
     """
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(solver))
 

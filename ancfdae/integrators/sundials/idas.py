@@ -1,8 +1,8 @@
 """IDAS of SUNDIALS (sundials4py): staggered forward sensitivities, and the adjoint.
 
-Forward: the stabilised index-2 or the index-1 form with `IDASensInit` in the staggered mode and
-the sensitivities in the error test, so that every design variable costs one more solve with the
-matrix of the states.
+Forward: the stabilised index-2 or the index-1 form with `IDASensInit` in the staggered mode and the
+sensitivities in the error test, so that every design variable costs one more solve with the matrix
+of the states.
 
 Adjoint of a run (IDAA): forward with checkpoints, then backward. The backward problem is the
 adjoint of the index-1 form, where a and lam are functions of (q, v, b, t). With the adjoint vectors

@@ -14,8 +14,8 @@ velocity. Index 1, x = [q, v, lam]:
     M v' + Phi_q^T lam - Q      = 0
     Phi_q v' - gamma            = 0.
 
-The design derivatives X = dx/db solve F_x X + F_x' X' + F_b = 0, and the iteration matrix is
-J = F_x + c_j F_x'. With dPhi_q/dt and d^2Phi_q/dt^2 taken along the motion,
+The design derivatives X = dx/db solve F_x X + F_x' X' + F_b = 0, and the iteration matrix is J =
+F_x + c_j F_x'. With dPhi_q/dt and d^2Phi_q/dt^2 taken along the motion,
 
     (Phi_q v - nu)_q = dPhi_q/dt,   (Phi_q a - gamma)_q = d^2Phi_q/dt^2,   gamma_v = -2 dPhi_q/dt.
 
@@ -84,8 +84,7 @@ class IndexReduced(abc.ABC):
     """An index-reduced form F(t, x, x') = 0 of a system; its arguments and results are scaled.
 
     Positions among the n unknowns count from `place`, (n_q,). The iteration matrix J has raw
-    entries at
-    `rows` and `columns`; entries at the same position add up.
+    entries at `rows` and `columns`; entries at the same position add up.
     """
 
     def __init__(self, system: MechanicalSystem, scales: Scales) -> None:

@@ -50,16 +50,14 @@ class NonFiniteObjectiveError(AncfdaeError):
 class ObjectivePartials:
     """Value and partial derivatives of an objective.
 
-    The design derivative of the objective is
-    sum_n (q[n] . q_b[n] + v[n] . v_b[n] + lam[n] . lam_b[n]) + b, plus the derivative through the
-    states of integrals taken during the steps, where these were integrated without sensitivities.
+    The design derivative of the objective is sum_n (q[n] . q_b[n] + v[n] . v_b[n] + lam[n] .
+    lam_b[n]) + b, plus the derivative through the states of integrals taken during the steps, where
+    these were integrated without sensitivities.
 
     Row n of q, v and lam is the derivative in the state at time point n, quadrature weights
-    included;
-    None if the objective does not depend on it. b, (n_b,), is the derivative in the design
-    variables at
-    fixed states; `densities` are pairs of weight and partials of the integrals taken during the
-    steps.
+    included; None if the objective does not depend on it. b, (n_b,), is the derivative in the
+    design variables at fixed states; `densities` are pairs of weight and partials of the integrals
+    taken during the steps.
     """
 
     value: float
@@ -78,8 +76,8 @@ NO_TOTALS: Totals = {}
 class Objective(Expression["Objective"]):
     """A function of a whole run with one number as value.
 
-    Objectives combine by + - * / ** and elementary NumPy functions with each other and with
-    numbers into objectives.
+    Objectives combine by + - * / ** and elementary NumPy functions with each other and with numbers
+    into objectives.
     """
 
     def of(self, function: Function, operands: tuple[object, ...]) -> Objective:

@@ -183,8 +183,7 @@ class Integral(OverTime):
     `IDA`, `IDAS` and `DOP853` take it during their steps, to their tolerance, except of a
     `slope_angle`, whose turns are counted from one time point to the next. On the time points of a
     solution the quadrature has the order of the integrator: the trapezoidal rule on the steps of
-    HHT,
-    Gauss-Lobatto rules on the output times of the others.
+    HHT, Gauss-Lobatto rules on the output times of the others.
     """
 
     observable: Observable
@@ -306,12 +305,9 @@ class SmoothUpperBound(_Maximum):
 
     It lies above the largest by log(n)/k at most, n the number of time points: an observable whose
     bound is below a limit is below it at every time point of the run. Applied to
-    `maximum_von_mises` it
-    bounds the stress over place and time. It grows with the number of time points, so runs with
-    other
-    steps have another value, and `error_bars` says nothing about it; `SmoothMaximum`, which lies
-    below
-    the maximum, does not.
+    `maximum_von_mises` it bounds the stress over place and time. It grows with the number of time
+    points, so runs with other steps have another value, and `error_bars` says nothing about it;
+    `SmoothMaximum`, which lies below the maximum, does not.
 
     Parameters
     ----------
@@ -345,8 +341,7 @@ class Total(Integrand):
 
     A part adds its reduction m, a mean of its values, and, if `differentiated`, dm/db: the total
     derivative where sensitivities are integrated, else the partial one at fixed states. At the end
-    the
-    parts are reduced with their durations: nothing overflows, and memory does not grow with the
+    the parts are reduced with their durations: nothing overflows, and memory does not grow with the
     points.
     """
 

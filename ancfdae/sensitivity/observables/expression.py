@@ -61,8 +61,7 @@ class Function:
     """A function of arrays, element by element, with its partial derivatives.
 
     It is `edged` if it may be real on a part of the real line only, and `by_user` if a user wrote
-    it,
-    so that its derivative is checked.
+    it, so that its derivative is checked.
     """
 
     name: str
@@ -101,8 +100,7 @@ def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> F
     """Return a NumPy function as a `Function` for expressions.
 
     Raises InvalidInputError for functions that are not analytic, methods such as ``reduce``, and
-    calls
-    that are not `plain` but have options such as ``where``.
+    calls that are not `plain` but have options such as ``where``.
     """
     name = f"numpy.{ufunc.__name__}"
     if ufunc not in _FUNCTIONS:
@@ -291,8 +289,7 @@ def leaf_weights(values: Mapping[object, Array], weight: Array) -> dict[object, 
     """Return the derivatives of sum(weight * root) in the values of the leaves, by leaf.
 
     `values` holds the real values of all nodes, as `evaluated` returns them. Where the weight is
-    zero
-    the derivative is zero, even if a partial derivative is not finite there.
+    zero the derivative is zero, even if a partial derivative is not finite there.
     """
     nodes = list(values)
     weights: dict[object, Array] = {nodes[-1]: weight}

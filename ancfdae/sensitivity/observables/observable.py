@@ -48,9 +48,8 @@ class States:
     """States of a system at k times, one row each, real or complex; shapes as in `Solution`.
 
     `degree` is the degree of the polynomials between the time points (`TimeGrid`). Some leaves,
-    such
-    as angles counted over turns, depend on earlier values: `past` holds their values at the first
-    time point of a part of a run, by leaf.
+    such as angles counted over turns, depend on earlier values: `past` holds their values at the
+    first time point of a part of a run, by leaf.
     """
 
     t: Array
@@ -164,8 +163,7 @@ class ObservablePartials:
     """Value, (k,), and partials of an observable at every time point.
 
     Partials in states, (k, n), are None where the observable does not depend on them; partials in
-    the
-    design variables, b, (k, n_b), are at fixed states.
+    the design variables, b, (k, n_b), are at fixed states.
     """
 
     value: Array
@@ -232,8 +230,8 @@ class Observable(Expression["Observable"]):
         """Return the partials times a weight per time point, shape (k,).
 
         `values` are the values of all nodes at these states, from `node_values`. Raises
-        InvalidInputError for
-        complex states, and for a user's function that proves not differentiable.
+        InvalidInputError for complex states, and for a user's function that proves not
+        differentiable.
         """
         if any(np.iscomplexobj(x) for x in values.values()):
             raise InvalidInputError(

@@ -1,9 +1,9 @@
 """Rotation of bodies since the reference configuration: directions, and angles about an axis.
 
 The slopes r_k of a material point are F r_ok, r_ok in the reference, and F transforms every
-direction of the reference; of a rigid body F is its rotation. A body that rotates about the
-axis a relative to another one has G = F'^T F (F' = 1 for the ground), and its angle is the angle
-of the rotation about a that is nearest to G,
+direction of the reference; of a rigid body F is its rotation. A body that rotates about the axis a
+relative to another one has G = F'^T F (F' = 1 for the ground), and its angle is the angle of the
+rotation about a that is nearest to G,
 
     angle = atan2(a . sum_k e_k x G e_k, tr G - a . G a),
 

@@ -4,9 +4,9 @@
 
     M a = Q(t, q, v) - Phi_q^T lam    (eq. 1)
 
-makes a component w^T a of the acceleration a function of the state, z^T (Q - Phi_q^T lam) with
-M z = w. Along any change of state and design, f = M a + Phi_q^T lam - Q stays zero: its derivative
-is w_b^T a - z^T (f_q dq + f_v dv + Phi_q^T dlam + f_b), a held in f.
+makes a component w^T a of the acceleration a function of the state, z^T (Q - Phi_q^T lam) with M z
+= w. Along any change of state and design, f = M a + Phi_q^T lam - Q stays zero: its derivative is
+w_b^T a - z^T (f_q dq + f_v dv + Phi_q^T dlam + f_b), a held in f.
 
 **The angular velocity** of a body at a point. The slopes r_k are the columns of F, the rotation and
 deformation of the body. F' F^-1 is the velocity gradient; its skew part rotates a neighbourhood of
@@ -64,8 +64,7 @@ def slope(point: MaterialPoint, along: int, axis: int) -> Observable:
     """Return a component of a slope vector dr/dx, dr/dy or dr/dz of a point; dimensionless.
 
     `along` is 0 for the tangent, 1 and 2 for the slopes along the section's height and width; axes
-    0,
-    1 and 2 are x, y and z.
+    0, 1 and 2 are x, y and z.
     """
     require_index("slope, along", along)
     return VectorComponent(point, Quantity(along + 1), axis)
@@ -98,8 +97,7 @@ def axial_strain(point: MaterialPoint) -> Observable:
     """Return the Green-Lagrange strain along the beam, (r_x . r_x / |r_ox|^2 - 1)/2; dimensionless.
 
     r_ox is the slope in the reference configuration; off the centre line of curved and twisted
-    beams,
-    and between their nodes, it is not of unit length.
+    beams, and between their nodes, it is not of unit length.
     """
     x, y, z = (VectorComponent(point, Quantity.SLOPE_X, i, may_lack=True) for i in range(3))
     return 0.5 * ((x * x + y * y + z * z) / ReferenceSquare(point) - 1.0)

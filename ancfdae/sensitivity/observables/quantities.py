@@ -28,8 +28,7 @@ def reaction(joint: str, axis: int) -> Observable:
     """Return a component of the force of a joint on its first point; N.
 
     Axes 0, 1 and 2 are x, y and z. The force is minus a multiplier of the joint's first equations,
-    as
-    in `Solution.reaction`; for joints that hold a point in all directions. For others see
+    as in `Solution.reaction`; for joints that hold a point in all directions. For others see
     `multiplier`.
     """
     require_index("reaction, axis", axis)
@@ -40,8 +39,7 @@ def multiplier(joint: str, row: int) -> Observable:
     """Return the Lagrange multiplier of equation `row` of a joint, counted from 0.
 
     The joint acts with -lam Phi_q: the multiplier of e . (r(point) - r(other)) = 0 is minus the
-    force
-    along e on the point; N.
+    force along e on the point; N.
     """
     return Multiplier(joint, row)
 
@@ -86,8 +84,7 @@ def spring_energy(load: str | None = None) -> Observable:
     """Return the elastic energy of a spring, or of all springs of the scene; J.
 
     Springs are `SpringDamper`, `TorsionalSpringDamper` and `Bushing`. The energy of a spring with a
-    law
-    is multiplied by the law's factor, and changes with it.
+    law is multiplied by the law's factor, and changes with it.
     """
     return SpringEnergy(load)
 

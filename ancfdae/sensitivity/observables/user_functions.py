@@ -34,8 +34,8 @@ def apply(function: Callable[..., Array], *observables: Observable) -> Observabl
     Parameters
     ----------
     function : callable
-        Takes one array (k,) per observable and returns an array (k,), element by element and
-        with operations that accept complex numbers: its derivative is taken by a complex step.
+        Takes one array (k,) per observable and returns an array (k,), element by element and with
+        operations that accept complex numbers: its derivative is taken by a complex step.
     *observables : Observable
         At least one.
 
@@ -66,12 +66,9 @@ def custom(function: Callable[..., Array], name: str = "custom") -> Observable:
 
     It takes t (k,), q (k, n_q), v (k, n_q), lam (k, n_lam) and b (n_b,) and returns an array (k,),
     each time point by itself and with operations that accept complex numbers. Its partials follow
-    from
-    its NumPy operations, at compiled speed, if it runs on symbols as the formulas of a
-    `FormulaSystem`
-    do. Otherwise they are complex steps, which take one evaluation per coordinate, velocity,
-    multiplier
-    and design variable. Error messages use `name`.
+    from its NumPy operations, at compiled speed, if it runs on symbols as the formulas of a
+    `FormulaSystem` do. Otherwise they are complex steps, which take one evaluation per coordinate,
+    velocity, multiplier and design variable. Error messages use `name`.
     """
     require_function("custom, function", function)
     require_kind("custom, name", name, (str,), "Messages name the function by it.")
