@@ -73,16 +73,16 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "opens with what": 42,
+    "opens with what": 41,
     "as far as": 5,
-    "is none": 60,
-    "that of, those of": 449,
+    "is none": 55,
+    "that of, those of": 442,
     "inversion": 1,
-    "tells": 69,
+    "tells": 68,
     "all of them": 46,
     "the other": 26,
-    "instants": 388,
-    "array without a shape": 270,
+    "instants": 352,
+    "array without a shape": 254,
     "long sentence": 229,
 }
 
