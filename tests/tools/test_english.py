@@ -90,19 +90,19 @@ Hit = tuple[Text, str]
 
 
 @cache
-def texts(root: Path = ROOT) -> list[Text]:
+def texts(root: Path) -> list[Text]:
     return prose(root)
 
 
 @cache
-def hits(root: Path = ROOT) -> dict[str, list[Hit]]:
+def hits(root: Path) -> dict[str, list[Hit]]:
     """Return the marked texts of every check, each with the words around the mark."""
     found: dict[str, list[Hit]] = {name: [] for name in CHECKS}
     marks = {name: (kinds, re.compile(mark)) for name, (kinds, mark) in PATTERNS.items()}
     needs = {name: (kinds, re.compile(need)) for name, (kinds, need) in LACKING.items()}
     for text in texts(root):
         for name, (kinds, mark) in marks.items():
-            if text.kind in kinds:
+            if text.kind in kinds and mark.search(text.words):
                 found[name] += [(text, near) for near in _near(text.words, mark, name)]
         for name, (kinds, need) in needs.items():
             if (
@@ -145,7 +145,7 @@ def earlier() -> dict[str, Counter[str]]:
 def new(name: str) -> list[Hit]:
     """Return the hits that were not there when this file was last changed; all without git."""
     before, added = earlier()[name].copy(), []
-    for text, near in hits()[name]:
+    for text, near in hits(ROOT)[name]:
         before[near] -= 1
         if before[near] < 0:
             added.append((text, near))
@@ -154,7 +154,7 @@ def new(name: str) -> list[Hit]:
 
 def test_no_sentence_is_added_that_the_guide_would_rewrite():
     """All checks in one case, since every process of the test runner that has one reads all."""
-    read = Counter(text.kind for text in texts())
+    read = Counter(text.kind for text in texts(ROOT))
     assert {kind for kind, n in read.items() if n >= 100} == KINDS
     wrong = [words for words in map(_judged, CHECKS) if words]
     if wrong:
@@ -163,7 +163,7 @@ def test_no_sentence_is_added_that_the_guide_would_rewrite():
 
 def _judged(name: str) -> str:
     """Say how the hits of a check differ from the count allowed; empty if they do not."""
-    count, most = len(hits()[name]), AT_MOST.get(name, 0)
+    count, most = len(hits(ROOT)[name]), AT_MOST.get(name, 0)
     if count > most:
         lines = [f"  {text.file}:{text.line} ({text.kind}): {near}" for text, near in new(name)]
         return f"{name!r}: {count} hits, at most {most} allowed. New:\n" + "\n".join(lines)
