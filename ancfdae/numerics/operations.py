@@ -46,6 +46,8 @@ _CODES |= {_CALL: len(_CODES), _RESULT: len(_CODES) + 1}
 _FUNCTIONS = tuple(_CODES)
 # Integer exponents up to this are written as products (`kernels/trace.h`).
 _PRODUCTS = 64
+# How formulas with kinks are written, for messages.
+_POSITIVE = "; for kinks write `positive` of ancfdae.extend, |x| as positive(x) + positive(-x)"
 # Folders of NumPy and of this package, whose lines of code are not a user's.
 _OWN = str(Path(np.__file__).parent), str(Path(__file__).parents[1])
 
@@ -477,10 +479,12 @@ class Traced(StandIn):
     __int__ = __index__ = __complex__ = __float__
 
     def __abs__(self) -> Traced:
-        _refuse("abs, which has a kink")
+        _refuse(f"abs, which has a kink{_POSITIVE}")
 
     def __lt__(self, other: object) -> bool:
-        _refuse("a comparison of the state or of b (also within np.where, maximum, clip)")
+        _refuse(
+            f"a comparison of the state or of b (also within np.where, maximum, clip){_POSITIVE}"
+        )
 
     __le__ = __gt__ = __ge__ = __eq__ = __ne__ = __lt__
     __hash__ = None  # type: ignore[assignment]

@@ -127,11 +127,16 @@ def angle(y: Any, x: Any) -> Any:
 
 
 def positive(x: Any) -> Any:
-    """Return x where its real part is positive, else 0.
+    """Return x where its real part is positive, else 0, for numbers, arrays and symbols.
 
-    The derivative is 1 or 0; at x = 0, where none exists, it is 0.
+    The derivative is 1 or 0; at x = 0, where none exists, it is 0. Formulas with kinks are written
+    with it: |x| = positive(x) + positive(-x), the larger of x and y = y + positive(x - y).
     """
-    return x.positive() if isinstance(x, StandIn) else np.where(np.real(x) <= 0, 0.0, x)
+    if isinstance(x, StandIn):
+        return x.positive()
+    if isinstance(x, np.ndarray) and x.dtype == object:
+        return _POSITIVE_ENTRIES(x)
+    return np.where(np.real(x) <= 0, 0.0, x)[()]
 
 
 def step(x: Any) -> Any:
@@ -144,4 +149,6 @@ def concatenate(parts: Sequence[Any]) -> Any:
     return np.concatenate(parts, axis=-2)
 
 
+# Of arrays of symbols, entry by entry.
+_POSITIVE_ENTRIES = np.frompyfunc(positive, 1, 1)
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]

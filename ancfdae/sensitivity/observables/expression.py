@@ -44,7 +44,6 @@ _REPAIRS = {
     "minimum": "Use 0.5 * (x + y - sqrt((x - y)**2 + eps**2)), or SmoothMaximum over time.",
     "sign": "Use tanh(x / eps).",
     "heaviside": "Use 0.5 * (1 + tanh(x / eps)).",
-    "arctan2": "Use slope_angle(point), or arctan(y / x).",
     "hypot": "Use sqrt(x**2 + y**2).",
     "cbrt": "Use x**(1 / 3).",
     "log1p": "Use log(1 + x).",
@@ -89,11 +88,21 @@ class Function:
         return slope
 
 
+def angle_of(y: Array, x: Array) -> Array:
+    """Return the angle of (x, y) from -pi to pi; analytic, as the remaining angle is small."""
+    turn: Array = np.arctan2(np.real(y), np.real(x))
+    if not (np.iscomplexobj(y) or np.iscomplexobj(x)):
+        return turn
+    c, s = np.cos(turn), np.sin(turn)
+    angle: Array = turn + np.arctan((c * y - s * x) / (c * x + s * y))
+    return angle
+
+
 _FUNCTIONS = {
     ufunc: Function(ufunc.__name__, ufunc, edged)
     for ufuncs, edged in ((_WHOLE, False), (_EDGED, True))
     for ufunc in ufuncs
-}
+} | {np.arctan2: Function("arctan2", angle_of, edged=False)}
 
 
 def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> Function:

@@ -24,6 +24,7 @@ from ancfdae.errors.checks import require_direction
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.sensitivity.observables.expression import angle_of
 from ancfdae.sensitivity.observables.observable import (
     Columns,
     Leaf,
@@ -34,7 +35,7 @@ from ancfdae.sensitivity.observables.observable import (
     known_scene,
     require_index,
 )
-from ancfdae.sensitivity.observables.points import Turns, angle_of
+from ancfdae.sensitivity.observables.points import Turns
 
 
 def orientation(point: MaterialPoint, direction: Sequence[float], axis: int) -> Observable:
@@ -218,7 +219,7 @@ class RotationAngle(Rotated):
         G = in_space[0] if len(F) == 1 else np.swapaxes(in_space[1], 1, 2) @ in_space[0]
         a = np.array(self.axis) / np.linalg.norm(self.axis)
         turn = np.stack([G[:, k - 1, k - 2] - G[:, k - 2, k - 1] for k in range(3)], axis=1)
-        return angle_of(np.trace(G, axis1=1, axis2=2) - G @ a @ a, turn @ a)
+        return angle_of(turn @ a, np.trace(G, axis1=1, axis2=2) - G @ a @ a)
 
 
 def _in_space(F: Array) -> Array:

@@ -33,7 +33,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.model.bodies import MaterialPoint, Quantity, require_point
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.sensitivity.observables.expression import Function
+from ancfdae.sensitivity.observables.expression import analytic
 from ancfdae.sensitivity.observables.observable import (
     Columns,
     Leaf,
@@ -89,7 +89,7 @@ def slope_angle(point: MaterialPoint) -> Observable:
     tangent rotates by less than half a turn between neighbouring time points.
     """
     t_x, t_y = slope(point, 0, 0), slope(point, 0, 1)
-    angle = t_x.combined(Function("slope_angle", angle_of, edged=False), (t_x, t_y))
+    angle = t_y.combined(analytic(np.arctan2), (t_y, t_x))
     return angle + Turns(angle)
 
 
@@ -101,14 +101,6 @@ def axial_strain(point: MaterialPoint) -> Observable:
     """
     x, y, z = (VectorComponent(point, Quantity.SLOPE_X, i, may_lack=True) for i in range(3))
     return 0.5 * ((x * x + y * y + z * z) / ReferenceSquare(point) - 1.0)
-
-
-def angle_of(x: Array, y: Array) -> Array:
-    """Return the angle of the vector (x, y) from -pi to pi; analytic for complex components."""
-    turn = np.arctan2(y.real, x.real)
-    c, s = np.cos(turn), np.sin(turn)
-    angle: Array = turn + np.arctan((c * y - s * x) / (c * x + s * y))
-    return angle
 
 
 @final
