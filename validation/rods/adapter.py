@@ -3,8 +3,8 @@
 Rods that are clamped are spatial beams, others cables. Beams have a Poisson ratio of 0.3: the shear
 modulus of the scenarios, a third of Young's modulus, belongs to an incompressible material. Where
 an end is turned, the torsion constant of the section makes up for it. Results of scenarios that ask
-for an equilibrium are equilibria: of rods that cross, from where a damped motion has laid one on
-the other. Rods on a cylinder, and rods with an end that is turned, are damped motions.
+for an equilibrium are equilibria. Where rods cross, a damped motion lays them on each other before.
+Rods on a cylinder, and rods with an end that is turned, are damped motions.
 """
 
 from dataclasses import replace
