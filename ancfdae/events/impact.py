@@ -112,7 +112,7 @@ class Struck:
 
     @property
     def after(self) -> _Velocity:
-        """The velocity after the impact, with the total impulses."""
+        """The velocity of the system after the impact, with the total impulses."""
         return self.stages[-1].after
 
     def impulses(self) -> list[tuple[Impact, int, int | None]]:

@@ -158,7 +158,7 @@ class RestModes:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the modes that are given."""
+        """Names of the modes in which the gap stays closed."""
         return tuple(x for x in (self.sticks, self.forward, self.backward) if x is not None)
 
     def after(self, slides: float) -> str | None:

@@ -64,7 +64,7 @@ class PhasePartials:
     duration: float
 
     def times(self, factor: float) -> PhasePartials:
-        """Return the partials multiplied by a factor."""
+        """Return the partials of the objective multiplied by a factor."""
         q, v, lam = (None if x is None else factor * x for x in (self.q, self.v, self.lam))
         return PhasePartials(
             q, v, lam, factor * self.b, factor * self.start, factor * self.duration

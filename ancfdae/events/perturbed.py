@@ -54,7 +54,7 @@ def at_complex(run: PhasedRun, b: Array, late: float = 0.0) -> list[PhaseStates]
 
 
 def _duration(phase: Phase, system: MechanicalSystem, state: State, late: float) -> complex:
-    """Return the duration of a phase at the complex design."""
+    """Return the duration of a phase at a complex design, s; its event moves with the design."""
     if phase.event is None:
         return phase.t_end + 1j * late - state[0]
     D, function = phase.duration, phase.event.crossing[0]

@@ -65,7 +65,7 @@ class PhaseStart(NamedTuple):
 
     @staticmethod
     def held(t: complex, q: Array, v: Array, n_b: int) -> PhaseStart:
-        """Return a start that does not depend on the design."""
+        """Return a phase start t, q, v that does not depend on the design."""
         none = np.zeros((len(q), n_b))
         return PhaseStart(t, q, v, np.zeros(n_b), none, none)
 
@@ -151,7 +151,7 @@ class PhaseSystem(LaterSystem):
         return total
 
     def start(self) -> tuple[Array, Array]:
-        """Return q_0 and w_0 = sigma v_0."""
+        """Return the start of the phase in its own time: q_0 and w_0 = sigma v_0, (n_q,) each."""
         return self._start.q, self._scale * self._start.v
 
     def start_b(self) -> tuple[Array, Array]:
@@ -214,7 +214,7 @@ class PhaseSystem(LaterSystem):
         return M if self._scale == 1 else M / self._scale**2
 
     def _rates(self, *rates: Array) -> tuple[Array, ...]:
-        """Return (v, a, ...) from (w, alpha, ...)."""
+        """Return rates of the system, (v, a, ...), from rates in phase time, (w, alpha, ...)."""
         if self._scale == 1:
             return rates
         return tuple(x / self._scale ** (k + 1) for k, x in enumerate(rates))
@@ -262,7 +262,7 @@ class PhaseSystem(LaterSystem):
         return all(np.array_equal(value(time + x * D), now) for x in _BESIDE)
 
     def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
-        """Return the Jacobians of the system at k states; only real parts at a complex design."""
+        """Return the Jacobians of the system, which serve Newton's method at a complex design."""
         return self.base.linearise(self._times(t), q, v, a, lam)
 
     def constraints_q(self, t: Array, *motion: Array) -> Array:

@@ -149,7 +149,7 @@ class March(abc.ABC):
 
     @abc.abstractmethod
     def finish(self) -> None:
-        """Add the steps that are still stored to the integrals."""
+        """Add the steps that are still stored to the integrals of the run."""
 
 
 @dataclass(frozen=True)

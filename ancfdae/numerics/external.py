@@ -347,5 +347,5 @@ class Called:
 
 
 def _size(x: Array, d: Array) -> float:
-    """Return the largest entry of x that changes along d, over the largest entry of d."""
+    """Return the largest entry of x that changes along the direction d, over max |d|."""
     return float(np.max(np.abs(x[d != 0])) or 1.0) / float(np.max(np.abs(d)))

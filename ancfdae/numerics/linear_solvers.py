@@ -167,12 +167,12 @@ class SaddlePoint:
 
     @property
     def size(self) -> int:
-        """Number of unknowns: coordinates and multipliers."""
+        """Number of unknowns of the matrix, coordinates and multipliers."""
         return len(self.scale)
 
     @property
     def _n(self) -> int:
-        """Number of coordinates."""
+        """Number of coordinates, the size of K."""
         return self._patterns[0].shape[0]
 
     @property

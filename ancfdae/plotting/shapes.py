@@ -284,7 +284,7 @@ class Field(abc.ABC):
     @property
     @abc.abstractmethod
     def label(self) -> str:
-        """Quantity with its unit, for the colour bar."""
+        """Name of the field with its unit, for the colour bar."""
 
     @abc.abstractmethod
     def values(self, mesh: Mesh, motion: Solution) -> Array:
@@ -359,7 +359,7 @@ class _SectionForce(_OfBeams):
     @property
     @abc.abstractmethod
     def component(self) -> int:
-        """Index of the component in the vector of section forces."""
+        """Index of this force or moment among N, V_y, V_z, T, M_y, M_z."""
 
     @final
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
@@ -397,7 +397,7 @@ class BendingMoment(_SectionForce):
 
     @property
     def component(self) -> int:
-        """Index of M_y or M_z in the vector of section forces."""
+        """Index of M_y or M_z among N, V_y, V_z, T, M_y, M_z."""
         return _TORQUE + self.about
 
     label = "bending moment [N m]"
@@ -433,7 +433,7 @@ class Sensitivity(Field):
 
     @property
     def label(self) -> str:
-        """Quantity with its unit, for the colour bar."""
+        """Name of the field with its unit, for the colour bar."""
         return f"|dr/db|, b = {self.variable} [m per unit of b]"
 
     def values(self, mesh: Mesh, motion: Solution) -> Array:

@@ -187,7 +187,7 @@ class _BackwardRun:
         return M
 
     def gradient(self, progress: bool) -> Array:
-        """Return the gradient by eq. (42), shape (n_b,)."""
+        """Return the gradient of the objective by eq. (42), shape (n_b,)."""
         system, s = self._system, self._solution
         state, epsilon, gamma = self._end()
         mu, zeta = np.zeros_like(s.q), np.zeros_like(s.lam)

@@ -370,7 +370,7 @@ class RestingStart:
 
     @property
     def q(self) -> Array:
-        """Coordinates at the equilibrium, shape (n_q,)."""
+        """Coordinates at the equilibrium from which the motion starts, shape (n_q,)."""
         return self.equilibrium.q
 
     @cached_property

@@ -220,7 +220,7 @@ class Observable(Expression["Observable"]):
         return evaluated(self, lambda leaf: leaf.leaf_value(system, states))
 
     def partials(self, system: MechanicalSystem, states: States) -> ObservablePartials:
-        """Return values and partials at real states."""
+        """Return values and partial derivatives of the observable at real states."""
         values = self.node_values(system, states)
         return self.weighted_partials(system, states, values, np.ones(len(states.t)))
 
@@ -274,7 +274,7 @@ class Leaf(Observable):
 
     @abc.abstractmethod
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return the partials of the leaf at real states."""
+        """Return the partial derivatives of this elementary observable at real states."""
 
 
 @final

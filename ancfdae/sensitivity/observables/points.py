@@ -139,7 +139,7 @@ class ReferenceSquare(Leaf):
         known_scene(system)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return |r_ox|^2 at every time point, shape (k,)."""
+        """Return the squared reference slope |r_ox|^2 at every time point, shape (k,)."""
         r_ox, _ = known_scene(system).inputs.in_reference(self.point, Quantity.SLOPE_X)
         return np.full(len(states.t), np.sum(r_ox * r_ox))
 
@@ -234,7 +234,7 @@ class Acceleration(Leaf):
         naming.vector(self.point, Quantity.POSITION)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return z^T (Q - Phi_q^T lam) with M z = w, shape (k,)."""
+        """Return the acceleration z^T (Q - Phi_q^T lam), M z = w, shape (k,); m/s^2."""
         scene = known_scene(system)
         return _applied_forces(scene, states) @ self._solved(scene)
 
@@ -319,7 +319,7 @@ class AngularVelocity(Leaf):
         self._slopes(naming)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return component `axis` of omega, shape (k,); rad/s."""
+        """Return component `axis` of the angular velocity omega, shape (k,); rad/s."""
         naming = known_naming(system)
         slopes, d = self._slopes(naming), naming.layout.d
         F, rates = (_stacked(slopes, x, d) for x in (states.q, states.v))

@@ -192,7 +192,7 @@ class VonMises(Leaf):
         sections.stress_at(self.point)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the stress at the states, shape (k,); Pa."""
+        """Return von Mises' stress at the states, shape (k,); Pa."""
         return known_scene(system).sections.stress_at(self.point).value(states.q, states.v)[:, 0, 0]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:

@@ -28,14 +28,14 @@ def slide_distance(joint: str) -> Observable:
 
 
 def slide_speed(joint: str) -> Observable:
-    """Return the rate of `slide_distance`; m/s."""
+    """Return the rate at which the guide of a `SlidingJoint` slides along its beam; m/s."""
     return _Slide(joint, rate=True)
 
 
 @final
 @dataclass(frozen=True)
 class _Slide(Leaf):
-    """The coordinate of a sliding joint, or its rate."""
+    """The distance that a sliding joint has moved along its beam, or its rate."""
 
     joint: str
     rate: bool

@@ -209,7 +209,7 @@ class DOP853Runs(Runs):
 
     @property
     def stops_there(self) -> bool:
-        """Whether the runs stop in sharp places."""
+        """Whether the runs of DOP853 stop in sharp places of their paths."""
         return bool(self._stops)
 
     def mind(self, places: Places) -> None:

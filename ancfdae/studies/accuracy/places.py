@@ -114,7 +114,7 @@ class Places(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Description of the first place."""
+        """Description of the first sharp place, for messages."""
         left, right, _ = self.parts[0]
         return (
             f"forces or observables change within {right - left:.1g} s at t = {left:.6g} s, which "
@@ -247,7 +247,7 @@ class _Path:
 
     @staticmethod
     def of(run: Solution) -> _Path:
-        """Return the path of a run, without repeated times."""
+        """Return the path of a run in state space, without repeated times."""
         kept = np.append(True, np.diff(run.t) > 1e-12 * run.t[-1])
         t, q, v, a, lam = (np.real(x[kept]) for x in (run.t, run.q, run.v, run.a, run.lam))
         Y = np.concatenate([t[:, None], q, v, lam], axis=1)

@@ -78,12 +78,12 @@ class Wanted(NamedTuple):
 
     @property
     def system(self) -> MechanicalSystem:
-        """The system whose motion is wanted."""
+        """The system whose motion the search computes."""
         return self.problem.system
 
     @property
     def slopes(self) -> bool:
-        """Whether derivatives are wanted."""
+        """Whether design derivatives are wanted."""
         return self.partials is not None
 
 
@@ -112,7 +112,7 @@ class Runs(abc.ABC):
     @property
     @abc.abstractmethod
     def setting(self) -> Integrator:
-        """The integrator of the next run."""
+        """The integrator with its settings for the next run."""
 
     @property
     @abc.abstractmethod
@@ -243,7 +243,7 @@ class FixedStepRuns(Runs):
         return self.counts[-1]
 
     def follows(self, places: Places) -> bool:
-        """Return whether the last run has enough steps for the places, and kinks are known."""
+        """Return whether the last run has enough steps to resolve the sharp places and kinks."""
         return places.steps <= self.counts[-1] and places.kinks <= self._kinks
 
     @property
@@ -252,7 +252,7 @@ class FixedStepRuns(Runs):
         return bool(self.samples) and self.counts[-1] < self._kinks
 
     def mind(self, places: Places) -> None:
-        """Use enough steps to resolve the given sharp places."""
+        """Use enough steps to resolve the given sharp places from the next run on."""
         self._following_places = max(self._following_places, places.steps)
         self._kinks = max(self._kinks, places.kinks)
         super().mind(places)
@@ -267,7 +267,7 @@ class FixedStepRuns(Runs):
 
     @property
     def _gaps(self) -> list[Array]:
-        """Differences of the vectors of the last two runs."""
+        """Differences of the wanted vectors between the last two runs."""
         before, after = (x.vectors for x in self.samples[-2:])
         return [y - x for x, y in zip(before, after, strict=True)]
 

@@ -90,7 +90,7 @@ class _Spent:
 
     @property
     def work(self) -> float:
-        """Predicted cost of all runs, microseconds."""
+        """Predicted cost of all runs of the search, microseconds."""
         return sum(work for _, _, work in self.runs)
 
     def take(self, runs: Runs, measure: Measure) -> Sample:
@@ -275,7 +275,7 @@ def gradients_within(
 def _wanted(
     system: MechanicalSystem, objectives: Sequence[Objective], t_end: float, tolerance: float
 ) -> Wanted:
-    """Return the task of the search for objectives."""
+    """Return the task of a search for objectives and their gradients."""
 
     def numbers(states: States) -> list[Array]:
         with np.errstate(all="ignore"):
