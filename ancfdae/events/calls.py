@@ -119,7 +119,7 @@ class EventRun:
         return march.run(self.modes[_OWN], self.progress, begins)
 
     def at(self, b: Array) -> EventRun:
-        """Return the same run at other design values b, shape (n_b,)."""
+        """Return the same run with events at other design values b, shape (n_b,)."""
         t_end = float(b[-1]) if self.free_end else self.t_end
         require_positive(END, t_end)
         own = b[: self.system.n_b]

@@ -246,7 +246,7 @@ def _directions(end: _Start) -> Directions:
 
 
 class _Covectors(NamedTuple):
-    """Derivatives of a number in time, q and v at one time point."""
+    """Derivatives of a number (adjoint) in time, q and v at one time point."""
 
     t: float
     q: Array

@@ -79,7 +79,7 @@ class PhasePartials:
         return self.duration + through
 
     def plus(self, other: PhasePartials) -> PhasePartials:
-        """Return the sum with `other`, partials in the same phase."""
+        """Return the sum with `other`, partials of an objective in the same phase."""
         pairs = zip((self.q, self.v, self.lam), (other.q, other.v, other.lam), strict=True)
         q, v, lam = (x if y is None else y if x is None else x + y for x, y in pairs)
         start, duration = self.start + other.start, self.duration + other.duration

@@ -199,7 +199,7 @@ class PhaseSystem(LaterSystem):
         return own._replace(joint_factors=shifted, load_factors=lambda t: loads(t_0 + t))
 
     def mass(self, q: Array) -> Array:
-        """Return the values of M / sigma^2 on the pattern, shape (nnz,)."""
+        """Return the mass matrix in phase time, M / sigma^2, entries on the pattern, (nnz,)."""
         return self._slowed(self.base.mass(q))
 
     def mass_along(self, q: Array, dq: Array) -> Array:
@@ -257,7 +257,7 @@ class PhaseSystem(LaterSystem):
         return now + 1j * late * scaled_derivative(lambda s: value(time + s))
 
     def _stands_still(self, value: Callable[[float], Array], time: float, now: Array) -> bool:
-        """Return whether a value is the same at some neighbouring times."""
+        """Return whether a function of time has the same value at some neighbouring times."""
         D = float(np.real(self._duration))
         return all(np.array_equal(value(time + x * D), now) for x in _BESIDE)
 

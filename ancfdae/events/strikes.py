@@ -54,7 +54,7 @@ class Wait:
         return Wait(p, float(p.q @ v + p.t), v, allowed(system, t, q, v).a)
 
     def change(self, moved: Directions) -> Array:
-        """Return the derivatives of the time along directions, (k,)."""
+        """Return the derivatives of the time before an impact along directions, (k,)."""
         p = self.gap
         return -(p.t * moved.t + p.q @ moved.q + p.b @ moved.b) / self.rate
 

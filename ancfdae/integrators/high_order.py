@@ -225,7 +225,7 @@ class HighOrder(QuadratureIntegrator):
 
     @abc.abstractmethod
     def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
-        """Return a run, set up at the consistent start of the problem."""
+        """Return a run of this integrator, set up at the consistent start of the problem."""
 
     @final
     @in_one_thread

@@ -319,7 +319,7 @@ class RunInParts(abc.ABC):
 
 
 class PartwiseIntegrator(Integrator):
-    """An integrator whose runs can be integrated part by part."""
+    """An integrator whose runs can be integrated part by part, as checkpointing needs."""
 
     @abc.abstractmethod
     def replay(self, system: MechanicalSystem, t_end: float) -> RunInParts:

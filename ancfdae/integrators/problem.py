@@ -309,7 +309,7 @@ class Scales:
 
     @property
     def lam(self) -> Array:
-        """Scale of the multipliers, `load` over `row`, shape (n_lam,)."""
+        """Scale of the multipliers, `load` over `row`, one per constraint, shape (n_lam,)."""
         return self.load / self.row
 
     @property

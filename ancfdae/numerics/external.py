@@ -213,7 +213,7 @@ class Called:
 
     @cached_property
     def next(self) -> Called:
-        """The derivative of this function along one more direction."""
+        """The derivative of this called function along one more direction."""
         return Called(self.function, self.size, self._external, self._order + 1, self._real)
 
     @cached_property

@@ -115,7 +115,7 @@ class Factorization:
         return self.solver(right, False)
 
     def solve_roughly(self, right: Array) -> Array:
-        """Return the solution to twelve digits or more, (n,) or (n, k)."""
+        """Return the solution for right-hand sides, (n,) or (n, k), to twelve digits or more."""
         return self.rough(right) if self.rough else self.solve(right)
 
     def solve_transposed(self, right: Array) -> Array:

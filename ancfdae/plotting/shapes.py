@@ -58,7 +58,7 @@ class Mesh(abc.ABC):
 
     @final
     def velocities(self, q: Array, v: Array) -> Array:
-        """Return the velocities of the points, shape (k, n, d); m/s."""
+        """Return the velocities of the points of the mesh, shape (k, n, d); m/s."""
         return self.places(q + 1j * STEP * v).imag / STEP
 
     @final
@@ -159,7 +159,7 @@ class BeamMesh(Mesh):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Numbers of elements, of stations per element, and of fibres."""
+        """Numbers of elements, of stations per element, and of fibres per station."""
         return len(self.y), len(self.xi), self.y.shape[1]
 
     def _stations(self, naming: SceneNaming) -> list[MaterialPoint]:
@@ -363,7 +363,7 @@ class _SectionForce(_OfBeams):
 
     @final
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
-        """Return the section force, the same at all fibres of a section."""
+        """Return the section force at all stations, the same at all fibres of a section."""
         return section_forces(mesh, motion)[..., [self.component]]
 
 

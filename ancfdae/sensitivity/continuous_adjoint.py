@@ -245,7 +245,7 @@ class _BackwardRun:
         return _Adjoint(mu, mu_tau, x, zeta, x)
 
     def _forces(self, n: int, mu: Array, mu_tau: Array) -> Array:
-        """Return K mu + C mu_tau - r at time point n, shape (n_q,)."""
+        """Return the adjoint forces K mu + C mu_tau - r at time point n, shape (n_q,)."""
         dot = self._system.pattern.dot_transposed
         force: Array = dot(self._K[n], mu) - self._r[n]
         return force if self._C is None else force + dot(self._C[n], mu_tau)

@@ -244,7 +244,7 @@ class Balance:
         return saddle_point(self.system, self.t, self.q_0)
 
     def Phi_q(self, q: Array) -> Array:
-        """Return the entries of the constraint Jacobian on its pattern."""
+        """Return the constraint Jacobian at q, entries on its pattern."""
         return self.system.constraint_q(self.t, q)
 
     def reactions(self, Phi_q: Array, lam: Array) -> Array:

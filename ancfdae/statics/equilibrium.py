@@ -379,5 +379,5 @@ class RestingStart:
         return self._tangent.sensitivities()[0]
 
     def pull_back(self, on_q: Array) -> Array:
-        """Return q_b^T on_q by one transposed solve, shape (n_b,)."""
+        """Return q_b^T on_q for an adjoint vector of the start, (n_b,), by a transposed solve."""
         return self._tangent.pull_back(on_q, 0 * self.equilibrium.lam)

@@ -348,7 +348,7 @@ class ColumnStorage:
         self._index = self._pattern.index(columns, rows)
 
     def sparsity(self) -> tuple[Array, Array]:
-        """Return rows and columns of the stored entries of the matrix."""
+        """Return rows and columns of the stored entries of the iteration matrix."""
         return self._pattern.columns, self._pattern.rows
 
     def values(self, J: Array, below: list[Array]) -> Array:

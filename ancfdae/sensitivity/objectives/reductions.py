@@ -139,7 +139,7 @@ class AtInstants(Reduction):
         return np.asarray(w @ x)
 
     def slopes(self, x: Array, w: Array) -> Array:
-        """Return the derivative of the sum in each value: the weights w."""
+        """Return the derivatives of the sum in the values x: the interpolation weights w."""
         return w
 
 
@@ -193,7 +193,7 @@ class Integral(OverTime):
         return np.asarray(w @ x)
 
     def factor(self, duration: float) -> float:
-        """Return one: the weights of a plain integral need no factor."""
+        """Return one: the quadrature weights of a plain integral need no factor."""
         return 1.0
 
     def integrand(self, x: Array, near: float) -> Array:

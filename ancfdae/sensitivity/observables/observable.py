@@ -61,7 +61,7 @@ class States:
 
     @property
     def grid(self) -> TimeGrid:
-        """The time points as a grid, for integrals and interpolation."""
+        """The time points of the states as a grid, for integrals and interpolation."""
         return TimeGrid(self.t, self.degree)
 
     def rows(self, which: slice | list[int]) -> States:
@@ -270,7 +270,7 @@ class Leaf(Observable):
 
     @abc.abstractmethod
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the values at real or complex states, shape (k,)."""
+        """Return the values of this elementary observable at the states, shape (k,)."""
 
     @abc.abstractmethod
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:

@@ -144,7 +144,7 @@ class ReferenceSquare(Leaf):
         return np.full(len(states.t), np.sum(r_ox * r_ox))
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return 2 r_ox . r_oxb, the partials in the design variables."""
+        """Return the partials of |r_ox|^2 in the design variables, 2 r_ox . r_oxb."""
         r_ox, r_oxb = known_scene(system).inputs.in_reference(self.point, Quantity.SLOPE_X)
         return LeafGradient(b=np.tile(2 * r_ox @ r_oxb, (len(states.t), 1)))
 
@@ -178,7 +178,7 @@ class VectorComponent(Leaf):
         naming.vector(self.point, self.quantity)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return weights times coordinates or velocities, shape (k,)."""
+        """Return the component, weights times coordinates or velocities, shape (k,)."""
         columns, weights, _ = self._combination(system)
         value: Array = self._of(states)[:, columns] @ weights
         return value

@@ -101,7 +101,7 @@ class SpringEnergy(Leaf):
             require_text("spring_energy, load", self.load)
 
     def check_leaf(self, system: Named) -> None:
-        """Raise for a load that does not exist or stores no energy."""
+        """Raise unless the scene has the load and it stores energy."""
         known_scene(system).works.of_springs(self.load)
 
     def leaf_value(self, system: Named, states: States) -> Array:
@@ -138,7 +138,7 @@ class Multiplier(Leaf):
             require_kind("multiplier, row", self.row, (int, np.integer), "Counted from 0 on.")
 
     def check_leaf(self, system: Named) -> None:
-        """Raise for a joint, an equation or an axis that does not exist."""
+        """Raise unless the scene has the joint, and the joint the equation or axis."""
         layout = known_naming(system).layout
         place = layout.joint(self.joint)
         if not self.on_point:

@@ -48,11 +48,11 @@ class _Slide(Leaf):
         self._column(system)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the coordinate or its rate at the times, shape (n_t,)."""
+        """Return the distance, m, or speed, m/s, of the guide at the states, shape (k,)."""
         return (states.v if self.rate else states.q)[:, self._column(system)]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return one in the column of the coordinate, or of its rate."""
+        """Return the partial one in the column of the slide coordinate, or of its rate."""
         one = Columns(np.array([self._column(system)]), np.ones((1, 1)))
         return LeafGradient(v=one) if self.rate else LeafGradient(q=one)
 

@@ -318,7 +318,7 @@ class HHTRuns(FixedStepRuns):
 
     @property
     def asked(self) -> bool:
-        """Whether there are two runs to compare, or the first one failed."""
+        """Whether the search has two runs of HHT to compare, or the first one failed."""
         return self._taken > 0 and len(self.samples) != 1
 
     @property

@@ -193,7 +193,7 @@ class DOP853Runs(Runs):
 
     @property
     def chosen(self) -> int:
-        """Number of steps of the last run, less the number of stops."""
+        """Number of steps of the last run of DOP853, less the number of stops."""
         return self._chosen
 
     def _stop(self) -> None:
@@ -235,7 +235,7 @@ class DOP853Runs(Runs):
 
     @property
     def _next(self) -> float:
-        """Tolerance of the next run from the error of the runs so far."""
+        """Tolerance of the next run of DOP853, from the error of the runs so far."""
         if not self.estimates:
             return self._rtol / _TIGHTER
         further = self.error / (AIM * self._tolerance)

@@ -459,7 +459,7 @@ class _Chords:
         return found
 
     def kinks(self, share: float) -> int:
-        """Return the number of steps below which chords pass over a kink."""
+        """Return the number of steps below which steps jump over a kink of the functions."""
         steps = 0
         for level, shift in self._levels:
             off, after, _ = self._cells(level, shift)
