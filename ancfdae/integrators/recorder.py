@@ -124,7 +124,7 @@ class SolutionRecorder:
         return q, v, a, lam
 
     def take(self, t: Array) -> None:
-        """Count rows that were written into the views of `room`, at the times t, (k,)."""
+        """Count rows that were written, at these instants."""
         self._arrays[0][self.instants : self.instants + len(t)] = t
         self.instants += len(t)
 

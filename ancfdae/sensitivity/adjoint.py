@@ -83,7 +83,7 @@ class Adjoint(GradientMethod):
     memory : str or float, optional
         Memory limit for stored states, for example ``"200 MB"``, or a number of bytes. If the run
         needs more, as few parts of it as possible are integrated again during the backward pass
-        (docs/theory/08-adjoint.md). Needs `HHT` or `Radau` at steps that are known in advance.
+        (docs/theory/08-adjoint.md). For `HHT` at steps that are known before.
     """
 
     memory: str | float | None = None
@@ -131,7 +131,7 @@ class Adjoint(GradientMethod):
 
 
 _UNITS = {"B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9}
-# Memory of a part in units of its states: they, their partials, and intermediates of these.
+# A part is held with its partials and, while these are made, what they are made of.
 _COPIES = 3
 
 
