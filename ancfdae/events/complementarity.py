@@ -52,7 +52,7 @@ class Contacts:
 
     @property
     def count(self) -> int:
-        """Number m of contacts."""
+        """Number m of contacts in the impact."""
         return len(self.inverse_mass) - len(self.rough)
 
     @property

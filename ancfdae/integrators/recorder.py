@@ -85,7 +85,7 @@ class SolutionRecorder:
 
     @property
     def steps(self) -> int:
-        """Number of accepted steps so far."""
+        """Number of accepted steps of the run so far."""
         return max(self.instants - 1, 0) // self._degree if self.accepted is None else self.accepted
 
     @property
@@ -124,7 +124,7 @@ class SolutionRecorder:
         return q, v, a, lam
 
     def take(self, t: Array) -> None:
-        """Count rows that were written into the views of `room`, at the times t, (k,)."""
+        """Count rows that were written, at these instants."""
         self._arrays[0][self.instants : self.instants + len(t)] = t
         self.instants += len(t)
 
@@ -139,7 +139,7 @@ class SolutionRecorder:
         self._control = ()
 
     def back(self) -> None:
-        """Delete the last step and count it as rejected."""
+        """Delete the last recorded step and count it as rejected."""
         self.cut(self.instants - 1)
         self.rejected += 1
 
