@@ -123,7 +123,7 @@ class SolutionRecorder:
         return q, v, a, lam
 
     def take(self, t: Array, control: tuple[float, ...] = ()) -> None:
-        """Count rows that were written, at these instants, and note the state of step control."""
+        """Count rows that were written, at times t, and note the state of step control."""
         self._arrays[0][self.instants : self.instants + len(t)] = t
         self.instants += len(t)
         self._control = control

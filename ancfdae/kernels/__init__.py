@@ -222,7 +222,7 @@ class March(IntEnum):
 
 #: Whether `plan_step` plans a step: else the run is finished, or has taken too many steps.
 PLANNED, FINISHED, USED_UP = range(3)
-#: Why no step helps, in place of the instant to go on from (`judge_step`).
+#: Why no step helps, as a result of `judge_step`.
 NEVER_SOLVED, NEVER_ACCURATE = -1, -2
 #: Numbers of a filter, of which those in this range change in a run and continue it.
 FILTER, CHANGING = 24, slice(4, 12)

@@ -264,7 +264,7 @@ def plan_step(numbers: Array, stops: Array, t: float, /) -> tuple[int, float, fl
 def judge_step(numbers: Array, n: int, t: float, h: float, error: float | None, /) -> int:
     """Judge a step of size h from instant n at time t by its error, None if it was not solved.
 
-    Returns the instant to go on from, `NEVER_SOLVED` or `NEVER_ACCURATE`.
+    Returns the index of the time point to go on from, `NEVER_SOLVED` or `NEVER_ACCURATE`.
     """
 
 def explicit_march(

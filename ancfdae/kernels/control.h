@@ -5,7 +5,7 @@
 /* Steps that may be taken back, one after another. */
 enum { STEPS_BACK = 4 };
 enum { STEP_PLANNED, RUN_FINISHED, STEPS_USED_UP };
-/* Why no step helps, in place of the instant to go on from. */
+/* Why no step helps, as a result of `step_judged`. */
 enum { NEVER_SOLVED = -1, NEVER_ACCURATE = -2 };
 
 /* Settings of a run, numbers that a continued run goes on with, and the last steps: the place, size and
@@ -36,7 +36,7 @@ struct StepFilter {
 #define SMALLER 0.8
 /* A run ends where the step falls below this part of its length, or of the time reached. */
 #define SMALLEST_STEP 1e-13
-/* Instants that differ by less than this part of the run are the same. */
+/* Times that differ by less than this part of the run are the same. */
 #define SAME_INSTANT 1e-9
 
 /* x^(1/order); the square root is exact to the last bit. */
@@ -62,11 +62,11 @@ int step_planned(StepFilter *f, Size n_stops, const double *stops, double t, dou
     /* Sizes h_0 (1 + c j), j = 1 .. count, with the sum that is left. */
     *h = count > 0 ? f->last_h * (1 + 2 * (left / f->last_h - count) / (count * (count + 1))) : f->h;
     *end = t + *h;
-    *h = *end - t; /* What the instants will say: a run over given ones repeats this one. */
+    *h = *end - t; /* As computed from the stored times: a run over given times repeats it. */
     return STEP_PLANNED;
 }
 
-/* Go on from instant n with steps of size h that have no history. */
+/* Go on from time point n with steps of size h that have no history. */
 Size step_tried_anew(StepFilter *f, Size n, double h)
 {
     f->h = f->last_h = h;
@@ -86,7 +86,8 @@ Size step_rejected(StepFilter *f, Size n, double t, double h, Size why)
     return step_tried_anew(f, 0, f->start);
 }
 
-/* Judge a step of size h from instant n at time t by its error; returns the instant to go on from. */
+/* Judge a step of size h from time point n at time t by its error; returns the index of the time point to
+ * go on from. */
 Size step_judged(StepFilter *f, Size n, double t, double h, bool solved, double error)
 {
     f->taken++;

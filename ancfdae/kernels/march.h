@@ -748,7 +748,7 @@ Size marched(const Plan<T> *p, Room<T> *r, Before<T> *b, Size k, const double *h
     return k;
 }
 
-/* Tables of factors of one step, as rows of those of `marched`, with (turn / 1 rad)^order. */
+/* Tables of factors of one step, rows of the tables of `marched`, with (turn / 1 rad)^order. */
 template <class T> struct StepTables {
     const T *of_joints, *of_loads;
     Size instants;
@@ -776,7 +776,7 @@ template <class T> struct StepLaws {
 
 /* A run under error control: the tolerance, relative and the least of each coordinate, whose vectors
  * have d numbers and count from a place; where it stands; and rows of states, of which the last one
- * is `taken`: a, ends, sizes of the motion and numbers of the filter beside those of `marched`. */
+ * is `taken`: rows of `marched`, and a, ends, sizes of the motion and numbers of the filter. */
 template <class T> struct ControlledRun {
     const Plan<T> *plan;
     Room<T> *room;

@@ -490,8 +490,8 @@ std::tuple<int, double, double> py_plan_step(InPlace<double> filter, Array<doubl
     return {planned, h, end};
 }
 
-/* The instant to go on from, or why no step helps; an error that is missing is that of a step that
- * was not solved. */
+/* The index of the time point to go on from, or why no step helps; a step without an error was not
+ * solved. */
 Size py_judge_step(InPlace<double> filter, Size n, double t, double h, std::optional<double> error)
 {
     return step_judged(filter_of(filter), n, t, h, error.has_value(), error.value_or(NAN));

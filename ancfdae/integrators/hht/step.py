@@ -218,7 +218,9 @@ class StepSolver:
             (*limits, _NEWTON_PATIENCE),
         )
         recorder.rejected += rejected
-        self._count(counts)
+        recorder.iterations += counts[0]
+        recorder.residuals += counts[0]
+        recorder.factorisations += counts[1]
         recorder.round_off_steps += counts[2]
         if not taken and why in (March.NEEDS_GAUSS, March.INDEFINITE):
             self._add(why)
@@ -231,12 +233,6 @@ class StepSolver:
             return Node(float(ends[k - 1]), of_q, of_v, of_a, of_lam, of_A, motion)
 
         return ControlledSteps(ends[:taken], filters, node_at, March(why), size)
-
-    def _count(self, counts: tuple[int, int, int]) -> None:
-        """Count iterations and factorisations."""
-        self._recorder.iterations += counts[0]
-        self._recorder.residuals += counts[0]
-        self._recorder.factorisations += counts[1]
 
     def _usual(self, patience: int) -> _Attempt:
         return _Attempt(None, (self._tolerance, math.inf, patience * self.max_iterations))
@@ -262,7 +258,9 @@ class StepSolver:
         taken, why, motion, a, counts, size, rate = self._kernel.model.march(
             (q, v, a, lam, A), motion, h, *tables, _NEWTON_PATIENCE, rows, *attempt
         )
-        self._count(counts)
+        self._recorder.iterations += counts[0]
+        self._recorder.residuals += counts[0]
+        self._recorder.factorisations += counts[1]
         if not taken and why in (March.NEEDS_GAUSS, March.INDEFINITE):
             self._add(why)
             return self._taken(before, h, ends, rows, attempt)

@@ -213,7 +213,7 @@ class Batch(NamedTuple):
     """Steps under control that were taken at once: ends, and the numbers of the filter after each.
 
     `states` returns the state after a number of steps. After them `why` says that no step helps,
-    or the step from an instant `again` is to be repeated.
+    or the run goes on from an earlier time point with the index `again`.
     """
 
     ends: Array
@@ -286,7 +286,7 @@ class Controller(abc.ABC):
     """Decides the steps of a run; of the method it sees numbers only.
 
     Kernels choose steps by the `numbers` of a filter (`StepFilter` in `control.h`), which they
-    change, and by instants at which steps end; the numbers are none where steps are known.
+    change, and by the `stops` at which steps end. Known steps have an empty array of numbers.
     """
 
     numbers: Array = _NONE
@@ -424,7 +424,7 @@ def _next(
         taken = _controlled(method, controller, recorder, contacts, begin, path)
         if taken is not None:
             return taken
-    before = method.resized(begin.now, h / begin.last)
+    before = begin.now if now is None else method.resized(now, h / begin.last)
     sizes, ends = controller.known(n)
     if len(sizes):
         count, after = method.march(before, sizes, ends)
@@ -457,7 +457,7 @@ def _next(
 
 
 def _again(judged: int, recorder: SolutionRecorder, path: deque[Reached]) -> Reached:
-    """Return to the instant to go on from: the last one, the one before, or the start."""
+    """Return to the time point with the index `judged`: the last, the one before, or the start."""
     if judged == path[-1].n:
         return path[-1]
     if judged > 0:

@@ -354,7 +354,7 @@ class _Filter(Controller):
         self.stops = np.array(method.system.breakpoints(t_end), dtype=float)
         self.numbers = np.zeros(FILTER)
         self.numbers[:4] = method.order, method.bears_jumps, t_end, max_steps
-        # Size, that of the first step, wish and ratio, memory, the last size, steps, those left.
+        # Size, first size, wish, ratio, memory, last size, steps tried, steps left to the end.
         self.numbers[CHANGING] = state or (first, first, 1.0, 1.0, 0.0, first, 0.0, 0.0)
         self._pace = Pace(t_end, method.many, method.remedy)
 
