@@ -1,13 +1,13 @@
-"""Equations of joints that others imply, left out of a scene on request.
+"""Redundant joint equations, which other equations imply, left out of a scene on request.
 
-Rows of Phi_q, scaled by the weights of the coordinates and to unit length, are taken one after the
-other; a row is redundant if it lies in the span of those taken before. Rows of bodies that are
-rigid, of driven joints and of formulas come first, then positions, then all others, so that
-directions of hinges are left out before positions of points.
+Rows of Phi_q, scaled by the weights of the coordinates and to unit length, are processed one after
+the other; a row is redundant if it lies in the span of the rows before. Rows of rigid bodies, of
+driven joints and of formulas come first, then positions, then all others, so that directions of
+hinges are left out before positions of points.
 
-Rows may also depend on each other at one position only, a dead point, where two branches of the
-motion cross. Redundant equations hold along every motion that the others admit: this is looked at
-at positions that lie a part `_STEP` of the size of the mechanism away.
+Rows may also be dependent at one position only, a dead point, where two branches of the motion
+cross. Redundant equations hold along every motion that the other equations admit: this is checked
+at positions at a distance of `_STEP` times the size of the mechanism.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 
-# Part of a row of unit length outside the span of others below which it is redundant; round-off
-# leaves 1e-16 times the number of rows and the condition of the mechanism.
+# Length of the part of a unit row outside the span of other rows below which it is redundant;
+# round-off leaves 1e-16 times the number of rows and the condition of the mechanism.
 _DEPENDENT = 1e-8
-# Positions beside the declared one: how many, how far in units of the size, and the part of the
-# way by which equations left out may be violated there. At a dead point it is about _STEP.
+# Number of positions near the declared one, their distance in units of the size, and the violation
+# of equations left out that is admitted there, over the distance. At a dead point it is about
+# _STEP.
 _POSITIONS, _STEP, _VIOLATED = 3, 0.02, 1e-8
-# Newton's method onto the other equations, from a violation of _STEP^2.
+# Newton iterations onto the other equations, from a violation of _STEP^2.
 _ITERATIONS = 12
 
 
@@ -49,8 +50,8 @@ def drop_redundant(scene: Scene) -> Scene:
     Returns
     -------
     Scene
-        With `left_out`, pairs of the name of a joint and the number of an equation of it, counted
-        from 0; the scene prints them. The scene itself if no equation is redundant.
+        The scene with `left_out`: pairs of the name of a joint and the number of an equation of it,
+        counted from 0; the scene prints them. The scene itself if no equation is redundant.
 
     Raises
     ------
@@ -75,7 +76,7 @@ class _Rows:
     """Rows of Phi_q of an assembled scene: labels, kinds, and values at a configuration.
 
     `labels` are pairs (joint, equation). `kinds` are 0 for rows that are never left out, 1 for
-    positions and 2 for all others. `driven` marks rows of driven joints.
+    positions and 2 for all others. `driven` is whether rows belong to driven joints.
     """
 
     def __init__(self, system: AncfSystem) -> None:
@@ -86,7 +87,7 @@ class _Rows:
         self.driven = np.array([driven for *_, driven in rows], dtype=bool)
 
     def scaled(self, q: Array) -> Array:
-        """Return the rows over the roots of the weights, of unit length, (n_lam, n_q)."""
+        """Return Phi_q at q, columns over sqrt(weights), rows of unit length, (n_lam, n_q)."""
         system = self._system
         B = system.constraint_pattern.dense(system.constraint_q(0.0, q))
         B = B / np.sqrt(system.weights)
@@ -94,7 +95,7 @@ class _Rows:
         return B / np.where(length > 0, length, 1.0)
 
     def require_movable(self, redundant: Array) -> None:
-        """Raise RedundantConstraintsError if a row is one that is never left out."""
+        """Raise RedundantConstraintsError if a redundant row must not be left out (kind 0)."""
         fixed = redundant[self.kinds[redundant] == 0]
         if fixed.size:
             names = sorted({self.labels[row][0] for row in fixed})
@@ -106,7 +107,7 @@ class _Rows:
             )
 
     def require_everywhere(self, kept: Array, redundant: Array) -> None:
-        """Raise RedundantConstraintsError unless redundant rows hold beside the start, too."""
+        """Raise RedundantConstraintsError unless redundant rows also hold near the start."""
         held = kept[~self.driven[kept]]
         for q, way in self._beside(held):
             B = self._system.constraint_pattern.dense(self._system.constraint_q(0.0, q))
@@ -124,7 +125,7 @@ class _Rows:
                 )
 
     def _beside(self, held: Array) -> Iterator[tuple[Array, float]]:
-        """Yield configurations that meet the rows `held`, and how far each is from the start."""
+        """Yield configurations that satisfy the rows `held`, and their distances from the start."""
         system, (q, _) = self._system, self._system.start()
         root, rng = np.sqrt(system.weights), np.random.default_rng(1)
         size = float(np.linalg.norm(root * system.centred(q)))
@@ -133,7 +134,7 @@ class _Rows:
             along = rng.normal(size=len(q))
             along -= np.linalg.pinv(B) @ (B @ along)
             length = np.linalg.norm(along)
-            # Nothing moves: what holds at the start holds.
+            # The mechanism cannot move: equations that hold at the start always hold.
             if length < _DEPENDENT * np.sqrt(len(q)):
                 return
             beside = q + _STEP * size / length * along / root
@@ -145,7 +146,7 @@ class _Rows:
 
 
 def _labelled(structure: JointStructure, d: int) -> Iterator[tuple[tuple[str, int], int, bool]]:
-    """Yield label, kind and whether it is driven of every row."""
+    """Yield, for every row, its label, its kind and whether its joint is driven."""
     for slot, layout in zip(structure.slots, structure.joints, strict=True):
         joint = slot.item.joint
         fixed = joint.driven or isinstance(joint, (Rigidity, FormulaJoint))
