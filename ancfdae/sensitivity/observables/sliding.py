@@ -1,4 +1,4 @@
-"""Observables of sliding joints: how far, and how fast, the guide has slid along its beam."""
+"""Observables of sliding joints: the distance that the guide has slid along its beam, its rate."""
 
 from dataclasses import dataclass
 from typing import final
@@ -22,7 +22,7 @@ from ancfdae.sensitivity.observables.observable import (
 def slide_distance(joint: str) -> Observable:
     """Return how far the guide of a `SlidingJoint` has slid along its beam since t = 0; m.
 
-    Counted along the beam in the reference configuration.
+    The distance is measured along the beam in the reference configuration.
     """
     return _Slide(joint, rate=False)
 
