@@ -39,6 +39,7 @@ from typing import ClassVar, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.plans import CalledPlan
 from ancfdae.equations.saddle_points import Prepared
 from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.hht import linear_passes
@@ -60,7 +61,7 @@ from ancfdae.integrators.prescribed_motion import turn_error
 from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
 from ancfdae.integrators.recorder import SolutionRecorder, StateRows
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record, Tolerance
-from ancfdae.kernels import CalledPlan, March, norm
+from ancfdae.kernels import March, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 
