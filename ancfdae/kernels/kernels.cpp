@@ -82,6 +82,12 @@ void functions_added(PyObject *module)
             "`ends` are vectors of elements with their lengths and the least |r_x|^2, or of\n"
             "rigid bodies without. False proves nothing: signs of Bernstein's coefficients may\n"
             "differ."),
+        FUNCTION(py_plan_step, "plan_step", "numbers, stops, t",
+            "Plan the step from time t by the numbers of a filter (`StepFilter` in `control.h`).\n\n"
+            "Returns whether there is one (`PLANNED`), its size and its end."),
+        FUNCTION(py_judge_step, "judge_step", "numbers, n, t, h, error",
+            "Judge a step of size h from instant n at time t by its error, None if not solved.\n\n"
+            "Returns the index of the time point to go on from, `NEVER_SOLVED` or `NEVER_ACCURATE`."),
         {nullptr, nullptr, 0, nullptr},
     };
     if (PyModule_AddFunctions(module, functions) < 0)
@@ -286,6 +292,7 @@ void matrices_added(PyObject *module)
 template <class T, class M> std::vector<PyMethodDef> drivers()
 {
     constexpr auto march = &py_march<T, M>;
+    constexpr auto controlled = &py_march_controlled<T, M>;
     constexpr auto rest = &py_rest<T, M>;
     constexpr auto stages = &py_solve_stages<T, M>;
     return {
@@ -301,6 +308,18 @@ template <class T, class M> std::vector<PyMethodDef> drivers()
             "counts of iterations, factorisations and steps that round-off disturbs, and of the\n"
             "last step the size of its last correction and the slowest rate of its corrections. The\n"
             "states after the steps, q, v, A and lam, are written to rows."),
+        declared<OfSelf<Bound<controlled>>>("march_controlled",
+            "state, at, numbers, stops, tolerance, laws, rows, beside, limits",
+            "Take steps under error control from (q, v, a, lam, A), until the rows are full.\n\n"
+            "`at` holds the motion, as of `march`, the instant n, its time, and the size of the step\n"
+            "that led there. The tolerance is (rtol, least sizes, place, numbers of a vector), and\n"
+            "limits are those of Newton's method and seconds. Of (t, end, h) laws return the factors\n"
+            "of joints and of loads in that step as rows of the tables of `march`, with the error of\n"
+            "its turn; without laws a number is added to the times in a system of one's own. Rows are\n"
+            "those of `march`, and a, ends, motions and filters stand beside them. Filter and rows\n"
+            "are written.\n\n"
+            "Returns the number of steps, why it ends, how many were rejected, counts as `march`, and\n"
+            "the size of the last correction."),
         declared<OfSelf<Bound<rest>>>("rest", "state, known, factors, rules",
             "Solve for an equilibrium under part of the load, from q and lam, by Newton's method.\n\n"
             "The state (q, lam, q_s, lam_s) is written in place; where corrections have stopped\n"
@@ -411,7 +430,10 @@ void numbers_added(PyObject *module)
                        {"OUT_OF_TIME", OUT_OF_TIME},
                        {"NO_CONVERGENCE", NO_CONVERGENCE},
                        {"NOT_FINITE", RESIDUAL_NOT_FINITE},
-                       {"SINGULAR", MATRIX_SINGULAR}});
+                       {"SINGULAR", MATRIX_SINGULAR},
+                       {"INACCURATE", ERROR_TOO_LARGE},
+                       {"STEP_BEFORE", STEP_BEFORE},
+                       {"BEGIN_ANEW", BEGIN_ANEW}});
     enumeration_added(module, "Rest",
                       {{"SOLVED", REST_SOLVED},
                        {"NO_CONVERGENCE", REST_NO_CONVERGENCE},
@@ -425,6 +447,11 @@ void numbers_added(PyObject *module)
                              {"STAGES_SOLVED", STAGES_SOLVED},
                              {"STAGES_NOT_FINITE", STAGES_NOT_FINITE},
                              {"STAGES_SINGULAR", STAGES_SINGULAR},
+                             {"PLANNED", STEP_PLANNED},
+                             {"FINISHED", RUN_FINISHED},
+                             {"NEVER_SOLVED", NEVER_SOLVED},
+                             {"NEVER_ACCURATE", NEVER_ACCURATE},
+                             {"FILTER", sizeof(StepFilter) / sizeof(double)},
                              {"RULES", sizeof(MarchRules) / sizeof(double)}});
 }
 

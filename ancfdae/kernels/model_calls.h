@@ -353,6 +353,94 @@ py_march(Kept<M> model, Fields<5> state, double motion, Array<double> h, Array<T
             Counts{r->counts[0], r->counts[1], r->counts[2]}, ending.size, ending.slowest};
 }
 
+/* ---- steps under error control (control.h) -------------------------------------------------- */
+
+StepFilter *filter_of(const InPlace<double> &numbers)
+{
+    must(numbers.has({sizeof(StepFilter) / sizeof(double)}), "there are other numbers of a filter");
+    return (StepFilter *)numbers.data;
+}
+
+std::tuple<int, double, double> py_plan_step(InPlace<double> filter, Array<double, 1> stops, double t)
+{
+    double h = 0, end = t;
+    int planned = step_planned(filter_of(filter), stops.size, stops.data, t, &h, &end);
+    return {planned, h, end};
+}
+
+Size py_judge_step(InPlace<double> filter, Size n, double t, double h, std::optional<double> error)
+{
+    return step_judged(filter_of(filter), n, t, h, error.has_value(), error.value_or(NAN));
+}
+
+/* Laws that a function of Python evaluates: of (t, end, h) it returns rows of factors of joints and
+ * of loads, and (turn / 1 rad)^order. */
+template <class T> struct CalledLaws final : StepLaws<T> {
+    const Plan<T> *plan;
+    const Ref &function;
+    std::optional<Items> found;
+
+    CalledLaws(const Plan<T> *of, const Ref &called, double start)
+        : StepLaws<T>(start), plan(of), function(called)
+    {
+    }
+    bool at(const MarchRules *rules, double t, double end, double h, StepTables<T> *to) override
+    {
+        if (function.get() == Py_None)
+            return StepLaws<T>::at(rules, t, end, h, to);
+        Locked python;
+        return guarded([&]() -> PyObject * {
+            Items &tables = found.emplace(called(function, t, end, h).get(), 3);
+            tables(to->of_joints, {&to->instants, plan->constraints->n_parts})(
+                to->of_loads, {2, plan->n_factors});
+            to->turn = tables.template take<double>();
+            must(plan->still || to->instants >= 2, "there must be factors at both ends of a step");
+            if (plan->still)
+                to->instants = ALL_INSTANTS;
+            return Py_None;
+        });
+    }
+};
+
+/* `at` holds the motion, the instant n, its time, and the size of the step that led there. Returns the
+ * number of steps, why it ends, how many were rejected, counts, and the size of the last correction. */
+template <class T, class M>
+std::tuple<Size, int, Size, Counts, double>
+py_march_controlled(Kept<M> model, Fields<5> state, std::tuple<double, Size, double, double> at,
+                    InPlace<double> filter, Array<double, 1> stops, Fields<4> tolerance,
+                    std::tuple<Ref, double> laws, Fields<4> rows, Fields<4> beside,
+                    std::tuple<double, Size, double> limits)
+{
+    const Plan<T> *p = &model->plan;
+    Room<T> *r = &model->room;
+    Size n_q = p->n_q, k;
+    ControlledRun<T> c = {};
+    double *filters;
+    beside(c.a, {&k, n_q})(c.ends, {k})(c.motion, {k})(
+        filters, {k, (Size)(sizeof(StepFilter) / sizeof(double))});
+    state(c.first.q, {n_q})(c.first.v, {n_q})(c.first.a, {n_q})(c.first.lam, {p->n_lam})(
+        c.first.A, {n_q});
+    rows(c.rows[0], {k, n_q})(c.rows[1], {k, n_q})(c.rows[2], {k, n_q})(c.rows[3], {k, p->n_lam});
+    c.rtol = tolerance.take<double>();
+    tolerance(c.least, {n_q})(c.place, {n_q});
+    c.d = tolerance.take<Size>();
+    auto &[function, start] = laws;
+    must(c.d > 0 && n_q % c.d == 0 &&
+             (function.get() != Py_None || p->own || (p->still && p->n_factors == 0)),
+         "tolerances or laws do not fit");
+    CalledLaws<T> of_laws(p, function, start);
+    auto [newton, iterations, seconds] = limits;
+    Attempt<T> how = {nullptr, nullptr, newton, INFINITY, (double)iterations};
+    c.plan = p, c.room = r, c.filter = filter_of(filter), c.laws = &of_laws, c.how = &how;
+    c.n_stops = stops.size, c.stops = stops.data, c.most = k, c.filters = (StepFilter *)filters;
+    std::tie(c.first.motion, c.n, c.t, c.last) = at;
+    c.until = seconds_now() + seconds, c.ending = {c.first.motion, INFINITY, 0};
+    memset(r->counts, 0, sizeof r->counts);
+    int why = unlocked([&] { return controlled<T>(&c); });
+    return {c.taken, why, c.rejected, Counts{r->counts[0], r->counts[1], r->counts[2]},
+            c.ending.size};
+}
+
 /* ---- passes --------------------------------------------------------------------------------- */
 
 /* (h, q, v, lam, of_joints, of_loads, matrices) of k steps; (M, f_q, f_v or None, Phi_q) there, for

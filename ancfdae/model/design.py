@@ -285,7 +285,9 @@ def as_design(design: Sequence[str | DesignVariable]) -> tuple[DesignVariable, .
     return variables
 
 
-def distributed_variables(target: str, count: int) -> tuple[DesignVariable, ...]:
+def distributed_variables(
+    target: str, count: int, bounds: tuple[float, float] | None = None
+) -> tuple[DesignVariable, ...]:
     """One design variable per element of a beam, or per control value of a law.
 
     For example a height distribution, or the torque of a motor over time.
@@ -296,9 +298,11 @@ def distributed_variables(target: str, count: int) -> tuple[DesignVariable, ...]
         ``"beam.parameter"`` or ``"motor.value"``.
     count : int
         Number of elements of the beam, or of control values.
+    bounds : (float, float), optional
+        Admissible range of each variable for optimisation, as of `DesignVariable`.
     """
     parse_target(target)
     where, repair = "distributed_variables, count", "Give the number of elements or control values."
     require_count(where, count, repair)
     names = [f"{target}[{k}]" for k in range(count)]
-    return tuple(DesignVariable(name, (name,)) for name in names)
+    return tuple(DesignVariable(name, (name,), bounds) for name in names)

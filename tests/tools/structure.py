@@ -35,7 +35,7 @@ def _imported(module: ast.Module) -> Iterator[str]:
 
 
 def table() -> list[tuple[str, str]]:
-    """Return what is counted and its number, a pair for each row."""
+    """Return the rows of the table: a name and a number."""
     python = sorted(ROOT.rglob("*.py"))
     kernels = [path for path in ROOT.rglob("*") if path.suffix in (".h", ".cpp")]
     border = [path for path in (ROOT / "kernels").iterdir() if _BORDER.fullmatch(path.name)]
