@@ -25,11 +25,11 @@ from ancfdae.equations import (
     SystemProperties,
 )
 from ancfdae.equations.contact_record import ContactRecord
+from ancfdae.equations.plans import Plan
 from ancfdae.equations.system import States
 from ancfdae.errors.checks import require_kind
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
-from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only

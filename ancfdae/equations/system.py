@@ -43,10 +43,11 @@ import numpy as np
 from ancfdae.equations.complex_steps import ComplexSteps
 from ancfdae.equations.contact_record import ContactRecord
 from ancfdae.equations.naming import Naming
+from ancfdae.equations.plans import CalledPlan, ListPlan, Plan
 from ancfdae.errors.checks import require_array, require_finite, require_flag
 from ancfdae.errors.kinds import InvalidInputError
 from ancfdae.errors.text import listed
-from ancfdae.kernels import CalledPlan, ListPlan, OperationList, Plan
+from ancfdae.kernels import OperationList
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import SparsityPattern
 

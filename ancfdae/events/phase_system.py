@@ -38,8 +38,8 @@ from ancfdae.equations import (
     planned,
 )
 from ancfdae.equations.contact_record import ContactRecord, MissedContact
+from ancfdae.equations.plans import CalledPlan, ListPlan, Plan
 from ancfdae.equations.system import States, called_plan, constraint_q_along, residual_along
-from ancfdae.kernels import CalledPlan, ListPlan, Plan
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.complex_step import scaled_derivative
 
