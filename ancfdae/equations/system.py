@@ -379,11 +379,10 @@ class MechanicalSystem(ComplexSteps):
         """
         return None
 
-    def off_route(self, q: Array) -> tuple[int, str] | None:
-        """Return the first of k states with a guide or rope off its route, and a message.
+    def off_route(self, t: Array, q: Array, v: Array) -> tuple[int, str] | None:
+        """Return the first of k states up to which a part has left its route, and in words how.
 
-        q has the shape (k, n_q). It is called if the system is `routed`. None if all states are on
-        their routes.
+        q and v have the shape (k, n_q). It is called if the system is `routed`. None if no part is.
         """
         return None
 

@@ -462,9 +462,9 @@ class PhaseSystem(LaterSystem):
         """Return the first of k states in which a part is mirrored or folded."""
         return self.base.mirrored(q)
 
-    def off_route(self, q: Array) -> tuple[int, str] | None:
+    def off_route(self, t: Array, q: Array, v: Array) -> tuple[int, str] | None:
         """Return the first of k states in which a guide or rope has left its route."""
-        return self.base.off_route(q)
+        return self.base.off_route(self._times(t), q, v)
 
     def turn_rate(self, t: Array) -> Array:
         """Return the largest rate at which constraints prescribe an angle, (k,); rad/s."""

@@ -3,9 +3,9 @@
 Rows of Phi_q, scaled by the weights of the coordinates and to unit length, are combined to zero by
 the columns of N, a basis of the null space of the transpose. Rows may be left out together where
 their part of N is a regular matrix. As many as N has columns are chosen one after the other by
-pivots: the length of a row of N after its part along the rows chosen before is taken off. Of the
-rows with similar pivots the last one is taken. Directions of hinges are left out before positions
-of points, and never rows of bodies that are rigid, of driven joints and of formulas.
+pivots: the length of a row of N after its part along the rows chosen before is taken off. The last
+one of the rows with similar pivots is taken. Directions of hinges are left out before positions of
+points, and never rows of bodies that are rigid, of driven joints and of formulas.
 
 The rows that stay should be independent wherever the mechanism moves, but they are dependent where
 the determinant of that part of N changes its sign. It is followed along curves through the declared
