@@ -1,4 +1,4 @@
-"""Runs with events as the calls of a user make them: values, derivatives, gradients."""
+"""Calls of a user with events: solutions, their derivatives, and gradients."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ END = "t_end"
 @final
 @dataclass(frozen=True)
 class EventRun:
-    """A run with events to be made, of modes that have been assembled; it begins in the first.
+    """Instructions for a run with events: assembled modes, end time, s, and integrator.
 
-    If `free_end` is true the end time is the last design variable.
+    It begins in the first mode. If `free_end` is true the end time is the last design variable.
     """
 
     modes: Mapping[str, ModeSystem]
@@ -74,7 +74,7 @@ class EventRun:
         progress: bool,
         free_end: bool = False,
     ) -> EventRun:
-        """Check and assemble the arguments of a call."""
+        """Return the run after checking the arguments of a call and assembling its modes."""
         require_positive("t_end", t_end)
         require_flag("progress", progress)
         require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
@@ -99,17 +99,17 @@ class EventRun:
 
     @property
     def system(self) -> MechanicalSystem:
-        """The system that the run begins with."""
+        """The system of the mode in which the run begins."""
         return self.modes[_OWN].system
 
     @property
     def b(self) -> Array:
-        """Design values, and the end time where it is one of them, (n_b,)."""
+        """Design values, (n_b,), followed by the end time if it is a design variable."""
         return np.append(self.system.b, self.t_end) if self.free_end else self.system.b
 
     @property
     def design_names(self) -> tuple[str, ...]:
-        """Names of the design variables, and of the end time where it is one of them."""
+        """Names of the design variables, with "t_end" last if the end time is one of them."""
         return (*self.system.design_names, *((END,) if self.free_end else ()))
 
     @in_one_thread
@@ -126,7 +126,7 @@ class EventRun:
         return march.run(self.modes[_OWN], self.progress, begins)
 
     def at(self, b: Array) -> EventRun:
-        """Return the same run at other design values."""
+        """Return the same run with events at other design values b, shape (n_b,)."""
         t_end = float(b[-1]) if self.free_end else self.t_end
         require_positive(END, t_end)
         own = b[: self.system.n_b]
@@ -230,7 +230,7 @@ def states_of(run: PhasedRun) -> list[PhaseStates]:
 
 
 def solution(run: PhasedRun, derivatives: Sequence[PhaseDerivatives] = ()) -> EventSolution:
-    """Return the solution of a run as a user sees it."""
+    """Return the solution of a run as users get it, with derivatives of its phases if given."""
     phases, records = [], []
     if run.before is not None:
         records += _records(run.before, 0.0, None)
@@ -248,7 +248,7 @@ def solution(run: PhasedRun, derivatives: Sequence[PhaseDerivatives] = ()) -> Ev
 
 
 def _records(jump: Jump, time: float, known: PhaseDerivatives | None) -> list[EventRecord]:
-    """Return the records of all events that happen at one time."""
+    """Return the event records of all events that happen at one time."""
     records, pushing, time_b = [], set[Event](), None if known is None else known.t_b[-1]
     for k, strike in enumerate(jump.strikes):
         found, name = strike.struck.after.impulses.real, jump.mode.name
@@ -293,7 +293,7 @@ def _assembled(
 def _require_mode(
     name: str, mode: ModeSystem, first: MechanicalSystem, known: Mapping[str, ModeSystem]
 ) -> None:
-    """Refuse a mode with other coordinates, or with events that lead nowhere or do not fit it."""
+    """Raise unless a mode has the coordinates, design and events that the run needs."""
     system, where = mode.system, f"modes[{name!r}]"
     ours, theirs = ((x.n_q, x.design_names) for x in (first, system))
     rule = "must have the coordinates and the design of the model that the run begins with"

@@ -1,13 +1,13 @@
-"""Derivatives of a run with events: forward along the phases, and their transpose back.
+"""Derivatives of a run with events: forward along the phases, and their transpose backward.
 
-A phase hands on the time t_e, q_e and v_e of its end. With its duration D as one more design
+A phase passes on the time t_e, q_e and v_e of its end. With its duration D as one more design
 variable (`phase_system`), the end of a phase whose event has the function g follows from
 
     g_x x_D + g_t = 0 in D:   D_b = -(g_x x_b + g_t t_0,b + g_b) / (g_x x_D + g_t),
 
-where x_b holds D. A phase that ends at a given time has D_b = -t_0,b. Then x_b + x_D D_b are the
-derivatives of all states of the phase, t_0,b + D_b is the derivative of t_e, and the jump is
-differentiated (`impact`). Backward, covectors pass the transposed jump, the
+where x_b are derivatives at fixed D. A phase that ends at a given time has D_b = -t_0,b. Then x_b +
+x_D D_b are the derivatives of all states of the phase, t_0,b + D_b is the derivative of t_e, and
+the jump is differentiated (`impact`). Backward, adjoint vectors pass the transposed jump, the
 transposed phase, whose start is free there, and D.
 """
 
@@ -35,10 +35,10 @@ from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.method import UnfinishedRunError, finished
 
-# A function whose rate at its zero is this part of the largest one in the phase grazes zero.
+# A function grazes zero if its rate there is below this times the largest rate in the phase.
 _GRAZES = 1e-6
-# Derivatives of a gap that are this part of their terms are round-off: at the start, and at the
-# end of a phase, which iterations have led to.
+# Derivatives of a gap count as zero below these fractions of their terms: at the start, and at the
+# end of a phase, which is located by iteration.
 _CLOSED, _TOGETHER = 1e-10, 1e-6
 
 
@@ -47,9 +47,9 @@ _CLOSED, _TOGETHER = 1e-10, 1e-6
 class PhaseDerivatives:
     """A phase with the design derivatives of its start, its duration and all its states.
 
-    The time points move with the design, by t_b of shape (k, n_b). `strikes_b` are derivatives of
-    the time, (n_b,), and of the impulses, (m, n_b), of each of the strikes at the end of the phase.
-    `in_duration` are derivatives of q, v and lam in D, of a phase that ends at a given time.
+    Derivatives of the time points are t_b, (k, n_b). `strikes_b` are derivatives of the time,
+    (n_b,), and of the impulses, (m, n_b), of each of the strikes at the end of the phase.
+    `in_duration` are derivatives of q, v and lam in D, for a phase that ends at a given time.
     """
 
     phase: Phase
@@ -92,7 +92,7 @@ def _each_differentiated(run: PhasedRun, phases: Iterable[Phase]) -> Iterator[Ph
 
 
 def _through(phase: Phase, start: _Start) -> tuple[PhaseDerivatives, _Start]:
-    """Differentiate a phase; return its derivatives, and the derivatives at its end."""
+    """Return the derivatives of a phase, and the derivatives of time, q and v at its end."""
     base, (t, q, v), D = phase.mode.system, phase.state, phase.duration
     system = PhaseSystem(base, PhaseStart(t, q, v, *start), D, phase.first)
     run = _differentiated(phase, system)
@@ -117,7 +117,7 @@ def _through(phase: Phase, start: _Start) -> tuple[PhaseDerivatives, _Start]:
 
 
 def _crossing(phase: Phase, last: Sequence[Array], n: int) -> tuple[float, Array, float]:
-    """Return g_t, and the derivatives of g through the last state in b and in D; refuse grazing."""
+    """Return g_t, and the derivatives of the event function g in b and D; reject grazing."""
     assert phase.event is not None
     q_b, v_b, _, lam_b = last
     _, p = at_end(phase.mode.system, phase.event.crossing[0], phase.t_end, phase.run)
@@ -127,7 +127,7 @@ def _crossing(phase: Phase, last: Sequence[Array], n: int) -> tuple[float, Array
 
 
 def require_crossing(phase: Phase, rate: float) -> None:
-    """Refuse to differentiate a phase whose event only grazes zero: its time has no derivative."""
+    """Raise InvalidInputError if an event only grazes zero: its time then has no derivative."""
     assert phase.event is not None
     system, function = phase.mode.system, phase.event.crossing[0]
     largest = np.max(np.abs(along_run(system, function, phase.t_0, phase.run).rate))
@@ -140,7 +140,7 @@ def require_crossing(phase: Phase, rate: float) -> None:
 
 
 def require_closed_start(system: MechanicalSystem, jump: Jump) -> None:
-    """Refuse to differentiate impacts at the start whose gaps the design opens or closes."""
+    """Raise InvalidInputError for impacts at the start whose gaps depend on the design."""
     q_b, _ = system.start_b()
     for strike in jump.strikes:
         time, q, v = strike.struck.state
@@ -165,9 +165,9 @@ def require_one_time(run: PhasedRun, phases: Iterable[Phase]) -> None:
 
 
 def _happen_together(done: PhaseDerivatives, end: _Start) -> None:
-    """Refuse to differentiate events whose times are the same at this design only.
+    """Raise InvalidInputError for events whose times coincide at this design only.
 
-    Their order changes with the design, and a jump of the whole belongs to one of them. Impacts
+    Their order changes with the design, and the jump as a whole belongs to one of them. Impacts
     that do not act on each other may have times of their own.
     """
     phase, moved = done.phase, _directions(end)
@@ -193,7 +193,7 @@ def _happen_together(done: PhaseDerivatives, end: _Start) -> None:
 
 
 def _is_apart(gap: Partials, moved: Directions, strike: Strike) -> bool:
-    """Whether a gap that is closed changes along directions in which the state moves."""
+    """Return whether a closed gap changes along the directions in which the state moves."""
     _, _, v = strike.struck.state
     ahead = np.outer(v, moved.t)
     terms = np.abs(gap.q) @ (np.abs(moved.q - ahead) + np.abs(ahead))
@@ -203,9 +203,9 @@ def _is_apart(gap: Partials, moved: Directions, strike: Strike) -> bool:
 
 
 def _missed(done: PhaseDerivatives, end: _Start, event: Event) -> bool:
-    """Whether the function of an event is not zero at the end of a phase at other designs."""
+    """Return whether an event function is not zero at the end of a phase at other designs."""
     phase, run, lam_b = done.phase, done.phase.run, done.states.lam_b[-1]
-    # Derivatives at a held time, and what the motion adds until the time of the event.
+    # Derivatives at a fixed time, and those from the change of the time of the event.
     moved = [np.outer(rate[-1], end.t_b) for rate in (run.v, run.a)]
     q_b, v_b = ((x_b - more, more) for x_b, more in zip((end.q_b, end.v_b), moved, strict=True))
     _, p = at_end(phase.mode.system, event.crossing[0], phase.t_end, run)
@@ -216,7 +216,7 @@ def _missed(done: PhaseDerivatives, end: _Start, event: Event) -> bool:
 
 
 def _apart(phase: Phase, event: Event) -> InvalidInputError:
-    """Return the error of an event that coincides with another one at this design only."""
+    """Return the error for an event that coincides with another one at this design only."""
     where = f"event {event.name!r} at t = {phase.t_end:.6g}"
     rule = "must happen together with the other event of that time at neighbouring designs"
     got = "a time that changes otherwise with the design"
@@ -225,7 +225,7 @@ def _apart(phase: Phase, event: Event) -> InvalidInputError:
 
 
 def _differentiated(phase: Phase, system: PhaseSystem) -> Solution:
-    """Return the run of a phase with derivatives; UnfinishedRunError if their pass breaks off."""
+    """Return the run of a phase with derivatives; UnfinishedRunError if the pass fails."""
     integrator = phase.integrator
     if isinstance(integrator, SteppedIntegrator):
         run = integrator.differentiate(system, phase.run)
@@ -246,7 +246,7 @@ def _after(jump: Jump, end: _Start) -> tuple[_Start, tuple[tuple[Array, Array], 
 
 
 def _directions(end: _Start) -> Directions:
-    """Return derivatives in the design as directions."""
+    """Return the derivatives in all design variables as directions."""
     return Directions(*end, np.eye(len(end.t_b)))
 
 
@@ -254,7 +254,7 @@ def _directions(end: _Start) -> Directions:
 
 
 class _Covectors(NamedTuple):
-    """Derivatives of a number in time, q and v at one time point."""
+    """Derivatives of a number (adjoint) in time, q and v at one time point."""
 
     t: float
     q: Array
@@ -293,7 +293,7 @@ class BackwardPass:
 
 
 def _before(jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
-    """Return the adjoint vectors before a jump, and the gradient's part in it, (n_b,)."""
+    """Return the adjoint vectors before a jump, and the jump's part of the gradient, (n_b,)."""
     n, gradient = jump.mode.system.n_q, np.zeros(jump.mode.system.n_b)
     for strike in reversed(jump.strikes):
         moved, _ = strike.along(Directions.all_of(strike.mode.system))
@@ -306,7 +306,7 @@ def _before(jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:
 def _back_through(
     phase: Phase, p: PhasePartials, on: _Covectors
 ) -> tuple[_Covectors, Array, float]:
-    """Pull covectors on the end of a phase, and partials along it, back to its start, b and D."""
+    """Return adjoint vectors at the start of a phase from those at its end; parts in b and D."""
     base, n = phase.mode.system, phase.mode.system.n_b
     total = _pulled_back(phase, p.q, p.v, p.lam, on)
     # D is variable n, t_0 the next one.
@@ -335,7 +335,7 @@ def _pulled_back(
     base, run, D, integrator = phase.mode.system, phase.run, phase.duration, phase.integrator
     assert isinstance(integrator, SteppedIntegrator)
     start = PhaseStart.held(*phase.state, base.n_b).free(base.n_b)
-    # A free start does not keep to constraints: what it misses is projected.
+    # A free start may violate constraints: it is projected onto them.
     system = PhaseSystem(base, start, D, first=False)
     q, v = (np.zeros_like(run.q) if x is None else x.copy() for x in (q, v))
     q[-1] += end.q

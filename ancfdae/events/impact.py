@@ -41,12 +41,13 @@ from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.sensitivity.observables.observable import Observable
 
-# Inverse masses below this part of the largest possible one are round-off: of a gap that joints
-# hold, and of a gap whose rate follows from the rates of other gaps.
+# Inverse masses count as zero below these fractions of the largest possible one: for a gap that
+# joints fix, and for a gap whose rate follows from the rates of other gaps.
 _FIXED, _DEPENDENT = 1e-12, 1e-10
-# A sliding velocity below this part of its terms is zero.
+# A sliding velocity counts as zero below this fraction of its terms.
 _STANDS = 1e-12
-# Gaps that see each other's impulses less than this, relative to their own, do not at all.
+# Gaps are uncoupled if the impulse of one changes the rate of another by less than this, relative
+# to its own.
 _UNCOUPLED = 1e-12
 
 
@@ -67,7 +68,7 @@ class Directions(NamedTuple):
 
 
 class _Velocity(NamedTuple):
-    """A velocity w on the constraints, and the multipliers that lead there from v.
+    """A velocity w on the constraints, with the multipliers and impulses that lead to it from v.
 
     M (w - v) + Phi_q^T multiplier - W^T impulses = 0, Phi_q w = nu.
     """
@@ -78,7 +79,7 @@ class _Velocity(NamedTuple):
 
 
 class _Stage(NamedTuple):
-    """A stage of an impact: its branch, N_0 of its impulses, its own impulses, the end of it."""
+    """A stage of an impact: branch, least impulses N_0, its impulses, and velocity at its end."""
 
     branch: Branch
     least: Array
@@ -89,11 +90,11 @@ class _Stage(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Struck:
-    """Impacts at one time, solved: velocities moved onto the constraints, and after the impact.
+    """Solved impacts at one time: velocities moved onto the constraints, and after the impact.
 
     `impacts` are those that push, with the restitutions e; `contacts` hold the inverse mass and the
-    coefficients of friction of the rough ones; X as above. `tie` names an impact that lies between
-    two branches.
+    coefficients of friction of the rough ones; X as in the module. `tie` names an impact that lies
+    between two branches.
     """
 
     system: MechanicalSystem
@@ -111,7 +112,7 @@ class Struck:
 
     @property
     def after(self) -> _Velocity:
-        """The velocity after the impact."""
+        """The velocity of the system after the impact, with the total impulses."""
         return self.stages[-1].after
 
     def impulses(self) -> list[tuple[Impact, int, list[int]]]:
@@ -136,7 +137,10 @@ class Struck:
         return 0.0
 
     def require_branch(self) -> None:
-        """Refuse to differentiate impacts that lie between sticking, sliding and opening."""
+        """Raise InvalidInputError for impacts between sticking, sliding and opening.
+
+        Such impacts have no derivative.
+        """
         if self.tie is not None:
             where = f"impact {self.tie!r} at t = {np.real(self.state[0]):.6g}"
             rule = "must stick, slide or open clearly to have derivatives"
@@ -155,7 +159,7 @@ class Struck:
         ]
 
         def rates_b(w: _Velocity) -> tuple[Array, Array]:
-            """Return derivatives of a velocity and of its rates, with its impulses held."""
+            """Return derivatives of a velocity and of its rates, at fixed impulses."""
             turned = np.zeros_like(moved.q)
             for impulse, (dW, _) in zip(w.impulses, rows_b, strict=True):
                 turned = turned + impulse * dW
@@ -194,11 +198,11 @@ class Struck:
 
     @property
     def _in_two_stages(self) -> bool:
-        """Whether compression and expansion have stages of their own."""
+        """Whether compression and expansion are separate stages (Poisson's law)."""
         return len(self.stages) > 1
 
     def _held(self, w: _Velocity, moved: Directions, extra: Array | float) -> Array:
-        """Return derivatives of a velocity, (n_q, k), impulses held; `extra` is (G^T P)_b."""
+        """Return derivatives of a velocity, (n_q, k), at fixed impulses; `extra` is (G^T P)_b."""
         system, (t, q, v) = self.system, self.state
         time, change = float(np.real(t)), w.value - v
         at = np.array([time]), q[None], None, change[None], w.multiplier[None]
@@ -234,7 +238,7 @@ def struck(
     plastic: bool,
     state: tuple[complex, Array, Array],
 ) -> Struck:
-    """Solve impacts that happen at (t, q, v); plastic ones have no restitution."""
+    """Return the solution of impacts at a state (t, q, v); plastic ones have no restitution."""
     t, q, v = state
     local, factors = _factored(system, state)
     moved, multiplier = solve(factors, np.zeros_like(v), local.constraint(0.0, q, v))
@@ -245,7 +249,7 @@ def struck(
 
 @final
 class _Impulses:
-    """The impulses of independent gaps from a velocity on the constraints."""
+    """The problem for the impulses of independent gaps, at a velocity on the constraints."""
 
     def __init__(
         self,
@@ -277,7 +281,7 @@ class _Impulses:
         self._rates = W @ before.value + w_t
 
     def solved(self) -> Struck:
-        """Return the impacts with their stages, without the contacts that do not push."""
+        """Return the solved impacts, without the contacts that do not push."""
         stages, m = self._stages(), len(self._impacts)
         total = stages[-1].after.impulses
         pushing = np.flatnonzero(total[:m].real > 0)
@@ -293,7 +297,7 @@ class _Impulses:
         )  # fmt: skip
 
     def _stages(self) -> tuple[_Stage, ...]:
-        """Return the stages of the impact: one, or compression and expansion."""
+        """Return the stages of the impact: one (Newton), or compression and expansion (Poisson)."""
         laws, m = {x.law for x in self._impacts}, len(self._impacts)
         if len(laws) > 1:
             names = ", ".join(repr(x.name) for x in self._impacts)
@@ -308,13 +312,13 @@ class _Impulses:
         return first, self._stage(first.after, shift, self._e * first.impulses[:m])
 
     def _stage(self, before: _Velocity, shift: Array, least: Array) -> _Stage:
-        """Return a stage from its velocity, what is added to rates after it, and N_0."""
+        """Return a stage from its velocity, the shift of rates after it, and N_0."""
         W, w_t = self._rows
         rates = W @ before.value + w_t + shift
         try:
             branch = self._contacts.branch(rates, least)
             if len(self._impacts) == 1 and not branch.pushes[0] and not np.any(least):
-                # Bodies that barely close: the gap keeps the rate that the law gives it.
+                # A gap that closes with a rate of round-off gets the rate of the law.
                 branch = replace(branch, pushes=np.array([True]))
             impulses = branch.impulses(self._contacts, rates, least)
         except ArithmeticError as error:
@@ -328,7 +332,7 @@ class _Impulses:
         return _Stage(branch, least, impulses, _Velocity(value, multiplier, total))
 
     def _tie(self, stages: Sequence[_Stage]) -> str | None:
-        """Return the name of an impact that lies between two branches of a stage."""
+        """Return the name of an impact that lies between two branches of a stage; None without."""
         W, w_t = self._rows
         for number, stage in enumerate(stages):
             rates = W @ stage.after.value + w_t
@@ -343,7 +347,7 @@ class _Impulses:
 def uncoupled(
     system: MechanicalSystem, impacts: Sequence[Impact], state: tuple[float, Array, Array]
 ) -> list[tuple[Impact, ...]]:
-    """Return the impacts in groups whose impulses do not change the rates of other groups' gaps."""
+    """Return the impacts in groups whose impulses do not change rates of other groups' gaps."""
     t, q, _ = state
     W, _ = contact_rows(system, impacts, t, q)
     X, _ = solve(_factored(system, state)[1], W.T, np.zeros((system.n_lam, len(W))))
@@ -363,7 +367,7 @@ def uncoupled(
 def _factored(
     system: MechanicalSystem, state: tuple[complex, Array, Array]
 ) -> tuple[PhaseSystem, Factorization]:
-    """Return the system from a state on, and its factorised matrix of mass and constraints."""
+    """Return the system from a state on, and the factors of [M Phi_q^T; Phi_q 0] there."""
     t, q, v = state
     # The time may have an imaginary part, which constraints of a phase that begins here accept.
     local = PhaseSystem(system, PhaseStart.held(t, q, v, system.n_b), 1.0, first=False)
@@ -378,10 +382,10 @@ def _independent(
     t: complex,
     q: Array,
 ) -> tuple[Impact, ...]:
-    """Return the impacts, in their order, without gaps whose rates follow from those before.
+    """Return the impacts, in their order, without gaps whose rates follow from earlier ones.
 
-    Two gaps of one pair of points close together, and one impulse opens both. InvalidInputError if
-    no motion that the joints allow changes a gap.
+    Two gaps of one pair of points close together, and one impulse opens both. Raises
+    InvalidInputError if no motion that the joints allow changes a gap.
     """
     chosen: list[Impact] = []
     for impact in impacts:

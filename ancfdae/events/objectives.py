@@ -1,11 +1,11 @@
-"""Objectives of runs with events: values over all phases, and partials in each of them.
+"""Objectives of runs with events: values over all phases, and partials in each phase.
 
-An integral is the sum of those over the phases. A value at a given time T is interpolated in the
-phase in which T lies, at the end of a phase in the one that ends there: before the event. The
-derivative with respect to the time counts there, for a phase moves with the design: steps are
-interpolated by a cubic through four time points. Time points depend on the design through the
-starts and durations of phases. So do the weights of quadrature and interpolation, and observables
-that name time.
+An integral is the sum of the integrals over the phases. A value at a given time T is interpolated
+in the phase that contains T; at the end of a phase in the one that ends there, before the event.
+The derivative with respect to the time matters there, because phases shift with the design: steps
+are interpolated by a cubic through four time points. Time points depend on the design through the
+starts and durations of phases, and so do the weights of quadrature and interpolation, and
+observables that depend on time explicitly.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from ancfdae.sensitivity.objectives.reductions import (
 from ancfdae.sensitivity.observables.expression import evaluated, leaf_weights, leaves
 from ancfdae.sensitivity.observables.observable import Observable, States, remembered
 
-# A time within this part of the run after the end of a phase lies at that end.
+# A time after the end of a phase, by at most this fraction of the run, counts as that end.
 _SAME = 1e-12
 
 
@@ -86,14 +86,14 @@ class PhasePartials:
     duration: float
 
     def times(self, factor: float) -> PhasePartials:
-        """Return the partials times a factor."""
+        """Return the partials of the objective multiplied by a factor."""
         q, v, lam = (None if x is None else factor * x for x in (self.q, self.v, self.lam))
         return PhasePartials(
             q, v, lam, factor * self.b, factor * self.start, factor * self.duration
         )
 
     def along(self, states: tuple[Array, Array, Array] | None) -> float:
-        """Return the derivative along changes of q, v and lam, and of D by one; 0 without any."""
+        """Return the derivative along changes of q, v, lam and a unit change of D; or 0."""
         if states is None:
             return 0.0
         pairs = zip((self.q, self.v, self.lam), states, strict=True)
@@ -101,7 +101,7 @@ class PhasePartials:
         return self.duration + through
 
     def plus(self, other: PhasePartials) -> PhasePartials:
-        """Return the sum with other partials in the same phase."""
+        """Return the sum with `other`, partials of an objective in the same phase."""
         pairs = zip((self.q, self.v, self.lam), (other.q, other.v, other.lam), strict=True)
         q, v, lam = (x if y is None else y if x is None else x + y for x, y in pairs)
         start, duration = self.start + other.start, self.duration + other.duration
@@ -114,7 +114,7 @@ def value_of(objective: Objective, phases: Sequence[PhaseStates]) -> complex:
 
 
 def require_reductions(objectives: Sequence[Objective]) -> None:
-    """Refuse objectives that are not made of values over time."""
+    """Raise InvalidInputError for objectives that are not functions of observables over time."""
     for objective in objectives:
         for leaf in leaves(objective):
             if not isinstance(leaf, Reduction):
@@ -126,7 +126,7 @@ def require_reductions(objectives: Sequence[Objective]) -> None:
 def along_phases(
     observable: Observable, phases: Sequence[PhaseStates]
 ) -> list[dict[object, Array]]:
-    """Return the values of an observable and its parts along each phase; its own come last."""
+    """Return values of an observable and its terms, by node, along each phase; itself last."""
     found: list[dict[object, Array]] = []
     past: Mapping[object, float] = {}
     for phase in phases:
@@ -340,7 +340,7 @@ class _Reduced:
 
 
 def _lagrange(nodes: Array, time: float) -> tuple[Array, Array]:
-    """Return values and slopes of the Lagrange polynomials of some nodes at one time, (k,) each."""
+    """Return values and slopes of the Lagrange polynomials of nodes at `time`, (k,) each."""
     values, slopes = np.zeros((2, len(nodes)))
     for i, own in enumerate(nodes):
         others = np.delete(nodes, i)

@@ -36,7 +36,7 @@ from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.progress import progress_bar
 
-#: Impacts that follow each other within this part of the run are rest.
+#: Impacts that follow each other within this fraction of the run count as rest.
 REST = 1e-8
 # Most events of a run.
 _MOST = 100_000
@@ -84,9 +84,9 @@ class PhaseMarch:
         self._contacts = _Contacts()
 
     def run(self, mode: ModeSystem, progress: bool, begins: Beginning | None = None) -> PhasedRun:
-        """Run from the start of a mode to the end; a failure keeps the phases before.
+        """Integrate from the start of a mode to the end; a failure keeps the phases before it.
 
-        With `begins` the run goes on there.
+        With `begins` the run continues from there.
         """
         with progress_bar(progress, total=self._t_end, unit="s") as bar:
             if begins is None:
@@ -110,7 +110,7 @@ class PhaseMarch:
         first: bool,
         bar: Any,
     ) -> PhasedRun:
-        """Run through all phases from a mode, a state, and the events that have just happened."""
+        """Integrate all phases from a mode, a state, and the events that have just happened."""
         mode, state, happened = begins
         phases: list[Phase] = []
         short = closed = 0
@@ -154,7 +154,7 @@ class PhaseMarch:
         return self._ended(before, phases, self._outcome(Verdict.EVENT_LIMIT, phases, ""))
 
     def _too_many(self, phases: Sequence[Phase]) -> bool:
-        """Whether events follow each other steadily, too fast to reach the end of the run."""
+        """Return whether events follow steadily, too fast to reach the end of the run."""
         if len(phases) < _FORESEEN:
             return False
         durations = np.array([phase.duration for phase in phases[-_FORESEEN:]])
@@ -193,7 +193,7 @@ class PhaseMarch:
                 window = min(left, _GROWTH * window)
 
     def _for_phase(self, t: float, window: float) -> Integrator:
-        """Return the integrator of a phase of this length that begins at t."""
+        """Return the integrator of a phase of length `window`, s, that begins at t."""
         integrator = self._integrator
         if not isinstance(integrator, HighOrder):
             return integrator
@@ -283,7 +283,7 @@ def _impacts(jump: Jump | None) -> tuple[Event, ...]:
 
 
 def _short(phase: Phase, t_end: float) -> bool:
-    """Whether a phase is so short that events have no time between them."""
+    """Return whether a phase is so short that its events count as simultaneous."""
     return phase.duration <= REST * t_end
 
 

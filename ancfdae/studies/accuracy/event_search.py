@@ -66,7 +66,7 @@ class _Taken(NamedTuple):
 
 
 class _Task(NamedTuple):
-    """What is wanted: a run with any integrator, its vectors, and the sizes of these."""
+    """The task of a search: a run with any integrator, its vectors, and their sizes."""
 
     run: EventRun
     measure: Callable[[EventRun], tuple[list[Array], EventSolution, object]]
