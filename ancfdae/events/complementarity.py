@@ -13,8 +13,8 @@ the problem of lines in the form of D. E. Stewart and J. C. Trinkle (Int. J. Num
 whose solution begins a Newton iteration on the cone (`friction_cones`).
 
 The solution lies on a *branch*: which contacts push, which stick, and which slide in what
-direction. On a branch the equations are smooth, and linear but for the direction of sliding in a
-plane. They are solved once more, so that complex numbers and derivatives follow from them, too.
+direction. On a branch the equations are smooth; the direction of sliding in a plane is their only
+nonlinear term. They are solved once more, so that complex numbers and derivatives follow from them, too.
 """
 
 from __future__ import annotations
