@@ -83,7 +83,7 @@ def differentiated(run: EventRun, method: object) -> EventSolution:
 
 
 def values(run: EventRun, objectives: Sequence[Objective]) -> tuple[EventSolution, Array]:
-    """Return a finished run with events and the values of objectives, shape (n,)."""
+    """Return a finished run with events, and the values of objectives, shape (n,)."""
     require_reductions(objectives)
     phased = run.phased()
     found = _reached(phased)

@@ -125,7 +125,7 @@ class _Rows:
                 )
 
     def _beside(self, held: Array) -> Iterator[tuple[Array, float]]:
-        """Yield configurations that satisfy the rows `held`, and their distances from the start."""
+        """Yield states q that satisfy the joint equations `held`, and distances from the start."""
         system, (q, _) = self._system, self._system.start()
         root, rng = np.sqrt(system.weights), np.random.default_rng(1)
         size = float(np.linalg.norm(root * system.centred(q)))
@@ -146,7 +146,7 @@ class _Rows:
 
 
 def _labelled(structure: JointStructure, d: int) -> Iterator[tuple[tuple[str, int], int, bool]]:
-    """Yield, for every row, its label, its kind and whether its joint is driven."""
+    """Yield, for each joint equation, joint and row, its kind, and whether the joint is driven."""
     for slot, layout in zip(structure.slots, structure.joints, strict=True):
         joint = slot.item.joint
         fixed = joint.driven or isinstance(joint, (Rigidity, FormulaJoint))

@@ -190,14 +190,14 @@ class CriticalValue(Objective):
     def value(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
     ) -> float | complex:
-        """Return the critical value at the design values of the run."""
+        """Return the critical value of the load parameter at the design values of the run."""
         value, slopes = self._at(system)
         return value + 1j * float(slopes @ system.b.imag) if np.iscomplexobj(system.b) else value
 
     def partials(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
     ) -> ObjectivePartials:
-        """Return the critical value and its gradient; the states of the run have no effect."""
+        """Return the critical value and its design gradient; states of the run have no effect."""
         value, slopes = self._at(system)
         return ObjectivePartials(value, None, None, None, slopes)
 

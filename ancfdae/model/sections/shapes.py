@@ -57,7 +57,7 @@ class _Round(Section):
         return -radius * np.cos(angle), -radius * np.sin(angle)
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Return Gauss points in squared radius, equal angles; exact to degree 5 (fine: 11)."""
+        """Return Gauss points in squared radius and angle; exact to degree 5 (fine: 11)."""
         radial, angular = (6, 12) if fine else (3, 6)
         corner, rule = box_rule((radial,))
         share, n = corner[:, 0], len(sizes)
