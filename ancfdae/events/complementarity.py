@@ -13,7 +13,7 @@ the problem of lines in the form of D. E. Stewart and J. C. Trinkle (Int. J. Num
 whose solution begins a Newton iteration on the cone (`friction_cones`).
 
 The solution lies on a *branch*: which contacts push, which stick, and which slide in what
-direction. On a branch the equations are smooth, and linear but for the direction of sliding in a
+direction. On a branch the equations are smooth, and linear except for the direction of sliding in a
 plane. They are solved once more, so that complex numbers and derivatives follow from them, too.
 """
 

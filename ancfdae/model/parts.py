@@ -129,9 +129,9 @@ Vectors: TypeAlias = tuple[
 class Part(Designable, abc.ABC):
     """A named joint or load.
 
-    A part is a frozen dataclass. Fields of these names mean the same in every part: `point`, the
-    point that it acts on, or `beam`, the name of a beam that it acts on as a whole; `other`, a
-    point, or `ground`, a position, that it joins `point` to.
+    A part is a frozen dataclass. Fields of these names mean the same in every part. `point` is the
+    point that the part acts on, `beam` the name of a beam that it acts on as a whole. `other`, a
+    point, or `ground`, a position, is the second end.
 
     Parameters
     ----------

@@ -138,9 +138,9 @@ class SceneDesign(Designable):
         """Return the numbers of an owner that can be design targets, by parameter name.
 
         For a beam they are its placement and initial velocity, without parameters of elements; for
-        a rigid body also its parameters; for joints, loads and point masses their parameters and
-        the coordinates of their points, then the default position on the ground; for the owner
-        ``"scene"`` gravity.
+        a rigid body also its parameters. For joints, loads and point masses they are their
+        parameters and the coordinates of their points, then the default position on the ground; for
+        the owner ``"scene"`` gravity.
 
         Raises UnknownNameError.
         """

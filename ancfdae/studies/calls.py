@@ -405,7 +405,7 @@ def gradients(
 
 
 def _limited(method: GradientMethod | None, memory: str | float | None) -> GradientMethod | None:
-    """Return the adjoint within a limit of memory if there is one, else the method."""
+    """Return the adjoint method within a limit of memory, if given, otherwise the method."""
     if memory is None:
         return method
     if method is not None:

@@ -25,10 +25,11 @@ from ancfdae.studies.parts import Keep, instants
 
 
 def simulated(run: EventRun, after: object = None, keep: Keep | None = None) -> EventSolution:
-    """Return the motion with its events, from `after` if given.
+    """Return the run with events, continued from `after` if given.
 
-    The last phase of `after`, which no event ended, is integrated again, so that its steps
-    equal the steps of a run in one go. With `keep` phases hold their ends and what it names.
+    The last phase of `after`, which no event ended, is integrated again, so that its steps equal
+    the steps of an uninterrupted run. With `keep`, phases store their ends and the chosen states
+    only.
     """
     thin = None if keep is None else thinned(_kept(keep, run.t_end))
     if after is None:
@@ -46,7 +47,7 @@ def simulated(run: EventRun, after: object = None, keep: Keep | None = None) -> 
 
 
 def _kept(keep: Keep, t_end: float) -> int | Array:
-    """Return the number or the times of the states to keep; refuse others."""
+    """Return the number or times of the states to store; InvalidInputError for invalid ones."""
     if isinstance(keep, int):
         require_count("keep", keep, "keep=100 keeps one step of 100, and the ends of phases.")
         return keep

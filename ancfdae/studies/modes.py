@@ -136,7 +136,7 @@ def suggest_step(
         Steps in the shortest period to be resolved; the phase error of HHT-I3 is about
         (2 pi / per_period)^2 / 8 of a turn in each period, / 12 with ``hht_alpha=0``.
     follow : int, optional
-        Number of vibrations to be resolved, from the slowest; None for all of them. Waves through
+        Number of vibrations to be resolved, from the slowest; None for all. Waves through
         the sections of stiff beams are thousands of times faster than the motion of interest.
     at : LinearisationPoint, optional
         As in `modes`.
@@ -288,7 +288,7 @@ _CIRCLES = 0.5
 @final
 @dataclass(frozen=True, repr=False)
 class Campbell(PrintedTable):
-    """Modes of a scene at several rates of its frame, each followed over all of them.
+    """Modes of a scene at several rates of its rotating frame, each mode followed over the rates.
 
     Attributes
     ----------

@@ -69,9 +69,9 @@ class Task:
 class Results:
     """Value, gradient and errors of a finished run.
 
-    q and lam, (k, n), are the states at the common times; `drift`, (j, n_lam), holds the
-    constraints at the times t of the run, `energy`, (j,), the total energy there, J, empty for a
-    system that is not a scene, and `kinetic` the largest kinetic energy.
+    q and lam, (k, n), are the states at the common times. `drift`, (j, n_lam), holds the
+    constraints and `energy`, (j,), the total energy, J, at the times t of the run; `energy` is
+    empty for a system that is not a scene. `kinetic` is the largest kinetic energy, J.
     """
 
     value: float
