@@ -414,11 +414,11 @@ def _close_gap(
 def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float) -> None:
     """Raise InconsistentStartError if the declared start violates a constraint beyond round-off.
 
-    |Phi_k| / |Phi_qk| is the distance to the constraint; it is measured against |q|, and
-    likewise |Phi_q v - nu| / |Phi_qk| against |v|, all in the norm of the weights. Both ratios are
-    free
-    of units. A driver that starts at rest gives speeds a size, too: sqrt(|q| |q''|) of the
-    accelerations that it prescribes.
+    |Phi_k| / |Phi_qk| is the distance to the constraint; it is measured against |q|, and likewise
+    |Phi_q v - nu| / |Phi_qk| against |v|, all in the norm of the weights. Both ratios are free of
+    units. A driver that starts at rest gives speeds a size, too: sqrt(|q| |q''|) of the
+    accelerations
+    that it prescribes.
     """
     pattern, values = system.constraint_pattern, system.constraint_q(t, q)
     squared = values.real**2 / system.weights[pattern.columns]

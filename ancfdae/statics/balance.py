@@ -399,8 +399,7 @@ class Balance:
         Coordinates carry eps |q|, which forces multiply by K, and their sums round; all terms by
         their magnitude. Actual round-off is a tenth of this bound (docs/measurements.md, "Modes").
         Where the bound is too small, as of a mass near the origin on a spring from afar, round-off
-        is
-        measured along parts of dq, if that is given.
+        is measured along parts of dq, if that is given.
         """
         system, pattern = self.system, self.system.pattern
         blur = pattern.dot(np.abs(K.real), np.abs(q.real))
@@ -440,8 +439,7 @@ class Balance:
         """Raise InvalidInputError if a driver moves at time t: inertia forces would be missing.
 
         They matter if M v^2/|q|, v the velocities that the joints prescribe, is more than the
-        round-off
-        of forces.
+        round-off of forces.
         """
         system, q = self.system, self.q_0.real
         nu = velocity_side(system, self.t, q).real
