@@ -37,9 +37,10 @@ class EventRecord:
     time_b, impulse_b : array, shape (n_b,), or None
         Their design derivatives, where the run was differentiated; s or N s per unit of the
         variable.
-    sliding_impulse : float or None
-        Impulse T of friction in the direction of the sliding velocity; N s. None without friction.
-    sliding_impulse_b : array, shape (n_b,), or None
+    sliding_impulse : float or array, shape (2,), or None
+        Impulse T of friction in the direction of the sliding velocity, or of both sliding
+        velocities of a cone of friction; N s. None without friction.
+    sliding_impulse_b : array, shape (n_b,) or (2, n_b), or None
         Its design derivatives, where the run was differentiated; N s per unit of the variable.
     """
 
@@ -49,7 +50,7 @@ class EventRecord:
     impulse: float | None = None
     time_b: Array | None = None
     impulse_b: Array | None = None
-    sliding_impulse: float | None = None
+    sliding_impulse: float | Array | None = None
     sliding_impulse_b: Array | None = None
 
 

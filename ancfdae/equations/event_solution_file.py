@@ -14,7 +14,8 @@ from ancfdae.errors.outcomes import RunOutcome, Verdict
 from ancfdae.numerics.arrays import Array
 
 _FORMAT = "ancfdae event solution 1"
-_SLOPES = ("time_b", "impulse_b", "sliding_impulse_b")
+# Fields of a record that may be arrays, the last one where friction has a cone.
+_ARRAYS = ("time_b", "impulse_b", "sliding_impulse_b", "sliding_impulse")
 
 
 def write(
@@ -29,10 +30,9 @@ def write(
         metas.append(meta)
     records = []
     for k, event in enumerate(events):
-        record = {x: value for x, value in vars(event).items() if x not in _SLOPES}
-        slopes = {x: getattr(event, x) for x in _SLOPES}
-        arrays |= {f"event{k}_{x}": np.array(v) for x, v in slopes.items() if v is not None}
-        records.append(record)
+        own = {x: vars(event)[x] for x in _ARRAYS if isinstance(vars(event)[x], np.ndarray)}
+        arrays |= {f"event{k}_{x}": value for x, value in own.items()}
+        records.append({x: value for x, value in vars(event).items() if x not in own})
     ended = {**asdict(outcome), "verdict": outcome.verdict.name}
     meta = {"format": _FORMAT, "phases": metas, "events": records, "outcome": ended}
     return store(path, arrays, meta)
@@ -55,8 +55,8 @@ def read(
             phases.append(unpacked(mine, own, naming))
         records = []
         for k, record in enumerate(meta["events"]):
-            slopes = {x: arrays.get(f"event{k}_{x}") for x in _SLOPES}
-            records.append({**record, **slopes})
+            own = {x: arrays[f"event{k}_{x}"] for x in _ARRAYS if f"event{k}_{x}" in arrays}
+            records.append({**record, **own})
         ended = {**meta["outcome"], "verdict": Verdict[meta["outcome"]["verdict"]]}
         return phases, records, RunOutcome(**ended)
 

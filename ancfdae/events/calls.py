@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -14,22 +14,23 @@ from ancfdae.equations.complex_steps import at_values
 from ancfdae.equations.event_solution import EventRecord, EventSolution, at_held_times
 from ancfdae.errors.checks import require_flag, require_kind, require_positive
 from ancfdae.errors.kinds import InvalidInputError, UnknownNameError
+from ancfdae.events.adjoint import PhaseAdjoint, states_in
 from ancfdae.events.derivatives import (
     PhaseDerivatives,
     differentiated,
-    pulled_back,
     require_one_time,
 )
 from ancfdae.events.kinds import Event, Impact, Mode, ModeSystem, require_events
 from ancfdae.events.objectives import (
+    FollowedObjective,
     PhasePartials,
     PhaseStates,
-    partials_of,
     require_reductions,
     value_of,
 )
 from ancfdae.events.perturbed import at_complex
-from ancfdae.events.run import Beginning, Jump, PhasedRun, PhaseMarch
+from ancfdae.events.phases import Beginning, Jump, Phase, PhasedRun
+from ancfdae.events.run import PhaseMarch
 from ancfdae.integrators.integrator import Integrator
 from ancfdae.integrators.step_control import PrescribedSteps
 from ancfdae.integrators.stepped import SteppedIntegrator
@@ -37,10 +38,9 @@ from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.threads import in_one_thread
-from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation
+from ancfdae.sensitivity.adjoint import Adjoint, DirectDifferentiation, size_of
 from ancfdae.sensitivity.method import GradientMethod, Run
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables.observable import States
 from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference, Perturbation
 
 # Name of the mode in which every run begins.
@@ -113,9 +113,16 @@ class EventRun:
         return (*self.system.design_names, *((END,) if self.free_end else ()))
 
     @in_one_thread
-    def phased(self, begins: Beginning | None = None) -> PhasedRun:
-        """Integrate all phases, from the start or from where an earlier run ended."""
-        march = PhaseMarch(self.modes, self.t_end, self.integrator)
+    def phased(
+        self,
+        begins: Beginning | None = None,
+        thin: Callable[[Phase], Phase] | None = None,
+    ) -> PhasedRun:
+        """Integrate all phases, from the start or from where an earlier run ended.
+
+        The run keeps what `thin` returns of each phase.
+        """
+        march = PhaseMarch(self.modes, self.t_end, self.integrator, thin)
         return march.run(self.modes[_OWN], self.progress, begins)
 
     def at(self, b: Array) -> EventRun:
@@ -137,18 +144,21 @@ class EventRun:
 
     @in_one_thread
     def gradients(
-        self, run: PhasedRun, objectives: Sequence[Objective], method: GradientMethod
-    ) -> list[tuple[float, Array]]:
-        """Return values and gradients of objectives of a finished run."""
+        self, objectives: Sequence[Objective], method: GradientMethod
+    ) -> tuple[PhasedRun, list[tuple[float, Array]]]:
+        """Integrate; return the run, and values and gradients of objectives if it is finished."""
         require_reductions(objectives)
+        if isinstance(method, Adjoint):
+            return self._adjoint(objectives, method)
+        run = self.phased()
+        if not run.outcome.success:
+            return run, []
         if isinstance(method, DirectDifferentiation):
-            return self._direct(run, objectives)
-        if isinstance(method, Adjoint | ComplexStep):
-            require_one_time(run)
-        if isinstance(method, Adjoint) and method.memory is None:
-            return self._adjoint(run, objectives)
+            return run, self._direct(run, objectives)
         if isinstance(method, ComplexStep | FiniteDifference):
-            return self._perturbed(run, objectives, method)
+            if isinstance(method, ComplexStep):
+                require_one_time(run, run.phases)
+            return run, self._perturbed(run, objectives, method)
         raise InvalidInputError(
             "method",
             "must be one that differentiates runs with events",
@@ -158,9 +168,11 @@ class EventRun:
 
     def _direct(self, run: PhasedRun, objectives: Sequence[Objective]) -> list[tuple[float, Array]]:
         done, phases = differentiated(run)
-        results = []
+        states, results = states_of(done), []
         for objective in objectives:
-            value, partials = partials_of(objective, states_of(done))
+            followed = FollowedObjective.along(objective, states)
+            value = followed.close()
+            partials = [followed.partials(k, phase) for k, phase in enumerate(states)]
             pairs = zip(partials, phases, strict=True)
             slopes = np.sum([_total(p, x) for p, x in pairs], axis=0)
             in_end = partials[-1].along(phases[-1].in_duration) if self.free_end else 0.0
@@ -172,17 +184,19 @@ class EventRun:
         return np.append(slopes, in_end) if self.free_end else slopes
 
     def _adjoint(
-        self, run: PhasedRun, objectives: Sequence[Objective]
-    ) -> list[tuple[float, Array]]:
+        self, objectives: Sequence[Objective], method: Adjoint
+    ) -> tuple[PhasedRun, list[tuple[float, Array]]]:
         if not isinstance(self.integrator, SteppedIntegrator):
             rule = "needs HHT or Radau with events, or with t_end in the design"
             repair = "Take one of them, or DirectDifferentiation()."
             raise InvalidInputError("Adjoint", rule, repr(self.integrator), repair)
-        results = []
-        for objective in objectives:
-            value, partials = partials_of(objective, states_of(run))
-            results.append((value, self._with_end(*pulled_back(run, partials))))
-        return results
+        memory = np.inf if method.memory is None else size_of(method.memory)
+        adjoint = PhaseAdjoint(objectives, memory)
+        run = self.phased(thin=adjoint.leave)
+        if not run.outcome.success:
+            return run, []
+        found = adjoint.gradients(run)
+        return run, [(value, self._with_end(slopes, in_end)) for value, slopes, in_end in found]
 
     def _perturbed(
         self, run: PhasedRun, objectives: Sequence[Objective], method: Perturbation
@@ -212,12 +226,7 @@ class EventRun:
 
 def states_of(run: PhasedRun) -> list[PhaseStates]:
     """Return the states of all phases of a run."""
-    found = []
-    for phase in run.phases:
-        x = phase.run
-        states = States(phase.times, x.q, x.v, x.lam, x.degree)
-        found.append(PhaseStates(phase.mode.system, states, phase.t_0, phase.duration))
-    return found
+    return [states_in(phase) for phase in run.phases]
 
 
 def solution(run: PhasedRun, derivatives: Sequence[PhaseDerivatives] = ()) -> EventSolution:
@@ -246,16 +255,22 @@ def _records(jump: Jump, time: float, known: PhaseDerivatives | None) -> list[Ev
         slopes_b = None if known is None else known.strikes_b[k]
         for impact, normal, along in strike.struck.impulses():
             pushing.add(impact)
-            places = normal, along
-            P, T = (None if x is None else float(found[x]) for x in places)
+            P, T = float(found[normal]), _in_directions(found, along)
             if slopes_b is None:
                 records.append(EventRecord(impact.name, time, name, P, sliding_impulse=T))
                 continue
-            P_b, T_b = (None if x is None else slopes_b[1][x] for x in places)
+            P_b, T_b = slopes_b[1][normal], _in_directions(slopes_b[1], along)
             records.append(EventRecord(impact.name, time, name, P, slopes_b[0], P_b, T, T_b))
     others = [x for x in jump.events if x not in pushing]
     records += [EventRecord(x.name, time, jump.mode.name, None, time_b) for x in others]
     return records
+
+
+def _in_directions(found: Array, places: list[int]) -> Any:
+    """Return the entries of friction: None, of one line, or of the two lines of a cone."""
+    if len(places) == 1:
+        return found[places[0]].tolist() if found.ndim == 1 else found[places[0]]
+    return found[places] if places else None
 
 
 def _total(p: PhasePartials, x: PhaseDerivatives) -> Array:
@@ -298,8 +313,8 @@ def _require_mode(
             raise InvalidInputError(where, rule, got, repair)
     for event in mode.events:
         event.crossing[0].check(system)
-        if isinstance(event, Impact) and event.sliding is not None:
-            event.sliding.check(system)
+        for line in event.lines if isinstance(event, Impact) else ():
+            line.check(system)
         if event.crossing[0].remembers_any:
             rule = "must follow from one state"
             got = "one that counts turns, as slope_angle does"

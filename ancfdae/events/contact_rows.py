@@ -31,7 +31,7 @@ def rows_of_contacts(impacts: Sequence[Impact]) -> list[RowsOf]:
     def of_sliding(sliding: Observable) -> RowsOf:
         return lambda system, t, q: sliding_rows(system, sliding, t, q)
 
-    rough = [of_sliding(x.sliding) for x in impacts if x.sliding is not None]
+    rough = [of_sliding(line) for x in impacts for line in x.lines]
     return [*(of_gap(x.gap) for x in impacts), *rough]
 
 

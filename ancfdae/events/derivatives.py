@@ -13,7 +13,7 @@ transposed phase, whose start is free there, and D.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
@@ -28,7 +28,7 @@ from ancfdae.events.impact import Directions
 from ancfdae.events.kinds import Event
 from ancfdae.events.objectives import PhasePartials
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
-from ancfdae.events.run import Jump, Phase, PhasedRun
+from ancfdae.events.phases import Jump, Phase, PhasedRun
 from ancfdae.events.strikes import Strike, order_matters
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.stepped import SteppedIntegrator
@@ -71,20 +71,24 @@ class _Start(NamedTuple):
 
 def differentiated(run: PhasedRun) -> tuple[PhasedRun, list[PhaseDerivatives]]:
     """Return a finished run with the derivatives of each phase (direct differentiation)."""
+    found = list(_each_differentiated(run, run.phases))
+    return replace(run, phases=tuple(x.phase for x in found)), found
+
+
+def _each_differentiated(run: PhasedRun, phases: Iterable[Phase]) -> Iterator[PhaseDerivatives]:
+    """Yield the derivatives of one phase after the other, of `phases` with all their states."""
     system = run.phases[0].mode.system
     start = _Start(np.zeros(system.n_b), *system.start_b())
     if run.before is not None:
         require_closed_start(system, run.before)
         start, _ = _after(run.before, start)
-    found: list[PhaseDerivatives] = []
-    for phase in run.phases:
+    for phase in phases:
         done, end = _through(phase, start)
         if done.phase.jump is not None:
             _happen_together(done, end)
             start, strikes_b = _after(done.phase.jump, end)
             done = replace(done, strikes_b=strikes_b)
-        found.append(done)
-    return replace(run, phases=tuple(x.phase for x in found)), found
+        yield done
 
 
 def _through(phase: Phase, start: _Start) -> tuple[PhaseDerivatives, _Start]:
@@ -150,10 +154,14 @@ def require_closed_start(system: MechanicalSystem, jump: Jump) -> None:
                 raise InvalidInputError(where, rule, "a gap that depends on the design", repair)
 
 
-def require_one_time(run: PhasedRun) -> None:
-    """Refuse to differentiate a run in which times of events coincide at this design only."""
+def require_one_time(run: PhasedRun, phases: Iterable[Phase]) -> None:
+    """Refuse to differentiate a run in which times of events coincide at this design only.
+
+    `phases` are the phases of the run with all their states.
+    """
     if any(phase.jump is not None and len(phase.jump.events) > 1 for phase in run.phases):
-        differentiated(run)
+        for _ in _each_differentiated(run, phases):
+            pass
 
 
 def _happen_together(done: PhaseDerivatives, end: _Start) -> None:
@@ -253,28 +261,35 @@ class _Covectors(NamedTuple):
     v: Array
 
 
-def pulled_back(run: PhasedRun, partials: Sequence[PhasePartials]) -> tuple[Array, float]:
-    """Return the gradient of an objective from its partials in all phases, (n_b,) (adjoint).
+@final
+class BackwardPass:
+    """The gradient of an objective, from the last phase of a run to the first one (adjoint).
 
-    The derivative in the end of the run comes beside; zero where an event ends the run.
+    `in_end` is the derivative in the end of the run; zero where an event ends it.
     """
-    in_end = 0.0
-    system = run.phases[0].mode.system
-    gradient, n_q = np.zeros(system.n_b), system.n_q
-    on = _Covectors(0.0, np.zeros(n_q), np.zeros(n_q))
-    for phase, p in zip(reversed(run.phases), reversed(partials), strict=True):
+
+    def __init__(self, system: MechanicalSystem) -> None:
+        n_q = system.n_q
+        self._on = _Covectors(0.0, np.zeros(n_q), np.zeros(n_q))
+        self._gradient, self.in_end = np.zeros(system.n_b), 0.0
+
+    def through(self, phase: Phase, p: PhasePartials) -> None:
+        """Pull back through a phase, and the jump at its end, with partials along the phase."""
         if phase.jump is not None:
-            on, on_b = _before(phase.jump, on)
-            gradient += on_b
-        on, on_b, in_D = _back_through(phase, p, on)
-        gradient += on_b
+            self._on, on_b = _before(phase.jump, self._on)
+            self._gradient += on_b
+        self._on, on_b, in_D = _back_through(phase, p, self._on)
+        self._gradient += on_b
         if phase.event is None:
-            in_end = in_D
-    if run.before is not None:
-        require_closed_start(system, run.before)
-        on, on_b = _before(run.before, on)
-        gradient += on_b
-    return gradient + system.start_pull_back(on.q, on.v), in_end
+            self.in_end = in_D
+
+    def to_start(self, system: MechanicalSystem, before: Jump | None) -> Array:
+        """Return the gradient, (n_b,), with the start of the run and the impacts there."""
+        if before is not None:
+            require_closed_start(system, before)
+            self._on, on_b = _before(before, self._on)
+            self._gradient += on_b
+        return self._gradient + system.start_pull_back(self._on.q, self._on.v)
 
 
 def _before(jump: Jump, on: _Covectors) -> tuple[_Covectors, Array]:

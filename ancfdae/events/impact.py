@@ -1,12 +1,12 @@
 """Impacts of one or several gaps at one time, with friction, and their derivatives.
 
-G = g_q are the gradients of the gaps, u = G v + g_t their rates; rough contacts have
-sliding velocities s = H v + s_t with H = s_v. W stacks G and H. The velocity v before the
-impact is first moved onto the constraints, to v_p:
+G = g_q are the gradients of the gaps, u = G v + g_t their rates; rough contacts have one or
+two sliding velocities s = H v + s_t each, with H = s_v. W stacks G and H. The velocity v before
+the impact is first moved onto the constraints, to v_p:
 
     M (v_p - v) + Phi_q^T sigma = 0,   Phi_q v_p = nu.
 
-Then it is struck by impulses P along normals and T along lines of sliding:
+Then it is struck by impulses P along normals and T along lines, or in planes, of sliding:
 
     M (v+ - v) + Phi_q^T mu - W^T (P, T) = 0,   Phi_q v+ = nu.
 
@@ -115,20 +115,25 @@ class Struck:
         """The velocity of the system after the impact, with the total impulses."""
         return self.stages[-1].after
 
-    def impulses(self) -> list[tuple[Impact, int, int | None]]:
+    def impulses(self) -> list[tuple[Impact, int, list[int]]]:
         """Return the impacts that push, with the places of their impulses P and T."""
-        m, rough = len(self.impacts), self.contacts.rough.tolist()
-        places = [m + rough.index(i) if i in rough else None for i in range(m)]
+        m, rough = len(self.impacts), self.contacts.rough
+        places = [(m + np.flatnonzero(rough == i)).tolist() for i in range(m)]
         return list(zip(self.impacts, range(m), places, strict=True))
 
     def slides(self, impact: Impact) -> float:
-        """Return the sign of the sliding velocity at the end of an impact; 0 if it sticks."""
+        """Return the sign of the sliding velocity at the end of an impact; 0 if it sticks.
+
+        In a plane every direction of sliding counts as positive.
+        """
         (W, w_t), w = self.rows, self.after.value
-        for each, _, place in self.impulses():
-            if each is impact and place is not None:
-                terms, rate = np.abs(W[place]) @ np.abs(w) + np.abs(w_t[place]), W[place] @ w
-                moves = np.abs(rate + w_t[place]) > _STANDS * terms
-                return float(np.sign(np.real(rate + w_t[place]))) if moves else 0.0
+        for each, _, places in self.impulses():
+            if each is impact and places:
+                terms = np.abs(W[places]) @ np.abs(w) + np.abs(w_t[places])
+                rates = np.real(W[places] @ w + w_t[places])
+                moves = bool(np.any(np.abs(rates) > _STANDS * np.max(terms)))
+                sign = float(np.sign(rates[0])) if len(places) == 1 else 1.0
+                return sign if moves else 0.0
         return 0.0
 
     def require_branch(self) -> None:
@@ -174,16 +179,16 @@ class Struck:
                 least_b = e_b * first + e * stage_b[:m]
             elif not self._in_two_stages:
                 change[:m] += e * u_b[:m] + e_b * u
-            normal, changes = stage.impulses[:m], (change, least_b, mu_b)
-            stage_b = self._branch_along(stage.branch, normal, changes)
+            state = stage.impulses[:m], (W @ stage.after.value + w_t)[m:]
+            stage_b = self._branch_along(stage.branch, state, (change, least_b, mu_b))
             total_b = total_b + stage_b
         return held_b + self.X @ total_b, total_b
 
     def _branch_along(
-        self, branch: Branch, normal: Array, changes: tuple[Array, Array, Array]
+        self, branch: Branch, state: tuple[Array, Array], changes: tuple[Array, Array, Array]
     ) -> Array:
         try:
-            return branch.along(self.contacts, normal, changes)
+            return branch.along(self.contacts, state, changes)
         except ArithmeticError as error:
             names = ", ".join(repr(x.name) for x in self.impacts)
             where = f"impacts {names} at t = {np.real(self.state[0]):.6g}"
@@ -215,7 +220,7 @@ class Struck:
     def _coefficients_along(self, moved: Directions) -> tuple[Array, Array]:
         """Return the derivatives of restitutions, (m, d), and of frictions, (k, d)."""
         restitutions = [0.0 if self.plastic else x.restitution for x in self.impacts]
-        frictions = [x.friction for x in self.impacts if x.is_rough]
+        frictions = [x.friction for x in self.impacts for _ in x.lines]
         found = []
         for numbers in (restitutions, frictions):
             rows = np.zeros((len(numbers), len(moved.t)))
@@ -266,11 +271,11 @@ class _Impulses:
             coefficient(system, own, f"restitution of {x.name!r}", state)
             for own, x in zip(e, impacts, strict=True)
         ])  # fmt: skip
-        rough = [i for i, x in enumerate(impacts) if x.is_rough]
+        rough = [i for i, x in enumerate(impacts) for _ in x.lines]
         mu = [
             coefficient(system, x.friction, f"friction of {x.name!r}", state)
             for x in impacts
-            if x.is_rough
+            for _ in x.lines
         ]
         self._contacts = Contacts(W @ self._X, np.array(rough, dtype=int), np.array(mu))
         self._rates = W @ before.value + w_t
@@ -349,7 +354,7 @@ def uncoupled(
     C = W @ X
     sizes = np.sqrt(np.abs(np.diag(C)))
     coupled = np.abs(C) > _UNCOUPLED * np.outer(sizes, sizes)
-    rough = [i for i, x in enumerate(impacts) if x.is_rough]
+    rough = [i for i, x in enumerate(impacts) for _ in x.lines]
     for row, i in enumerate(rough, len(impacts)):
         coupled[row, i] = True
     _, group = connected_components(coupled, directed=False)

@@ -144,7 +144,8 @@ class RestModes:
     sticks : str, optional
         Name of the mode if the bodies stick together in the last impact.
     forward, backward : str, optional
-        Names of the modes if they slide in it, with a positive or negative sliding velocity.
+        Names of the modes if they slide in it, with a positive or negative sliding velocity; with a
+        cone of friction `forward` for all directions.
     """
 
     sticks: str | None = None
@@ -177,10 +178,11 @@ class Impact(Event):
     the restitution e, velocities jump by
 
         M (v+ - v-) + Phi_q^T mu = g_q^T P + s_v^T T,   Phi_q v+ = nu,   u+ = -e u-,
-        |T| <= friction * P,   T = -friction * P * sign(s+) where s+ is not zero.
+        |T| <= friction * P,   T = -friction * P * s+/|s+| where s+ is not zero.
 
-    P is the impulse along the normal, and T along the line of sliding. Gaps that close at the same
-    time share one system of equations; with friction or by Poisson's law all closed gaps do.
+    P is the impulse along the normal, and T along the line or in the plane of sliding. Gaps that
+    close at the same time share one system of equations; with friction or by Poisson's law all
+    closed gaps do.
 
     Parameters
     ----------
@@ -200,10 +202,10 @@ class Impact(Event):
     friction : float or Observable
         Coefficient of Coulomb's friction in the impact, from 0 on; dimensionless. An observable is
         taken in the state before the impact, as the restitution.
-    sliding : Observable, optional
+    sliding : Observable or pair of Observable, optional
         Velocity of one contact point relative to the other along the surface, linear in the
-        velocities, for example ``velocity(ball.at(0, -0.1), 0)``. Friction needs it. In space
-        friction acts along this one line.
+        velocities, for example ``velocity(ball.at(0, -0.1), 0)``. Friction needs it. In space two
+        of them, along lines at a right angle, give a cone of friction; one gives a guide.
     law : ImpactLaw
         Law of restitution.
     """
@@ -213,7 +215,7 @@ class Impact(Event):
     name: str = "impact"
     rest: str | RestModes | None = None
     friction: float | Observable = 0.0
-    sliding: Observable | None = None
+    sliding: Observable | tuple[Observable, Observable] | None = None
     law: ImpactLaw = ImpactLaw.NEWTON
 
     def __post_init__(self) -> None:
@@ -226,10 +228,13 @@ class Impact(Event):
             if not isinstance(value, Observable):
                 require_not_negative(f"Impact.{field}", value, repair)
         require_kind("Impact.law", self.law, (ImpactLaw,), "Use ImpactLaw.NEWTON or POISSON.")
-        if self.sliding is not None:
-            repair = "For example velocity(point, 0). Two directions of sliding are not supported."
-            require_kind("Impact.sliding", self.sliding, (Observable,), repair)
-        if self.is_rough != (self.sliding is not None):
+        for line in self.lines:
+            repair = "For example velocity(point, 0), or a pair of them in space."
+            require_kind("Impact.sliding", line, (Observable,), repair)
+        if len(self.lines) > 2:
+            rule, repair = "must be one observable or two", "A surface has two directions."
+            raise InvalidInputError("Impact.sliding", rule, len(self.lines), repair)
+        if self.is_rough != (len(self.lines) > 0):
             rule = "must be given together with a friction coefficient above zero"
             got = "friction without it" if self.is_rough else "no friction"
             raise InvalidInputError("Impact.sliding", rule, got, "For example velocity(point, 0).")
@@ -250,6 +255,13 @@ class Impact(Event):
         if isinstance(self.rest, RestModes):
             return self.rest.names
         return () if self.rest is None else (self.rest,)
+
+    @property
+    def lines(self) -> tuple[Observable, ...]:
+        """The velocities of sliding: none, one along a line, two in a plane."""
+        if self.sliding is None:
+            return ()
+        return self.sliding if isinstance(self.sliding, tuple) else (self.sliding,)
 
     @property
     def is_rough(self) -> bool:

@@ -18,7 +18,7 @@ from ancfdae.events.functions import in_time
 from ancfdae.events.kinds import ModeSystem
 from ancfdae.events.objectives import PhaseStates
 from ancfdae.events.phase_system import PhaseStart, PhaseSystem
-from ancfdae.events.run import Jump, Phase, PhasedRun
+from ancfdae.events.phases import Jump, Phase, PhasedRun
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.sensitivity.method import finished
 from ancfdae.sensitivity.observables.observable import Observable, States

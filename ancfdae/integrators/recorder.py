@@ -123,10 +123,11 @@ class SolutionRecorder:
         q, v, a, lam = (x[self.instants : self.instants + count] for x in self._arrays[1:5])
         return q, v, a, lam
 
-    def take(self, t: Array) -> None:
-        """Count rows that were written, at these instants."""
+    def take(self, t: Array, control: tuple[float, ...] = ()) -> None:
+        """Count rows that were written, at times t, and note the state of step control."""
         self._arrays[0][self.instants : self.instants + len(t)] = t
         self.instants += len(t)
+        self._control = control
 
     def last(self, count: int) -> Rows:
         """Return the last `count` time points with coordinates and velocities."""

@@ -63,6 +63,7 @@ def simulate(
     integrator: Integrator,
     *,
     after: EventSolution | None = None,
+    keep: Keep | None = None,
     events: Sequence[Event],
     modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
@@ -122,7 +123,8 @@ def simulate(
     keep : int or sequence of float, optional
         Store only part of a run with prescribed steps. An int k stores the start, every k-th step
         and the end; a sequence of ascending times in [0, t_end], s, stores states interpolated as
-        by `Solution.at`.
+        by `Solution.at`. A run with events takes all integrators here, and each of its phases also
+        stores its start and its end.
     events : sequence of Event, optional
         `Impact`, `EndEvent` and `Switch`, at each of which a phase of the motion ends; the result
         is then an `EventSolution`.
@@ -133,14 +135,14 @@ def simulate(
     """
     system = as_system(model)
     if events is not None or modes is not None:
-        _require_alone("events", tolerance=tolerance, observables=observables, keep=keep)
+        _require_alone("events", tolerance=tolerance, observables=observables)
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import simulated
 
         run_with_events = EventRun.of(
             system, t_end, integrator, events or (), modes, None, progress
         )
-        phased = simulated(run_with_events, after)
+        phased = simulated(run_with_events, after, keep)
         warn_of_strains("simulate", system, phased.q)
         return phased
     if tolerance is not None:
@@ -372,24 +374,20 @@ def gradients(
     require_objectives(system, objectives, t_end)
     if events is not None or modes is not None or free_end:
         what = "design with t_end" if free_end else "events"
-        _require_alone(what, tolerance=tolerance, memory=memory, after=after)
+        _require_alone(what, tolerance=tolerance, after=after)
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import gradients as gradients_with_events
 
         made = EventRun.of(
             system, t_end, integrator, events or (), modes, design, progress, free_end
         )
-        return gradients_with_events(made, objectives, method)
+        return gradients_with_events(made, objectives, _limited(method, memory))
     if tolerance is not None:
         _require_alone("tolerance", integrator=integrator, memory=memory, after=after)
         from ancfdae.studies.accuracy.search import gradients_within
 
         return gradients_within(system, objectives, t_end, tolerance, method, progress)
-    if memory is not None:
-        if method is not None:
-            rule, repair = "limits the adjoint method only", "Write method=Adjoint(memory=...)."
-            raise InvalidInputError("memory", rule, f"method={method!r} too", repair)
-        method = Adjoint(memory)
+    method = _limited(method, memory)
     if method is None:
         adjoint = isinstance(integrator, AdjointIntegrator)
         method = cheapest(system.n_b, len(objectives)) if adjoint else DirectDifferentiation()
@@ -403,6 +401,16 @@ def gradients(
         raise UnfinishedRunError(with_remedies(model, run, error.solution)) from error
     _is_off(found[0].solution, 4)
     return found
+
+
+def _limited(method: GradientMethod | None, memory: str | float | None) -> GradientMethod | None:
+    """Return the adjoint within a limit of memory if there is one, else the method."""
+    if memory is None:
+        return method
+    if method is not None:
+        rule, repair = "limits the adjoint method only", "Write method=Adjoint(memory=...)."
+        raise InvalidInputError("memory", rule, f"method={method!r} too", repair)
+    return Adjoint(memory)
 
 
 def _require_alone(where: str, **others: object) -> None:
