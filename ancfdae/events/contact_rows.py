@@ -23,7 +23,7 @@ from ancfdae.sensitivity.observables.observable import Observable, States
 
 
 def rows_of_contacts(impacts: Sequence[Impact]) -> list[RowsOf]:
-    """Return the functions of the rows of W: gradients of gaps, then rows of sliding velocities."""
+    """Return functions that give the rows of W: gradients of gaps, then of sliding velocities."""
 
     def of_gap(gap: Observable) -> RowsOf:
         return lambda system, t, q: gap_rows(system, gap, t, q)
@@ -92,7 +92,7 @@ def gap_partials(
 def of_state(
     system: MechanicalSystem, function: Observable, state: tuple[complex, Array, Array]
 ) -> tuple[float, Partials]:
-    """Return value and partial derivatives of an observable at a real state (t, q, v)."""
+    """Return value and partial derivatives of an observable at a state (t, q, v), with real t."""
     t, q, v = state
     at = States(np.array([np.real(t)]), q[None], v[None], np.zeros((1, system.n_lam)))
     return partials(system, function, at)

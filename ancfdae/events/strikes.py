@@ -48,7 +48,7 @@ class Wait:
 
     @staticmethod
     def until(impact: Impact, system: MechanicalSystem, state: State) -> Wait:
-        """Return the time from a state until an impact, with what its derivative needs."""
+        """Return the time from a state until an impact, with the data for its derivative."""
         t, q, v = float(np.real(state[0])), state[1], state[2]
         p = gap_partials(system, impact, (t, q, v))
         return Wait(p, float(p.q @ v + p.t), v, allowed(system, t, q, v).a)

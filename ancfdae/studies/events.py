@@ -28,7 +28,8 @@ def simulated(run: EventRun, after: object = None, keep: Keep | None = None) -> 
     """Return the motion with its events, from `after` if given.
 
     The last phase of `after`, which no event ended, is integrated again, so that its steps
-    equal the steps of a run in one go. With `keep` phases hold their ends and what it names.
+    equal the steps of a run in one go. If `keep` is given, phases store their ends and the states
+    that it names.
     """
     thin = None if keep is None else thinned(_kept(keep, run.t_end))
     if after is None:

@@ -6,11 +6,11 @@
 From the same state the equations of a step s h, with 0 < s <= 1, have one solution near the motion
 if s is small. The branch of solutions that begins there is followed in s. Guesses lie on the cubic
 through the last four solutions; they are accepted only where Newton's method contracts from its
-first correction on. The first rate of contraction is proportional
-to the distance of the guess, which goes with the stride to the power of the number of solutions.
-The branch ends at s = 1, with the solution of the full step, or turns back before: no larger step
-has a solution that belongs to this motion. Only guesses differ, not the equations; the solution has
-the derivatives of any other step.
+first correction on. The first rate of contraction is proportional to the distance of the guess,
+which goes with the stride to the power of the number of solutions. The branch ends at s = 1, with
+the solution of the full step, or turns back before: no larger step has a solution that belongs to
+this motion. Only guesses differ, not the equations; the solution has the derivatives of any other
+step.
 
 **Error of a step** (Negrut, Rampalli, Ottarsson & Sajdak 2007, section 3). Inserting the smooth
 solution in eq. (2), with a_n standing for q'' at t_n + alpha h, leaves in the position update
