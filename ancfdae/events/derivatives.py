@@ -70,7 +70,7 @@ class _Start(NamedTuple):
 
 
 def differentiated(run: PhasedRun) -> tuple[PhasedRun, list[PhaseDerivatives]]:
-    """Return a finished run with the derivatives of each phase (direct differentiation)."""
+    """Return a finished run with events, and design derivatives of each phase (direct)."""
     found = list(_each_differentiated(run, run.phases))
     return replace(run, phases=tuple(x.phase for x in found)), found
 

@@ -150,7 +150,7 @@ class Struck:
             raise InvalidInputError(where, rule, got, repair)
 
     def along(self, moved: Directions) -> tuple[Array, Array]:
-        """Return the derivatives of v+, (n_q, d), and of P and T, (m + k, d), along directions."""
+        """Return derivatives of v+, (n_q, d), and of (P, T), (m + k, d), along d directions."""
         self.require_branch()
         m, (W, w_t), (t, q, _) = len(self.impacts), self.rows, self.state
         directions = moved.t, moved.q, moved.b

@@ -120,7 +120,7 @@ def require_reductions(objectives: Sequence[Objective]) -> None:
 def along_phases(
     observable: Observable, phases: Sequence[PhaseStates]
 ) -> list[dict[object, Array]]:
-    """Return values of an observable and its terms, by node, along each phase; itself last."""
+    """Return values of an observable and its terms by node, itself last, for each phase."""
     found: list[dict[object, Array]] = []
     past: Mapping[object, float] = {}
     for phase in phases:
@@ -152,7 +152,7 @@ class FollowedObjective:
 
     @staticmethod
     def along(objective: Objective, phases: Sequence[PhaseStates]) -> FollowedObjective:
-        """Return an objective after all phases of a run."""
+        """Return the followed objective after all given phases of a run."""
         followed = FollowedObjective(objective)
         for phase in phases:
             followed.follow(phase)
@@ -174,7 +174,7 @@ class FollowedObjective:
         self._pasts.append(later)
 
     def value(self) -> complex:
-        """Return the value over all phases, complex if states or times are complex."""
+        """Return the objective's value over all phases; complex if states or times are complex."""
         nodes = evaluated(self._objective, lambda leaf: np.asarray(self._reduced(leaf).value()))
         value = list(nodes.values())[-1]
         if not np.isfinite(value):
@@ -196,7 +196,7 @@ class FollowedObjective:
         return value
 
     def partials(self, k: int, phase: PhaseStates) -> PhasePartials:
-        """Return the partials in states, design, start and duration of phase k."""
+        """Return the objective's partials in states, design, start and duration of phase k."""
         states, total = replace(phase.states, past=self._pasts[k]), list[PhasePartials]()
         shares = phase.times.grid.t / np.real(phase.duration)
         for leaf, (weight, slopes, through) in self._slopes.items():
@@ -239,7 +239,7 @@ class _Reduced:
         return [(phase.start, phase.duration) for phase in self._phases]
 
     def value(self) -> complex:
-        """Return the value over all phases, complex if states or times are complex."""
+        """Return the reduction over all phases; complex if states or times are complex."""
         x_all, w_all = np.concatenate(self._x), np.concatenate(self._weights(self._spans))
         used = w_all != 0
         if not np.all(np.isfinite(x_all[used])):

@@ -78,7 +78,7 @@ class Strike:
     def of(
         mode: ModeSystem, impacts: Sequence[Impact], plastic: bool, state: State, *, apart: bool
     ) -> Strike:
-        """Return solved impacts at a state; `apart` from those before, they have their own time."""
+        """Solve impacts at a state; if `apart` from earlier ones they have a time of their own."""
         wait = Wait.until(impacts[0], mode.system, state) if apart else None
         return Strike(mode, struck(mode.system, impacts, plastic, state), wait)
 

@@ -108,7 +108,7 @@ def consistent_start(
 
 
 def at_rest(v: Array, side: Array) -> bool:
-    """Return whether v and `side` vanish: side is the velocities, or accelerations, of drivers."""
+    """Return whether v and `side` are zero: velocities or accelerations that drivers prescribe."""
     return not (v.any() or side.any())
 
 
@@ -269,7 +269,7 @@ class AccelerationsAdjoint:
         return *self._on_states(mu, zeta), on_b
 
     def matrices(self) -> tuple[Array, Array]:
-        """Return the derivatives of on_q and of on_v in on_a, shape (n_q, n_q) each."""
+        """Return the Jacobians (da/dq)^T and (da/dv)^T of the accelerations, (n_q, n_q) each."""
         n_q, n_lam = self._system.n_q, self._system.n_lam
         return self._on_states(
             *solve_transposed(self._factors, np.eye(n_q), np.zeros((n_lam, n_q)))

@@ -269,7 +269,7 @@ class _Watched:
 
 @final
 class _Backward:
-    """Executes a checkpoint schedule; the solution `last` is the last part of the run."""
+    """Executes a checkpoint schedule; `last` is the solution of the last part of the run."""
 
     last: Solution
 

@@ -27,9 +27,9 @@ from ancfdae.studies.parts import Keep, instants
 def simulated(run: EventRun, after: object = None, keep: Keep | None = None) -> EventSolution:
     """Return the motion with its events, from `after` if given.
 
-    The last phase of `after`, which no event ended, is integrated again, so that its steps
-    equal the steps of a run in one go. If `keep` is given, phases store their ends and the states
-    that it names.
+    The last phase of `after`, which no event ended, is integrated again, so that its steps equal
+    the steps of a run in one go. If `keep` is given, phases store their ends and the states that it
+    names.
     """
     thin = None if keep is None else thinned(_kept(keep, run.t_end))
     if after is None:

@@ -119,7 +119,7 @@ class Steps:
         return float(self.h[n] / self.h[n - 1])
 
     def columns(self, steps: slice) -> Coefficients:
-        """Return the coefficients of the steps that end at time points `steps`; h is (k, 1)."""
+        """Return Newmark coefficients of the steps to time points `steps`, with h as a column."""
         h = self.h[steps.start - 1 : steps.stop - 1]
         return Coefficients(h[:, None], self.alpha)
 
@@ -165,7 +165,7 @@ def predict_increment(c: Coefficients, v: Array, a: Array) -> tuple[Array, Array
 
 
 def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:
-    """Return q and v of eqs. (2) and (3) from their predictors and a_{n+1}."""
+    """Return q and v at t_{n+1} by eqs. (2) and (3), from their predictors and a_{n+1}."""
     return q_p + c.in_q * a, v_p + c.in_v * a
 
 
@@ -185,7 +185,7 @@ def rescaled_sensitivity(node: NodeSensitivity, ratio: float) -> NodeSensitivity
 
 
 def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
-    """Return A at t_{n+1} from the algorithm's a and A_n, or the same of their derivatives."""
+    """Return A at t_{n+1} from the algorithm's a and A_n, (n_q,); or derivatives from theirs."""
     return (c.alpha * c.in_A) * A_n + c.in_A * a
 
 

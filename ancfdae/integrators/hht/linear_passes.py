@@ -209,9 +209,9 @@ def advance(
     after: Node,
     row: ConstraintRow | None,
 ) -> NodeSensitivity | None:
-    """Return the derivatives after one step to a computed node; `row` belongs to a small step.
+    """Return the derivatives after one step, from those before, to the computed node `after`.
 
-    None if the matrix there is singular.
+    `row` is the constraint row of a small step, else None. None if the matrix there is singular.
     """
     system, h, t = problem.system, np.array([c.h]), np.array([after.t])
     states = (after.q[None], after.v[None], after.A[None], after.lam[None])

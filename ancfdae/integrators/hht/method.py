@@ -74,7 +74,7 @@ class Replay(RunInParts):
     def pull_back(
         self, run: Solution, node: Node, first: int, seeds: Seeds, on: Array
     ) -> tuple[Array, Array]:
-        """Run one part of the backward pass; arguments and results as in `pull_back_part`."""
+        """Pull adjoint vectors back through one part of the run; see `pull_back_part`."""
         h, alpha, last = self._steps.h, self._steps.alpha, first + len(run.t) - 1
         # After its last step the part predicts a step of the size of the next one.
         matrix = step_matrices(Steps(h[first : last + 1], alpha))[: last - first]
@@ -85,7 +85,7 @@ class Replay(RunInParts):
         return gradient, on
 
     def close(self, on: Array, seeds: Seeds, gradient: Array) -> Array:
-        """Return the gradient with adjoint vectors pulled back through the start."""
+        """Return the gradient, (n_b,), with the part that acts through the start of the run."""
         back = linear_passes.start_covectors(self._steps.of(1), on)
         return through_start(self._problem, self._first, back, seeds, gradient)
 
@@ -101,7 +101,7 @@ def through_start(
     seeds: Seeds,
     gradient: Array,
 ) -> Array:
-    """Return the gradient with the part that acts through the start of the recurrence."""
+    """Return the gradient, (n_b,), with the part that acts through the start of the recurrence."""
     on = first.pull_back(back)
     # An objective at t = 0 reads the consistent start, not the shifted start of the recurrence.
     q, v, lam = (

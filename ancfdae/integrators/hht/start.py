@@ -140,7 +140,7 @@ class RecurrenceStart:
         return NodeSensitivity(q_b, v_b + dv_b, a_0b, derivative.lam_b, derivative.a_b)
 
     def jerk_total(self, jerk: _Jerk, derivative: InitialSensitivity, a_b: Array) -> Array:
-        """Return the total derivative of a third derivative taken at an acceleration with a_b.
+        """Return total design derivatives of a third derivative of q, (n_q, n_b), from a_b.
 
         Q_v (a + s j) has the derivative s Q_v j_b, which is part of the matrix.
         """
@@ -213,7 +213,7 @@ class RecurrenceStart:
 
 
 def _force_rates(system: MechanicalSystem, x: InitialState, a: Array) -> Array:
-    """Return -f' along the motion, with Q_v times the given acceleration.
+    """Return -f', (n_q,), along the motion, with Q_v times the given acceleration a.
 
     (dM/dt) a = (M a)_q v uses the acceleration of the state.
     """
@@ -221,7 +221,7 @@ def _force_rates(system: MechanicalSystem, x: InitialState, a: Array) -> Array:
 
 
 def _damping(system: MechanicalSystem, x: InitialState) -> Array:
-    """Return -Q_v at the real part of the start, entries on the pattern."""
+    """Return -Q_v at the real part of the start, entries on the pattern, (nnz,)."""
     states = (y.real[None] for y in (x.q, x.v, x.a, x.lam))
     f_v = system.linearise(np.array([x.t]), *states).f_v
     assert f_v is not None

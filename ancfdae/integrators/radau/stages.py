@@ -75,7 +75,7 @@ def continued(rows: Array, ahead: Array) -> Array:
 
 
 class Stages(NamedTuple):
-    """Positions, velocities, accelerations and multipliers of the stages, as rows."""
+    """Positions, velocities, accelerations and multipliers of the stages of a step, a row each."""
 
     q: Array
     v: Array
@@ -111,7 +111,7 @@ class Begin(NamedTuple):
 
 
 def linearised(system: MechanicalSystem, t: Array, *states: Array) -> Linearisation:
-    """Return the linearisation at some states, of their real parts only."""
+    """Return the linearisation of a system at the real parts of k states."""
     local = system.linearise(t, *map(np.real, states))
     f_v = None if local.f_v is None else local.f_v.real
     return Linearisation(local.M.real, local.f_q.real, f_v, local.Phi_q.real)

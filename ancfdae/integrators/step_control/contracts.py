@@ -98,7 +98,7 @@ def sizes_hold(assumed: Array, shown: Array) -> bool:
 
 
 def smaller_sizes(assumed: Array, shown: Array) -> Array:
-    """Return the smaller of both sizes; zero, which bounds nothing, does not count.
+    """Return the smaller of both sizes, (n_b,); zero, which bounds nothing, does not count.
 
     Where `sizes_hold` is false at least one of them falls to half or stops being zero, and none
     becomes zero again, so that repeating a run ends.
@@ -115,7 +115,11 @@ _FED = 2.0
 @final
 @dataclass(frozen=True)
 class Tolerance:
-    """Tolerance of the error of a step: `sizes` are Q_i, `sizes_b` S_j, zero without influence."""
+    """Tolerance of the error of a step; see the module.
+
+    `sizes` are the sizes Q_i of coordinates, (n_q,), `sizes_b` the sizes S_j of derivatives,
+    (n_b,), zero for design variables without influence.
+    """
 
     rtol: float
     atol: float
@@ -162,7 +166,7 @@ def estimated_errors(
 
 
 def _added_up(scale: Array, rises: Array, sizes: Array) -> Array:
-    """Return sums over steps of root mean squares over coordinates; infinite if not finite."""
+    """Return sums over steps, (n_b,) or a scalar, of root mean squares; infinite if not finite."""
     total = np.abs(scale) @ np.sqrt(mean_squares(rises, sizes))
     return np.where(np.isfinite(total), total, np.inf)
 
