@@ -137,7 +137,10 @@ class PhaseSystem(LaterSystem):
         return {}
 
     def _total(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
-        """Return total derivatives, (m, n_b); numbers of the start act through states only."""
+        """Return total design derivatives of `value`, (m, n_b), at `states`, pairs of x and x_b.
+
+        Numbers of the start act through states only.
+        """
         n = self._ahead
         moved = np.zeros(self.n_b, dtype=bool)
         moved[: n + 1] = True

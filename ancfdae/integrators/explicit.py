@@ -16,8 +16,8 @@ so that a stage is one product of a matrix, 2 x (2 + i), with the rows y, u, K_1
 takes the steps and chooses their lengths (`kernels/explicit.h`).
 
 The stages of a step make a quadrature of order 8 for functions of the states, with the error
-estimate of the method; where that estimate says that the stages are too few for an integrand,
-quadrature points within the step come from its dense output.
+estimate of the method. If the stages are too few for an integrand by that estimate, quadrature
+points within the step come from its dense output.
 """
 
 import math
@@ -133,7 +133,7 @@ class Kept(NamedTuple):
         return Kept(np.empty((count, 2)), states, np.empty((*shape, m)), used)
 
     def part(self, which: slice) -> "Kept":
-        """Return a view of the stored steps in the slice `which`."""
+        """Return the stored steps with indices `which`, as a view."""
         return Kept(self.spans[which], self.states[which], self.lam[which], self.used)
 
 

@@ -16,11 +16,11 @@ matrix is that at the state before, the right side of the second line is at the 
 derivatives of the state are moved onto the derivatives of the constraints in the same way.
 
 **Sizes.** Coordinates are compared in the weighted form sqrt(w_i) q_i, which has one unit for all
-of them. Positions count from the mean position of the start, the place p of the system, and the
-size of a coordinate is the root mean square of its vector, so that no size depends on where a scene
-stands or how it is rotated. The scale of q is the root mean square of q - p at the start in the
-weighted form; that of v is the speed that the start has or that its accelerations reach over that
-length; that of the multipliers follows from the forces at the start through the rows of Phi_q.
+of them. Positions count from the mean position of the start, the place p of the system. The size of
+a coordinate is the root mean square of its vector. So no size depends on where a scene stands or
+how it is rotated. The scale of q is the root mean square of q - p at the start in the weighted
+form. The scale of v is the speed that the start has or that its accelerations reach over that
+length. The scale of the multipliers follows from the forces at the start through the rows of Phi_q.
 Forces that are round-off count as zero: for a mechanism at rest they would give a meaningless speed
 scale, 1e-8 of the speed that the mechanism is to reach.
 """

@@ -26,7 +26,7 @@ def coupled_arrays(
     constraint_values: Array,
     order: Array | None = None,
 ) -> CoupledArrays:
-    """Return the storage of the coupled matrix for kernels; weights and values of B scale it.
+    """Return the storage of the module's matrix for kernels; weights and values of B scale it.
 
     If the unknowns of the system have an `order` in a band, all copies of an unknown are adjacent.
     """

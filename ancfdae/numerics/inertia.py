@@ -189,7 +189,7 @@ class ConstrainedPattern:
 
     @cached_property
     def _entries(self) -> tuple[Array, Array, Array]:
-        """Return positions of the values of `matrix`, and its rows and starts of columns."""
+        """Return positions of the terms' entries in `matrix`; its rows and starts of columns."""
         K, B, n, size = self.K, self.B, self.K.shape[0], self.size
         i, j = (B.columns[pair] for pair in self.pairs)
         diagonal, multipliers = np.arange(n), n + B.rows
@@ -202,7 +202,7 @@ class ConstrainedPattern:
 
     @cached_property
     def squared(self) -> tuple[SparsityPattern, Array]:
-        """Pattern of K + K^T + 1 + B^T B, and the positions of the values of each in it."""
+        """Pattern of K + K^T + 1 + B^T B, and the indices of the entries of each term in it."""
         K, (one, other) = self.K, (self.B.columns[pair] for pair in self.pairs)
         n, diagonal = K.shape[0], np.arange(K.shape[0])
         rows = np.concatenate([K.rows, K.columns, diagonal, one])

@@ -12,12 +12,12 @@ D L^T then needs no exchange of rows: the pivots of coordinates are positive, th
 negative. Signs do not depend on the units of the scene; a pivot of the wrong sign shows that K is
 not positive definite.
 
-Matrices with such a pivot, and unsymmetric ones, are scaled symmetrically, coordinates by
-1/sqrt(weight) and constraints so that their scaled rows have the size of the largest scaled entry
-of K (pivoting then depends neither on the units nor on the step size), and factorised with row
-exchanges, as a band. Where the band is wide (trees, nets and frames of bodies) symmetric matrices
-are factorised by fronts, in an order with little fill (`fronts`), and others by SuperLU, in an
-order of minimum degree, or in its own order of columns where that fills less (nets).
+Matrices with such a pivot, and unsymmetric ones, are scaled symmetrically: coordinates by
+1/sqrt(weight), and constraints so that their scaled rows have the size of the largest scaled entry
+of K. Pivoting then depends neither on the units nor on the step size. They are factorised with row
+exchanges, as a band. If the band is wide (trees, nets and frames of bodies) symmetric matrices are
+factorised by fronts, in an order with little fill (`fronts`). Others are factorised by SuperLU, in
+an order of minimum degree, or in its own order of columns if that fills less (nets).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class MatrixLayout(NamedTuple):
 
 
 def little_fill(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> Array:
-    """Return an order of the unknowns by minimum degree, with multipliers behind coordinates.
+    """Return an order of the n + m unknowns by minimum degree, multipliers behind coordinates.
 
     SuperLU computes it when it factorises a diagonally dominant matrix of this pattern.
     """
@@ -77,7 +77,7 @@ def _graph(pattern: SparsityPattern, constraint_pattern: SparsityPattern) -> sci
 
 
 def _with_multipliers(order: Array, constraint_pattern: SparsityPattern) -> Array:
-    """Return the order with each multiplier inserted behind its last coordinate."""
+    """Return an order with each multiplier inserted behind its last coordinate, (n + m,)."""
     n = len(order)
     place = np.zeros(n + constraint_pattern.shape[0], dtype=np.int32)
     place[order] = np.arange(n)
@@ -207,7 +207,7 @@ class SaddlePoint:
         return MatrixLayout(self._places.order, self.scale, self._envelope, band_map)
 
     def layout_out_of_band(self) -> MatrixLayout:
-        """Return the positions of values in fronts; no positions unless K is symmetric."""
+        """Return the layout of the matrix in fronts; without fronts unless K is symmetric."""
         if not self._symmetric:
             return MatrixLayout(np.arange(self.size), self.scale, None, None)
         fronts = self._places.fronts
@@ -243,7 +243,7 @@ class SaddlePoint:
         return factors or self._exchanging(terms, B)
 
     def _exchanging(self, terms: Terms, B: Array) -> Factorization:
-        """Return a factorisation with row exchanges for the sum of terms and B."""
+        """Return a factorisation with row exchanges for K, the sum of `terms`, and B."""
         (s, K), *more = terms
         K = K if s == 1.0 else s * K
         for s, values in more:
@@ -306,7 +306,7 @@ class _Places:
 
     @cached_property
     def fronts(self) -> Fronts:
-        """Multifrontal elimination in an order with little fill, independent of this order."""
+        """Multifrontal elimination in an order with little fill, which is not the band's order."""
         return Fronts(*self._patterns)
 
     @cached_property

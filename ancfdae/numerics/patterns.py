@@ -106,7 +106,7 @@ class SparsityPattern:
         return self._first, self.columns
 
     def index(self, rows: Array, columns: Array) -> Array:
-        """Return the indices in the value vector of positions, which must be in the pattern.
+        """Return indices in the value vector, in their shape, of positions in the pattern.
 
         Rows and columns are broadcast.
         """
@@ -114,7 +114,7 @@ class SparsityPattern:
         return np.searchsorted(entries, self._flattened(rows, columns))
 
     def _flattened(self, rows: Array, columns: Array) -> Array:
-        """Return the flat indices of entries in the dense matrix, row by row."""
+        """Return indices of entries, in their shape, in the dense matrix flattened row by row."""
         return np.asarray(rows, dtype=np.int64) * self.shape[1] + columns
 
     def gather(self, rows: Array, columns: Array, contributions: Array) -> Array:

@@ -148,7 +148,7 @@ class HHTRuns(FixedStepRuns):
         return _estimated_order(self.samples[-2], self.samples[-1]) >= 0
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
-        """Return the estimate of a vector from its values in the runs.
+        """Return the error estimate of a result vector from its values in the runs.
 
         An observed order is used only if no wave can be a part of it, extrapolation only if waves
         change nothing. Steps that jump over a kink of forces have errors of first order, which
@@ -310,9 +310,9 @@ class HHTRuns(FixedStepRuns):
 
     @property
     def resolved(self) -> bool:
-        """Whether the errors that runs estimate of themselves fell with the order.
+        """Whether the error estimates of single runs fell with the order of HHT-I3.
 
-        Finer steps resolve the waves that coarser steps did.
+        If so, finer steps resolve the same waves as the coarser steps.
         """
         return _resolve(self.samples)
 

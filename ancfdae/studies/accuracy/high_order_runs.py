@@ -64,7 +64,7 @@ class RadauRuns(FixedStepRuns):
         return self._seer.lost if self._seer.resolved else self._seer.whole
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
-        """Return the estimate of a vector; stiff motions that fade show no order."""
+        """Return the error estimate of a result vector; without an order if stiff motions fade."""
         if self._seer.resolved:
             return super()._estimate(runs)
         return Estimate(runs[-1], _OF_FADING * spread(runs[-1] - runs[-2], self._wanted.along))

@@ -233,7 +233,7 @@ class FixedStepRuns(Runs):
         return self._work(self.count) if self.count * row < _MEMORY else math.inf
 
     def take(self, sample: Sample) -> None:
-        """Add a run and store its number of steps."""
+        """Add a finished run to the sequence and store its number of steps."""
         self._taken = self.count
         super().take(sample)
 
@@ -314,7 +314,7 @@ class FixedStepRuns(Runs):
         return max(self._wanted.features.steps, self._following_places)
 
     def _estimate(self, runs: Sequence[Array]) -> Estimate:
-        """Return the estimate of a vector from the last two to five runs."""
+        """Return the error estimate of a result vector from its values in the last runs."""
         ordered = self.resolved and not self.bent
         return refined(runs[-3:], self.counts[-3:], self.order, ordered, self._wanted.along)
 

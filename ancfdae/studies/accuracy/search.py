@@ -72,7 +72,7 @@ _WORTH = 0.1
 @final
 @dataclass(frozen=True)
 class Found:
-    """Estimates of the wanted vectors, the last result of the chosen sequence, and all runs."""
+    """Result of a search: error estimates of the wanted vectors, last result, and all runs."""
 
     estimates: list[Estimate]
     result: object
