@@ -50,8 +50,8 @@ _FASTER = 0.6
 # Factors of the steps from the first run to the second: where this is enough for the tolerance by
 # the estimated error, and where it is not.
 _REACHED, _DOUBLED = 2.25, 2.0
-# Work of the derivatives of a small step of HHT-I3 (`small_from`).
-_OF_A_SMALL = 60.0
+# Work of a step above which the first run has few.
+_DEAR = 200.0
 
 
 @final
@@ -247,7 +247,7 @@ class HHTRuns(FixedStepRuns):
     @property
     def _first(self) -> int:
         """Steps of the first run; Newton's method needs shorter ones where equations are stiff."""
-        if not self._compiled:
+        if self._prices.hht > _DEAR:
             return 16
         return 128 if self._wanted.speed * self._t_end > _STIFF else 64
 
@@ -276,7 +276,8 @@ class HHTRuns(FixedStepRuns):
         """Estimated work to reach the tolerance, microseconds.
 
         The next run alone while there are fewer than two, then all runs up to one that is fine
-        enough.
+        enough. Bars of extrapolated numbers fall faster than with the order at first, and later
+        with it.
         """
         if len(self.samples) < 2:
             return self.work
@@ -284,7 +285,7 @@ class HHTRuns(FixedStepRuns):
             return self._work(self.least) + self._work(2 * self.least)
         if self.damps:
             return self._work(self._following) + self._work(2 * self._following)
-        order = 3 if self.resolved else 2 if self.regular else self._falls
+        order = self.order if self.resolved or self.regular else self._falls
         last = max(self._growth(order, math.inf) * self._taken, self.count)
         most = self._stride if self.resolved else 2.0
         runs = math.ceil(math.log(last / self._taken) / math.log(most))
@@ -299,12 +300,11 @@ class HHTRuns(FixedStepRuns):
         return min(max(float(seen), _UNSEEN), self.order)
 
     def _of_a_step(self, steps: float) -> float:
-        """Return the work of a compiled step, or of one in Python; small steps count extra."""
-        if not self._compiled:
-            return 1300.0
-        if self._small is None and self._wanted.slopes and self.samples:
+        """Return the work of a step; small ones may count extra."""
+        prices = self._prices
+        if prices.small and self._small is None and self._wanted.slopes and self.samples:
             self._small = small_from(self._system, self.samples[-1].run, _ALPHA)
-        return 4.0 + 0.7 * self._n + (_OF_A_SMALL if steps > (self._small or math.inf) else 0.0)
+        return prices.hht + (prices.small if steps > (self._small or math.inf) else 0.0)
 
     @property
     def resolved(self) -> bool:

@@ -35,6 +35,8 @@ from ancfdae.studies.accuracy.waves import pace
 
 # Part of the steps at which HHT saw that waves are resolved, at least.
 _SHARE = 0.25
+# Times the steps of the first run that the last one has, of which nothing is known before.
+_FURTHER = 4
 # Fewest steps of Radau where waves fade, and its error over the difference of two runs then.
 _FADING, _OF_FADING = 32, 0.5
 
@@ -90,18 +92,21 @@ class RadauRuns(FixedStepRuns):
 
     @property
     def left(self) -> float:
-        """Estimated work to reach the tolerance; infinite until runs of HHT resolve all waves."""
+        """Estimated work to reach the tolerance; infinite until runs of HHT resolve all waves.
+
+        What waves may change that the last of these runs loses is part of each bar.
+        """
         if not self.resolved or self._seer.damps:
+            return math.inf
+        if self.relative(self.lost, self._seer.samples[-1].vectors) > self._tolerance:
             return math.inf
         if self.samples:
             return self._work(self._growth(self.order, math.inf) * self._taken)
-        return self._work(self.count) + self._work(2 * self.count)
+        return self._work(self.count) + self._work(_FURTHER * self.count)
 
     def _of_a_step(self, steps: float) -> float:
-        """Return the work of a compiled step, or of one in Python, microseconds."""
-        if not self._compiled:
-            return 6500.0
-        return 100.0 + 25.0 * self._n + 6.0 * self._of_laws
+        """Return the work of a step, microseconds."""
+        return self._prices.radau
 
     @property
     def resolved(self) -> bool:
@@ -276,13 +281,9 @@ class DOP853Runs(Runs):
     def _of(self, steps: float) -> float:
         instants = 8 * self._intervals
         evaluations = 12 * steps + instants
-        of_one = 16.0 + 0.12 * self._n if self._compiled else 1100.0
-        traits = self._system.traits
-        if not (traits.constant_mass and traits.constant_constraints):
-            of_one = max(of_one, 60.0 + self._n)
-        of_one += self._of_laws
         # Measured with up to three variables; every one is a row of the states.
-        return OF_A_RUN + evaluations * of_one * max(1.0, (1 + self._system.n_b) / 4)
+        rows = max(1.0, (1 + self._system.n_b) / 4)
+        return OF_A_RUN + evaluations * self._prices.evaluation * rows
 
     @property
     def left(self) -> float:
