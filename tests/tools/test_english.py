@@ -73,17 +73,17 @@ LONGEST = 40
 EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
-    "opens with what": 44,
+    "opens with what": 41,
     "as far as": 5,
-    "is none": 65,
-    "that of, those of": 474,
+    "is none": 55,
+    "that of, those of": 435,
     "inversion": 1,
-    "tells": 72,
-    "all of them": 47,
-    "the other": 27,
-    "instants": 485,
-    "array without a shape": 308,
-    "long sentence": 232,
+    "tells": 64,
+    "all of them": 45,
+    "the other": 25,
+    "instants": 335,
+    "array without a shape": 252,
+    "long sentence": 228,
 }
 
 Hit = tuple[Text, str]
