@@ -26,7 +26,7 @@ def require_package(where: str, module: str, extra: str) -> Any:
 class _Named(Protocol):
     @property
     def name(self) -> str:
-        """The name by which `named` finds an object."""
+        """The name by which the function `named` finds an object in a sequence."""
 
 
 _Thing = TypeVar("_Thing", bound=_Named)

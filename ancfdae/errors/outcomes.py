@@ -105,7 +105,7 @@ class Interrupted(KeyboardInterrupt):
         self.result = result
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle result and text, the arguments of `__init__`."""
+        """Pickle the exception by its result and text, the arguments of `__init__`."""
         return Interrupted, (self.result, str(self))
 
 

@@ -21,12 +21,12 @@ class PrintedTable(abc.ABC):
 
     @final
     def __repr__(self) -> str:
-        """Return the table as plain text."""
+        """Return the result as a table in plain text."""
         return plain(*self._printed())
 
     @final
     def _repr_html_(self) -> str:
-        """Return the table as HTML, for notebooks."""
+        """Return the result as a table in HTML, for notebooks."""
         return page(*self._printed())
 
 

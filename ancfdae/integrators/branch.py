@@ -188,7 +188,7 @@ class Place:
             return None
 
     def _lifted(self, y: Array) -> Array:
-        """Return P y, shape (n_used,), by the sparse factors."""
+        """Return P y, the least coordinate change x with Phi_q x = y, (n_used,)."""
         assert self._factors is not None
         n_used = self._form.shape[1]
         return np.asarray(self._factors.solve(np.concatenate([np.zeros(n_used), y]))[:n_used])

@@ -134,7 +134,7 @@ class Kept(NamedTuple):
 
     @staticmethod
     def room(count: int, used: Array, rows: int, n: int, m: int) -> "Kept":
-        """Return an empty store for `count` steps."""
+        """Return an empty store for the states of `count` steps."""
         shape = (count, len(used), rows)
         states = np.empty((count, len(used), 2, rows, n))
         return Kept(np.empty((count, 2)), states, np.empty((*shape, m)), used)
@@ -183,12 +183,12 @@ class Dop853:
 
     @property
     def t(self) -> float:
-        """Time at which the last step starts; s."""
+        """Time at which the last step of DOP853 starts; s."""
         return float(self._control[_T])
 
     @property
     def end(self) -> float:
-        """Time at which the last step ends; s."""
+        """Time at which the last step of DOP853 ends; s."""
         return float(self._control[_END])
 
     @property

@@ -149,7 +149,7 @@ class March(abc.ABC):
 
     @abc.abstractmethod
     def finish(self) -> None:
-        """Add the steps that are still stored to the integrals."""
+        """Add the steps that are still stored to the integrals of the run."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ class HighOrder(QuadratureIntegrator):
 
     @abc.abstractmethod
     def start(self, problem: InitialValueProblem, t_end: float, quadrature: Quadrature) -> March:
-        """Return a run, set up at the consistent start of the problem."""
+        """Return a run of this integrator, set up at the consistent start of the problem."""
 
     @final
     @in_one_thread

@@ -288,7 +288,7 @@ class RunInParts(abc.ABC):
 
     @abc.abstractmethod
     def start(self) -> Any:
-        """Return the checkpoint before the first step."""
+        """Return the checkpoint at the start of the run."""
 
     @abc.abstractmethod
     def part(self, node: Any, first: int, last: int) -> tuple[Solution, Any]:
@@ -319,7 +319,7 @@ class RunInParts(abc.ABC):
 
 
 class PartwiseIntegrator(Integrator):
-    """An integrator whose runs can be integrated part by part."""
+    """An integrator whose runs can be integrated part by part, as checkpointing needs."""
 
     @abc.abstractmethod
     def replay(self, system: MechanicalSystem, t_end: float) -> RunInParts:

@@ -244,7 +244,7 @@ class ListedAccelerations(Accelerations):
         return self._lists(rows > 1), *self._others
 
     def count(self, evaluations: int, projections: int) -> None:
-        """Count the matrices that a kernel factorised."""
+        """Count the factorisations of a kernel that evaluated and projected accelerations."""
         self.factorisations += evaluations + (projections if self._system.n_lam else 0)
 
 
@@ -309,7 +309,7 @@ class Scales:
 
     @property
     def lam(self) -> Array:
-        """Scale of the multipliers, `load` over `row`, shape (n_lam,)."""
+        """Scale of the multipliers, `load` over `row`, one per constraint, shape (n_lam,)."""
         return self.load / self.row
 
     @property
@@ -376,7 +376,7 @@ class InitialValueProblem:
 
     @cached_property
     def accelerations(self) -> Accelerations:
-        """Solver for accelerations and multipliers of states."""
+        """Solver for accelerations and multipliers of the system."""
         return accelerations(self.system, self.matrices)
 
     def differentiated(self, for_accelerations: bool = False) -> Self:

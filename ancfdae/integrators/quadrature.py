@@ -108,7 +108,7 @@ class Multipliers:
         return float(np.mean([size(float(t), q, x) for t, q, x in instants]))
 
     def _after(self, times: Array) -> Array:
-        """Return the index of the node after each time."""
+        """Return the index of the interpolation node after each time."""
         return np.clip(np.searchsorted(self._t, times, side="right"), 1, len(self._t) - 1)
 
     def _between(self, times: Array) -> Array:
@@ -173,7 +173,7 @@ class Quadrature:
 
     @property
     def wanted(self) -> bool:
-        """Whether there are integrands."""
+        """Whether the run has integrands, so that quadrature points are needed."""
         return bool(self._integrands)
 
     def add(self, choices: Iterable[Points], steps: Trajectory | None = None) -> None:

@@ -85,7 +85,7 @@ class SolutionRecorder:
 
     @property
     def steps(self) -> int:
-        """Number of accepted steps so far."""
+        """Number of accepted steps of the run so far."""
         return max(self.instants - 1, 0) // self._degree if self.accepted is None else self.accepted
 
     @property
@@ -123,10 +123,11 @@ class SolutionRecorder:
         q, v, a, lam = (x[self.instants : self.instants + count] for x in self._arrays[1:5])
         return q, v, a, lam
 
-    def take(self, t: Array) -> None:
-        """Count rows that were written into the views of `room`, at the times t, (k,)."""
+    def take(self, t: Array, control: tuple[float, ...] = ()) -> None:
+        """Count rows that were written, at times t, and note the state of step control."""
         self._arrays[0][self.instants : self.instants + len(t)] = t
         self.instants += len(t)
+        self._control = control
 
     def last(self, count: int) -> Rows:
         """Return the last `count` time points with coordinates and velocities."""
@@ -139,7 +140,7 @@ class SolutionRecorder:
         self._control = ()
 
     def back(self) -> None:
-        """Delete the last step and count it as rejected."""
+        """Delete the last recorded step and count it as rejected."""
         self.cut(self.instants - 1)
         self.rejected += 1
 

@@ -234,7 +234,7 @@ class Covectors(NamedTuple):
     b: Array
 
     def plus(self, other: Covectors) -> Covectors:
-        """Return the sum of these and the adjoint vectors `other`."""
+        """Return the sum of these adjoint vectors and `other`."""
         return Covectors(*(x + y for x, y in zip(self, other, strict=True)))
 
 

@@ -43,6 +43,7 @@ try:
         fronts_signs as fronts_signs,
         fronts_solve as fronts_solve,
         index_1 as index_1,
+        judge_step as judge_step,
         keeps_sides as keeps_sides,
         ldl_factor as ldl_factor,
         ldl_solve as ldl_solve,
@@ -53,6 +54,7 @@ try:
         load_tangents as load_tangents,
         narrow_order as narrow_order,
         norm as norm,
+        plan_step as plan_step,
         relative as relative,
         strain as strain,
         stressed as stressed,
@@ -201,7 +203,9 @@ class MatrixLayout(NamedTuple):
 class March(IntEnum):
     """Why `march` ends: all steps are taken, or what the next one needs, or why it is not solved.
 
-    It may need factors at Gauss points or a band for its matrix, and the time may be used up.
+    It may need factors at Gauss points or a band for its matrix, and the time may be used up. Under
+    error control no step may be accurate, the step before the first one may have to be repeated,
+    or the run must begin anew.
     """
 
     ALL_TAKEN = 0
@@ -211,7 +215,17 @@ class March(IntEnum):
     NO_CONVERGENCE = 4
     NOT_FINITE = 5
     SINGULAR = 6
+    INACCURATE = 7
+    STEP_BEFORE = 8
+    BEGIN_ANEW = 9
 
+
+#: Whether `plan_step` plans a step: else the run is finished, or has taken too many steps.
+PLANNED, FINISHED, USED_UP = range(3)
+#: Why no step helps, as a result of `judge_step`.
+NEVER_SOLVED, NEVER_ACCURATE = -1, -2
+#: Numbers of a filter, of which those in this range change in a run and continue it.
+FILTER, CHANGING = 24, slice(4, 12)
 
 #: Factorises a matrix for `Model`: of terms, each a number and values of K, whose sum counts, and
 #: of B it makes a function of a right side and whether the matrix is transposed; None if the matrix

@@ -255,6 +255,18 @@ def index_1(
     units. A number is 1 where a value is not finite, and 2 where the matrix is singular.
     """
 
+def plan_step(numbers: Array, stops: Array, t: float, /) -> tuple[int, float, float]:
+    """Plan the step from time t by the numbers of a filter (`StepFilter` in `control.h`).
+
+    Returns whether there is one (`PLANNED`), its size and its end.
+    """
+
+def judge_step(numbers: Array, n: int, t: float, h: float, error: float | None, /) -> int:
+    """Judge a step of size h from instant n at time t by its error, None if it was not solved.
+
+    Returns the index of the time point to go on from, `NEVER_SOLVED` or `NEVER_ACCURATE`.
+    """
+
 def explicit_march(
     equations: tuple[object, ...],
     tables: tuple[Array, Array, Array, Array],
@@ -489,6 +501,32 @@ class Drivers:
         state, counts of iterations, factorisations and steps that round-off disturbs, and of the
         last step the size of its last correction and the slowest rate of its corrections. The
         states after the steps, q, v, A and lam, are written to rows.
+        """
+
+    def march_controlled(
+        self,
+        state: tuple[Array, Array, Array, Array, Array],
+        at: tuple[float, int, float, float],
+        numbers: Array,
+        stops: Array,
+        tolerance: tuple[float, Array, Array, int],
+        laws: tuple[Callable[[float, float, float], tuple[Array, Array, float]] | None, float],
+        rows: tuple[Array, Array, Array, Array],
+        beside: tuple[Array, Array, Array, Array],
+        limits: tuple[float, int, float],
+        /,
+    ) -> tuple[int, int, int, tuple[int, int, int], float]:
+        """Take steps under error control from (q, v, a, lam, A), until the rows are full.
+
+        `at` holds the motion, as of `march`, the instant n, its time, and the size of the step that
+        led there. The tolerance is (rtol, least sizes, place, numbers of a vector), and limits are
+        those of Newton's method and seconds. Of (t, end, h) laws return the factors of joints and
+        of loads in that step as rows of the tables of `march`, with the error of its turn; without
+        laws a number is added to the times in a system of one's own. Rows are those of `march`, and
+        a, ends, motions and filters stand beside them. Filter and rows are written.
+
+        Returns the number of steps, why it ends (`March`), how many were rejected, counts as
+        `march`, and the size of the last correction.
         """
 
     def rest(

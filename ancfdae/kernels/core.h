@@ -88,6 +88,7 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "symmetric.h"
 #include "orders.h"
 
+#include "control.h"
 #include "equations.h"
 #include "march.h"
 #include "passes.h"

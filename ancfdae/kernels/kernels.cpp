@@ -143,6 +143,8 @@ PyMethodDef methods[] = {
     PLAIN(index_1),
     PLAIN(explicit_march),
     PLAIN(explicit_terms),
+    PLAIN(plan_step),
+    PLAIN(judge_step),
     PLAIN(norm),
     PLAIN(finite),
     OF_SCALARS(csr_rows),
@@ -176,15 +178,17 @@ PyMODINIT_FUNC PyInit__kernels(void)
                      &py_trace_rows, &py_trace_inputs, &py_trace_placed, &py_trace_sizes>(
               module, {"constant", "value", "apply", "power", "call", "along", "partials", "rows",
                        "inputs", "placed", "sizes"}) &&
-          type_added<Model, &py_march<double, Model>, &py_rest<double, Model>,
+          type_added<Model, &py_march<double, Model>, &py_march_controlled<double, Model>,
+                     &py_rest<double, Model>,
                      &py_solve_stages<double, Model>, &py_differentiate_steps,
                      &py_pull_back_steps, &py_find_stages, &py_differentiate_stages,
                      &py_pull_back_stages>(
-              module, {"march", "rest", "solve_stages", "differentiate_steps", "pull_back_steps",
+              module, {"march", "march_controlled", "rest", "solve_stages", "differentiate_steps", "pull_back_steps",
                        "find_stages", "differentiate_stages", "pull_back_stages"}) &&
           type_added<ComplexModel, &py_march<Complex, ComplexModel>,
+                     &py_march_controlled<Complex, ComplexModel>,
                      &py_rest<Complex, ComplexModel>, &py_solve_stages<Complex, ComplexModel>>(
-              module, {"march", "rest", "solve_stages"})))
+              module, {"march", "march_controlled", "rest", "solve_stages"})))
         Py_CLEAR(module);
     return module;
 }

@@ -474,6 +474,106 @@ std::tuple<Size, int, double, Array<T>, Counts, double, double> py_march(
             ending.slowest};
 }
 
+/* ---- steps under error control -------------------------------------------------------------- */
+
+StepFilter *filter_of(const InPlace<double> &numbers)
+{
+    must(numbers.has({sizeof(StepFilter) / sizeof(double)}), "there are other numbers of a filter");
+    return (StepFilter *)numbers.data;
+}
+
+/* Whether a step is planned (`control.h`), its size and end. */
+std::tuple<int, double, double> py_plan_step(InPlace<double> filter, Array<double, 1> stops, double t)
+{
+    double h = 0, end = t;
+    int planned = step_planned(filter_of(filter), stops.size, stops.data, t, &h, &end);
+    return {planned, h, end};
+}
+
+/* The index of the time point to go on from, or why no step helps; a step without an error was not
+ * solved. */
+Size py_judge_step(InPlace<double> filter, Size n, double t, double h, std::optional<double> error)
+{
+    return step_judged(filter_of(filter), n, t, h, error.has_value(), error.value_or(NAN));
+}
+
+/* Laws that a function of Python evaluates: of (t, end, h) it returns rows of factors of joints and
+ * of loads, and (turn / 1 rad)^order. */
+template <class T> struct CalledLaws final : StepLaws<T> {
+    using Found = std::tuple<Array<T, 2>, Array<T, 2>, double>;
+    const Plan<T> *plan;
+    PyObject *function;
+    std::optional<Found> found;
+
+    CalledLaws(const Plan<T> *of, PyObject *called, double start)
+        : StepLaws<T>(start), plan(of), function(called)
+    {
+    }
+    bool at(const MarchRules *rules, double t, double end, double h, StepTables<T> *to) override
+    {
+        if (function == Py_None)
+            return StepLaws<T>::at(rules, t, end, h, to);
+        Locked python;
+        return guarded([&]() -> PyObject * {
+            Ref tables = called(function, number_of(t), number_of(end), number_of(h));
+            found.emplace(From<Found>::object(tables.get()));
+            auto &[of_joints, of_loads, turn] = *found;
+            must(of_loads.has({2, plan->n_factors}) &&
+                     of_joints.has({-1, plan->constraints->n_parts}) &&
+                     (plan->still || of_joints.length(0) >= 2),
+                 UNFIT);
+            *to = {of_joints.data, of_loads.data,
+                   plan->still ? +ALL_INSTANTS : of_joints.length(0), turn};
+            return Py_None;
+        });
+    }
+};
+
+/* Steps under error control from (q, v, a, lam, A) after step n at time t, by a filter and stops,
+ * with (rtol, least sizes, place, numbers of a vector), until rows of (q, v, A, lam), a, ends,
+ * sizes of the motion and filters are full; returns the number of steps, why it ends, how many were
+ * rejected, counts, and the size of the last correction. */
+template <class T, class M>
+std::tuple<Size, int, Size, Counts, double> py_march_controlled(
+    Kept<M> model, std::tuple<Array<T>, Array<T>, Array<T>, Array<T>, Array<T>> state,
+    std::tuple<double, Size, double, double> at, InPlace<double> filter, Array<double, 1> stops,
+    std::tuple<double, Array<double>, Array<double>, Size> tolerance,
+    std::tuple<Ref, double> laws,
+    std::tuple<InPlace<T>, InPlace<T>, InPlace<T>, InPlace<T>> rows,
+    std::tuple<InPlace<T>, InPlace<double>, InPlace<double>, InPlace<double>> beside,
+    std::tuple<double, Size, double> limits)
+{
+    const Plan<T> *p = &model->plan;
+    Room<T> *r = &model->room;
+    auto &[q, v, a, lam, A] = state;
+    auto &[of_q, of_v, of_A, of_lam] = rows;
+    auto &[of_a, ends, motion, filters] = beside;
+    auto &[rtol, least, place, d] = tolerance;
+    auto &[function, start] = laws;
+    auto [before, n, t, last] = at;
+    auto [newton, iterations, seconds] = limits;
+    Size k = ends.size, n_q = p->n_q, n_lam = p->n_lam;
+    must(q.has({n_q}) && v.has({n_q}) && a.has({n_q}) && lam.has({n_lam}) && A.has({n_q}) &&
+             of_q.has({k, n_q}) && of_v.has({k, n_q}) && of_A.has({k, n_q}) &&
+             of_lam.has({k, n_lam}) && of_a.has({k, n_q}) && ends.has({k}) && motion.has({k}) &&
+             filters.has({k, sizeof(StepFilter) / sizeof(double)}) && least.has({n_q}) &&
+             place.has({n_q}) && d > 0 && n_q % d == 0 &&
+             (function.get() != Py_None || p->own || (p->still && p->n_factors == 0)),
+         UNFIT);
+    CalledLaws<T> of_laws(p, function.get(), start);
+    Attempt<T> how = {nullptr, nullptr, newton, INFINITY, (double)iterations};
+    ControlledRun<T> c = {p, r, filter_of(filter), &of_laws, &how, stops.size, d, n, k, stops.data,
+                          least.data, place.data, rtol, t, last, seconds_now() + seconds,
+                          {q.data, v.data, a.data, lam.data, A.data, before},
+                          {of_q.data, of_v.data, of_A.data, of_lam.data}, of_a.data, ends.data,
+                          motion.data, (StepFilter *)filters.data, 0, 0, {before, INFINITY, 0}};
+    memset(r->counts, 0, sizeof r->counts);
+    int why;
+    why = unlocked([&] { return controlled<T>(&c); });
+    return {c.taken, why, c.rejected, Counts{r->counts[0], r->counts[1], r->counts[2]},
+            c.ending.size};
+}
+
 /* ---- passes --------------------------------------------------------------------------------- */
 
 /* (h, q, v, lam, of_joints, of_loads, matrices) of k steps; (M, f_q, f_v or None, Phi_q) there, for

@@ -213,7 +213,7 @@ class Called:
 
     @cached_property
     def next(self) -> Called:
-        """The derivative of this function along one more direction."""
+        """The derivative of this called function along one more direction."""
         return Called(self.function, self.size, self._external, self._order + 1, self._real)
 
     @cached_property
@@ -347,5 +347,5 @@ class Called:
 
 
 def _size(x: Array, d: Array) -> float:
-    """Return the largest entry of x that changes along d, over the largest entry of d."""
+    """Return the largest entry of x that changes along the direction d, over max |d|."""
     return float(np.max(np.abs(x[d != 0])) or 1.0) / float(np.max(np.abs(d)))

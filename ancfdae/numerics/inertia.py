@@ -500,7 +500,7 @@ def shifted_inverse(A: Array) -> tuple[Array, float]:
 
 
 def shifted_back(theta: Array, g: float) -> tuple[Array, Array]:
-    """Return kappa = 1 / theta - g and their relative errors."""
+    """Return eigenvalues kappa = 1 / theta - g, undoing a shift and inversion, and their errors."""
     kappa = np.asarray(1.0 / theta - g, dtype=complex)
     size, error = np.abs(kappa), _EPS * np.max(np.abs(theta), initial=0.0) / np.abs(theta) ** 2
     return kappa, error / np.where(size == 0, 1.0, size)

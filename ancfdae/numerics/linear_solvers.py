@@ -115,7 +115,7 @@ class Factorization:
         return self.solver(right, False)
 
     def solve_roughly(self, right: Array) -> Array:
-        """Return the solution to twelve digits or more, (n,) or (n, k)."""
+        """Return the solution for right-hand sides, (n,) or (n, k), to twelve digits or more."""
         return self.rough(right) if self.rough else self.solve(right)
 
     def solve_transposed(self, right: Array) -> Array:
@@ -167,12 +167,12 @@ class SaddlePoint:
 
     @property
     def size(self) -> int:
-        """Number of unknowns: coordinates and multipliers."""
+        """Number of unknowns of the matrix, coordinates and multipliers."""
         return len(self.scale)
 
     @property
     def _n(self) -> int:
-        """Number of coordinates."""
+        """Number of coordinates, the size of K."""
         return self._patterns[0].shape[0]
 
     @property

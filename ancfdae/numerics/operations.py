@@ -57,10 +57,10 @@ class Callee(Protocol):
 
     @property
     def size(self) -> int:
-        """Number of values that the function returns."""
+        """Number of values that the called function returns."""
 
     def __call__(self, rows: Array, /) -> Array:
-        """Return the values at rows of inputs, shape (k, size)."""
+        """Return the values of the function at rows of inputs, shape (k, size)."""
 
     def rates(
         self, operations: Operations, numbers: Sequence[int], rates: Mapping[int, int]
@@ -116,7 +116,7 @@ class Operations:
         return self.trace.constant(x.real, x.imag)
 
     def value(self, number: int) -> Any:
-        """Return the value of the constant with this number."""
+        """Return the value of the constant with this number in the list."""
         real, imaginary = self.trace.value(number)
         return complex(real, imaginary) if imaginary else real
 
@@ -166,7 +166,7 @@ class Operations:
         return {x: partials[x] for x in used}
 
     def inputs(self, outputs: Array) -> set[int]:
-        """Return the inputs on which outputs depend."""
+        """Return the inputs of the list on which outputs depend."""
         return set(self.trace.inputs(_numbers(outputs)).tolist())
 
     def calls(self, outputs: Array) -> bool:
@@ -217,14 +217,14 @@ class Listed(Carried):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the array of operation numbers."""
+        """Shape of the array whose operations are listed."""
         return self.at.shape
 
     def __getitem__(self, key: Any) -> Listed:
         return Listed(self._operations, self.at[key])
 
     def sum(self, axis: int, keepdims: bool = False) -> Listed:
-        """Return the sum over an axis."""
+        """Return the sum of the array over an axis, as `numpy.sum` does."""
         first, *others = np.moveaxis(self.at, axis, 0)
         total = Listed(self._operations, np.asarray(first))
         for other in others:
@@ -236,15 +236,15 @@ class Listed(Carried):
         return Listed(self._operations, np.moveaxis(self.at, 0, axis % n))
 
     def angle(self, x: Any) -> Listed:
-        """Return the angle of (x, self), entry by entry; rad."""
+        """Return the angle of the vectors (x, self), entry by entry; rad."""
         return self._apply(ANGLE, self, x)
 
     def positive(self) -> Listed:
-        """Return the entries where they are positive, else 0."""
+        """Return the array with entries that are not positive replaced by 0."""
         return self._apply(POSITIVE, self)
 
     def step(self) -> Listed:
-        """Return 1 where entries are positive, else 0."""
+        """Return an array with 1 where entries are positive, else 0."""
         return self._apply(STEP, self)
 
     def joined(self, parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Listed:
@@ -331,7 +331,7 @@ class Traced(StandIn):
         return Traced(operations, at)
 
     def _of(self, code: int) -> Traced:
-        """Return an operation on this number alone."""
+        """Return the result of an operation on this number alone."""
         return Traced(self.operations, self.operations.trace.apply(code, self.at, self.at))
 
     # Arithmetic.
@@ -426,7 +426,7 @@ class Traced(StandIn):
         return self._of(_CODES[np.arctan])
 
     def angle(self, x: Any) -> Any:
-        """Return the angle of (x, self); rad."""
+        """Return the angle of the vector (x, self); rad."""
         return self._with(_CODES[ANGLE], x)
 
     arctan2 = angle
@@ -452,16 +452,16 @@ class Traced(StandIn):
 
     @property
     def real(self) -> Traced:
-        """The number itself, since it is real."""
+        """Real part of the traced number: the number itself."""
         return self
 
     @property
     def imag(self) -> float:
-        """Imaginary part of the number: zero."""
+        """Imaginary part of the traced number: zero."""
         return 0.0
 
     def conjugate(self) -> Traced:
-        """Return the number itself, since it is real."""
+        """Return the traced number itself, since it is real."""
         return self
 
     # Operations that need the value of the number are rejected.

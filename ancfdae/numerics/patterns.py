@@ -43,7 +43,7 @@ class SparsityPattern:
         self.columns = (flat % max(shape[1], 1)).astype(np.int32)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes that are pickled and copied."""
+        """Return the attributes of the pattern that are pickled and copied."""
         return {name: x for name, x in self.__dict__.items() if name not in ("beside", "checked")}
 
     @staticmethod
@@ -54,7 +54,7 @@ class SparsityPattern:
 
     @property
     def size(self) -> int:
-        """Number of stored entries nnz."""
+        """Number of stored entries of the pattern, nnz."""
         return len(self.columns)
 
     @cached_property

@@ -27,7 +27,7 @@ class StandIn(abc.ABC):
 
     @abc.abstractmethod
     def angle(self, x: Any) -> Any:
-        """Return the angle of (x, self); rad."""
+        """Return the angle of the vectors (x, self); rad."""
 
     @abc.abstractmethod
     def positive(self) -> Any:
@@ -48,7 +48,7 @@ class Carried(NDArrayOperatorsMixin, StandIn):
 
     @abc.abstractmethod
     def sum(self, axis: int, keepdims: bool = False) -> Any:
-        """Return the sum over an axis, as `numpy.sum` does."""
+        """Return the sum of the array over an axis, as `numpy.sum` does."""
 
     @abc.abstractmethod
     def joined(self, parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Any:

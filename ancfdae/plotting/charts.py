@@ -351,7 +351,8 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> tuple[Path, ...]:
     layout = figure.get_layout_engine()
     with settings():
         # Laid out once for both: it takes as long as drawing.
-        figure.draw_without_rendering()
+        if layout is not None:
+            layout.execute(figure)
         figure.set_layout_engine(None)
         for file in files:
             with replacing("figure", file) as written:

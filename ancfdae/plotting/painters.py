@@ -50,7 +50,7 @@ class Glyphs:
         }
 
     def line(self, line: Line, k: int) -> Array:
-        """Return the points of a line at time index k, shape (n, d); m."""
+        """Return the points of a link, spring or way at time index k, shape (n, d); m."""
         ends: Array = line.ends[k]
         if line.kind == "spring":
             return _zigzag(ends)
@@ -161,7 +161,7 @@ class Painter(abc.ABC):
 
     @abc.abstractmethod
     def _quiver(self, x: Array, F: Array) -> Artist:
-        """Paint arrows F that start at the points x, (n, d) each; m."""
+        """Paint forces F as arrows that start at the points x, (n, d) each; m."""
 
     @final
     def symbols(self, k: int) -> list[Artist]:

@@ -58,7 +58,7 @@ class Mesh(abc.ABC):
 
     @final
     def velocities(self, q: Array, v: Array) -> Array:
-        """Return the velocities of the points, shape (k, n, d); m/s."""
+        """Return the velocities of the points of the mesh, shape (k, n, d); m/s."""
         return self.places(q + 1j * STEP * v).imag / STEP
 
     @final
@@ -159,7 +159,7 @@ class BeamMesh(Mesh):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Numbers of elements, of stations per element, and of fibres."""
+        """Numbers of elements, of stations per element, and of fibres per station."""
         return len(self.y), len(self.xi), self.y.shape[1]
 
     def _stations(self, naming: SceneNaming) -> list[MaterialPoint]:
@@ -284,7 +284,7 @@ class Field(abc.ABC):
     @property
     @abc.abstractmethod
     def label(self) -> str:
-        """Quantity with its unit, for the colour bar."""
+        """Name of the field with its unit, for the colour bar."""
 
     @abc.abstractmethod
     def values(self, mesh: Mesh, motion: Solution) -> Array:
@@ -359,11 +359,11 @@ class _SectionForce(_OfBeams):
     @property
     @abc.abstractmethod
     def component(self) -> int:
-        """Index of the component in the vector of section forces."""
+        """Index of this force or moment among N, V_y, V_z, T, M_y, M_z."""
 
     @final
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
-        """Return the section force, the same at all fibres of a section."""
+        """Return the section force at all stations, the same at all fibres of a section."""
         return section_forces(mesh, motion)[..., [self.component]]
 
 
@@ -397,7 +397,7 @@ class BendingMoment(_SectionForce):
 
     @property
     def component(self) -> int:
-        """Index of M_y or M_z in the vector of section forces."""
+        """Index of M_y or M_z among N, V_y, V_z, T, M_y, M_z."""
         return _TORQUE + self.about
 
     label = "bending moment [N m]"
@@ -433,7 +433,7 @@ class Sensitivity(Field):
 
     @property
     def label(self) -> str:
-        """Quantity with its unit, for the colour bar."""
+        """Name of the field with its unit, for the colour bar."""
         return f"|dr/db|, b = {self.variable} [m per unit of b]"
 
     def values(self, mesh: Mesh, motion: Solution) -> Array:

@@ -83,7 +83,8 @@ class Adjoint(GradientMethod):
     memory : str or float, optional
         Memory limit for stored states, for example ``"200 MB"``, or a number of bytes. If the run
         needs more, as few parts of it as possible are integrated again during the backward pass
-        (docs/theory/08-adjoint.md). Needs `HHT` or `Radau` at steps that are known in advance.
+        (docs/theory/08-adjoint.md). For `HHT` and `Radau` at steps that are known in advance; with
+        events under error control, too, and phases between events are the parts.
     """
 
     memory: str | float | None = None
@@ -131,8 +132,8 @@ class Adjoint(GradientMethod):
 
 
 _UNITS = {"B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9}
-# Memory of a part in units of its states: they, their partials, and intermediates of these.
-_COPIES = 3
+#: Memory of a part in units of its states: they, their partials, and intermediates of these.
+COPIES = 3
 
 
 def size_of(memory: str | float) -> float:
@@ -189,7 +190,7 @@ def division(
     points stay whole; a checkpoint holds all states of one step.
     """
     number = np.dtype(float).itemsize
-    row = number * _COPIES * (3 * system.n_q + system.n_lam + 1)
+    row = number * COPIES * (3 * system.n_q + system.n_lam + 1)
     node = number * degree * (4 * system.n_q + system.n_lam + 1)
     if row * (steps + 1) <= memory:
         return steps, 1

@@ -187,7 +187,7 @@ class _BackwardRun:
         return M
 
     def gradient(self, progress: bool) -> Array:
-        """Return the gradient by eq. (42), shape (n_b,)."""
+        """Return the gradient of the objective by eq. (42), shape (n_b,)."""
         system, s = self._system, self._solution
         state, epsilon, gamma = self._end()
         mu, zeta = np.zeros_like(s.q), np.zeros_like(s.lam)
@@ -245,7 +245,7 @@ class _BackwardRun:
         return _Adjoint(mu, mu_tau, x, zeta, x)
 
     def _forces(self, n: int, mu: Array, mu_tau: Array) -> Array:
-        """Return K mu + C mu_tau - r at time point n, shape (n_q,)."""
+        """Return the adjoint forces K mu + C mu_tau - r at time point n, shape (n_q,)."""
         dot = self._system.pattern.dot_transposed
         force: Array = dot(self._K[n], mu) - self._r[n]
         return force if self._C is None else force + dot(self._C[n], mu_tau)

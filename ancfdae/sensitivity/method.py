@@ -156,7 +156,7 @@ class ToleranceSearch(PrintedTable):
 
     @property
     def seconds(self) -> float:
-        """Processor time of all runs; s."""
+        """Processor time of all runs of the search; s."""
         return sum(each.seconds for each in self.trials)
 
     def _runs(self) -> TableText:

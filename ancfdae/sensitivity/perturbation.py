@@ -188,7 +188,7 @@ class ComplexStep(Perturbation):
         return design_sizes(system)
 
     def changes(self, size: float) -> Sequence[complex]:
-        """Return one imaginary perturbation, far below round-off."""
+        """Return the imaginary perturbation of a design variable, far below round-off."""
         return (1j * STEP * size,)
 
     def quotient(self, size: float, base: Array, moved: Sequence[Array]) -> Array:

@@ -244,11 +244,11 @@ class Balance:
         return saddle_point(self.system, self.t, self.q_0)
 
     def Phi_q(self, q: Array) -> Array:
-        """Return the entries of the constraint Jacobian on its pattern."""
+        """Return the constraint Jacobian at q, entries on its pattern."""
         return self.system.constraint_q(self.t, q)
 
     def reactions(self, Phi_q: Array, lam: Array) -> Array:
-        """Return Phi_q^T lam from values of Phi_q, shape (n_q,)."""
+        """Return the reactions Phi_q^T lam from entries of Phi_q, shape (n_q,)."""
         return self.system.constraint_pattern.dot_transposed(Phi_q, lam)
 
     def unbalanced(self, q: Array, lam: Array, Phi_q: Array | None = None) -> Array:

@@ -275,7 +275,7 @@ class _Place:
 
     @property
     def p(self) -> float:
-        """Value of the parameter at this place of the path."""
+        """Value of the parameter at this equilibrium, in its unit."""
         return float(self.system.b[self.k])
 
     @staticmethod

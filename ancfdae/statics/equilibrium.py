@@ -370,7 +370,7 @@ class RestingStart:
 
     @property
     def q(self) -> Array:
-        """Coordinates at the equilibrium, shape (n_q,)."""
+        """Coordinates at the equilibrium from which the motion starts, shape (n_q,)."""
         return self.equilibrium.q
 
     @cached_property
@@ -379,5 +379,5 @@ class RestingStart:
         return self._tangent.sensitivities()[0]
 
     def pull_back(self, on_q: Array) -> Array:
-        """Return q_b^T on_q by one transposed solve, shape (n_b,)."""
+        """Return q_b^T on_q for an adjoint vector of the start, (n_b,), by a transposed solve."""
         return self._tangent.pull_back(on_q, 0 * self.equilibrium.lam)

@@ -79,7 +79,7 @@ class HeldPoint:
 
     @cached_property
     def in_a(self) -> tuple[float, Array]:
-        """The second derivatives tau_aa, and tau_ab, shape (n_b,)."""
+        """Second derivatives tau_aa, and tau_ab, (n_b,), of the fixing force tau."""
         q_b, lam_b = self.paths
         return self._along_motion(), self._along_paths(q_b, lam_b)
 

@@ -97,7 +97,7 @@ class EquilibriumOutcome:
         return RunOutcome(self.verdict, 0.0, self.step, self.residual, self.fraction)
 
     def __str__(self) -> str:
-        """Return the outcome as a sentence."""
+        """Return the outcome of the search as a sentence."""
         steps = f"{self.step} step{'s' if self.step != 1 else ''}"
         steps += " downhill" if self.downhill else ""
         text = f"{self.verdict.value} in {steps}"

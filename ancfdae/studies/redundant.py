@@ -1,17 +1,24 @@
-"""Equations of joints that others imply, left out of a scene on request.
+"""Redundant joint equations, which other equations imply, left out of a scene on request.
 
-Rows of Phi_q, scaled by the weights of the coordinates and to unit length, are taken one after the
-other; a row is redundant if it lies in the span of those taken before. Rows of bodies that are
-rigid, of driven joints and of formulas come first, then positions, then all others, so that
-directions of hinges are left out before positions of points.
+Rows of Phi_q, scaled by the weights of the coordinates and to unit length, are combined to zero by
+the columns of N, a basis of the null space of the transpose. Rows may be left out together where
+their part of N is a regular matrix. As many as N has columns are chosen one after the other by
+pivots: the length of a row of N after its part along the rows chosen before is taken off. Of the
+rows with similar pivots the last one is taken. Directions of hinges are left out before positions
+of points, and never rows of bodies that are rigid, of driven joints and of formulas.
+
+The rows that stay should be independent wherever the mechanism moves, but they are dependent where
+the determinant of that part of N changes its sign. It is followed along curves through the declared
+position, and rows are exchanged until it keeps its sign.
 
 Rows may also depend on each other at one position only, a dead point, where two branches of the
 motion cross. Redundant equations hold along every motion that the others admit: this is looked at
-at positions that lie a part `_STEP` of the size of the mechanism away.
+where the curves begin, a part `_STEP` of the size of the mechanism away.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -27,14 +34,24 @@ from ancfdae.model.joints.formula_joint import FormulaJoint
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 
-# Part of a row of unit length outside the span of others below which it is redundant; round-off
-# leaves 1e-16 times the number of rows and the condition of the mechanism.
+# Singular values of rows of unit length below which they are dependent; round-off leaves 1e-16
+# times the number of rows and the condition of the mechanism.
 _DEPENDENT = 1e-8
-# Positions beside the declared one: how many, how far in units of the size, and the part of the
-# way by which equations left out may be violated there. At a dead point it is about _STEP.
-_POSITIONS, _STEP, _VIOLATED = 3, 0.02, 1e-8
-# Newton's method onto the other equations, from a violation of _STEP^2.
-_ITERATIONS = 12
+# Pivots above this part of the largest one are similar. Rows whose pivots are below _POOR stay
+# while there are others.
+_SIMILAR, _POOR = 0.4, 1e-3
+# Pairs of curves in opposite directions; the length of their first and of other steps as parts of
+# the size of the mechanism; how many steps there are, and how many times the number of rows.
+_PAIRS, _STEP, _STRIDE, _STEPS, _ROWS = 2, 0.02, 0.1, 40, 4000
+# A step is halved, down to _SHORTEST, where the null space turns more: the cosine of its angle.
+_NEAR, _SHORTEST = 0.7, 1e-3
+# Determinants keep their size if they are above this part of the largest one along the curves.
+_LASTING = 0.1
+# Part of a step by which equations may be violated at its end: at a dead point about _STEP.
+_VIOLATED = 1e-8
+# Most iterations of Newton's method onto the equations, and the correction relative to the size of
+# the mechanism at which it ends.
+_ITERATIONS, _CLOSED = 12, 1e-13
 
 
 def drop_redundant(scene: Scene) -> Scene:
@@ -44,13 +61,14 @@ def drop_redundant(scene: Scene) -> Scene:
     `Revolute` joints three equations are redundant, of Bricard's mechanism one. Motion and design
     derivatives do not depend on which of them are left out. Multipliers, and with them reactions,
     do: in rigid bodies no equation says how redundant joints share a force. A joint keeps
-    its position as long as directions of axes can be left out instead.
+    its position as long as directions of axes can be left out instead, and as the equations that
+    stay are then independent along the motion.
 
     Returns
     -------
     Scene
-        With `left_out`, pairs of the name of a joint and the number of an equation of it, counted
-        from 0; the scene prints them. The scene itself if no equation is redundant.
+        The scene with `left_out`: pairs of the name of a joint and the number of an equation of it,
+        counted from 0; the scene prints them. The scene itself if no equation is redundant.
 
     Raises
     ------
@@ -60,92 +78,126 @@ def drop_redundant(scene: Scene) -> Scene:
     """
     require_kind("drop_redundant, scene", scene, (Scene,), "Call Scene(...).")
     scene = replace(scene, left_out=())
-    system = assemble(scene.at_rest() or scene)
-    names = _Rows(system)
-    kept = _independent(names.scaled(system.start()[0]), np.argsort(names.kinds, kind="stable"))
-    redundant = np.setdiff1d(np.arange(system.n_lam), kept)
-    if not redundant.size:
+    rows = _Rows(assemble(scene.at_rest() or scene))
+    N = rows.null_space()
+    if not N.shape[1]:
         return scene
-    names.require_movable(redundant)
-    names.require_everywhere(kept, redundant)
-    return replace(scene, left_out=[names.labels[row] for row in redundant])
+    redundant = _pivots(N, rows.kinds)
+    rows.require_movable(redundant)
+    spaces = np.stack([N, *rows.null_spaces(N, redundant)])
+    redundant = _exchanged(spaces, redundant, rows.kinds)
+    return replace(scene, left_out=[rows.labels[row] for row in redundant])
 
 
 class _Rows:
-    """Rows of Phi_q of an assembled scene: labels, kinds, and values at a configuration.
+    """Rows of Phi_q of an assembled scene, labels, kinds, and where they move.
 
     `labels` are pairs (joint, equation). `kinds` are 0 for rows that are never left out, 1 for
-    positions and 2 for all others. `driven` marks rows of driven joints.
+    positions and 2 for all others. `moving` are the rows without driven joints.
     """
 
     def __init__(self, system: AncfSystem) -> None:
-        self._system = system
+        self._system, self._q = system, system.start()[0]
         rows = list(_labelled(system.inputs.joints(), system.naming.layout.d))
         self.labels = [label for label, *_ in rows]
         self.kinds = np.array([kind for _, kind, _ in rows], dtype=int)
-        self.driven = np.array([driven for *_, driven in rows], dtype=bool)
+        self.moving = np.flatnonzero([not driven for *_, driven in rows])
+        self._root = np.sqrt(system.weights)
+        self._size = float(np.linalg.norm(self._root * system.centred(self._q)))
 
-    def scaled(self, q: Array) -> Array:
-        """Return the rows over the roots of the weights, of unit length, (n_lam, n_q)."""
+    def null_space(self) -> Array:
+        """Return combinations of all rows that vanish at the start, orthonormal, (n_lam, m)."""
+        U, s, _ = _decomposed(self._scaled(self._q, np.arange(len(self.labels)))[0])
+        return U[:, np.count_nonzero(s > _DEPENDENT) :]
+
+    def null_spaces(self, N: Array, redundant: Array) -> list[Array]:
+        """Return N along the curves, each (n_lam, m), continued from step to step.
+
+        Raises RedundantConstraintsError, with the joints of redundant rows, at a dead point.
+        """
+        moving, count = self.moving, int(np.clip(_ROWS // len(N), 2, _STEPS))
+        _, s, V = _decomposed(self._scaled(self._q, moving)[0])
+        rank = int(np.count_nonzero(s > _DEPENDENT))
+        self._require_everywhere(redundant, len(moving) - rank == len(redundant))
+        rng, found = np.random.default_rng(1), list[Array]()
+        for _ in range(_PAIRS):
+            along = rng.normal(size=len(self._q))
+            along -= V[:rank].T @ (V[:rank] @ along)
+            # Nothing moves: what holds at the start holds.
+            if np.linalg.norm(along) < _DEPENDENT * np.sqrt(len(along)):
+                break
+            for way in (along, -along):
+                curve = self._curve(way, rank, N[moving], redundant)
+                found += itertools.islice(curve, count)
+        spaces = np.zeros((len(found), *N.shape))
+        spaces[:, moving] = np.reshape(found, (len(found), len(moving), -1))
+        return list(spaces)
+
+    def _curve(self, along: Array, rank: int, N: Array, redundant: Array) -> Iterator[Array]:
+        """Yield N of the moving rows after each step along a curve, while the equations hold.
+
+        Raises RedundantConstraintsError if they do not hold after the first step.
+        """
+        q, step = self._q, _STEP * self._size
+        while step > _SHORTEST * self._size:
+            end = q + step / np.linalg.norm(along) * along / self._root
+            for _ in range(_ITERATIONS):
+                A, left = self._scaled(end, self.moving)
+                U, s, V = _decomposed(A)
+                change = V[:rank].T @ ((U[:, :rank].T @ left) / s[:rank])
+                if np.linalg.norm(change) <= _CLOSED * self._size:
+                    break
+                end = end - change / self._root
+            if not np.all(np.abs(left) <= _VIOLATED * step):
+                self._require_everywhere(redundant, q is not self._q)
+                return
+            P, cosines, Q = np.linalg.svd(U[:, rank:].T @ N)
+            if np.min(cosines) < _NEAR:
+                step /= 2
+                continue
+            N = U[:, rank:] @ P @ Q
+            yield N
+            along, q = self._root * (end - q), end
+            along -= V[:rank].T @ (V[:rank] @ along)
+            step = min(2 * step, _STRIDE * self._size)
+
+    def _scaled(self, q: Array, rows: Array) -> tuple[Array, Array]:
+        """Return rows over the roots of the weights, of unit length, and Phi scaled alike."""
         system = self._system
-        B = system.constraint_pattern.dense(system.constraint_q(0.0, q))
-        B = B / np.sqrt(system.weights)
-        length = np.linalg.norm(B, axis=1, keepdims=True)
-        return B / np.where(length > 0, length, 1.0)
+        B = system.constraint_pattern.dense(system.constraint_q(0.0, q))[rows] / self._root
+        length = np.linalg.norm(B, axis=1)
+        length[length == 0] = 1.0
+        return B / length[:, None], system.constraint(0.0, q)[rows] / length
 
     def require_movable(self, redundant: Array) -> None:
-        """Raise RedundantConstraintsError if a row is one that is never left out."""
+        """Raise RedundantConstraintsError if a redundant row must not be left out (kind 0)."""
         fixed = redundant[self.kinds[redundant] == 0]
         if fixed.size:
-            names = sorted({self.labels[row][0] for row in fixed})
             raise RedundantConstraintsError(
-                f"joints {listed(map(repr, names))}",
+                self._joints(fixed),
                 "driven joints, joints by formulas and rigid bodies must be independent",
                 f"{fixed.size} of their equations that others imply",
                 "Remove one of the joints that hold the same.",
             )
 
-    def require_everywhere(self, kept: Array, redundant: Array) -> None:
+    def _require_everywhere(self, redundant: Array, holds: bool) -> None:
         """Raise RedundantConstraintsError unless redundant rows hold beside the start, too."""
-        held = kept[~self.driven[kept]]
-        for q, way in self._beside(held):
-            B = self._system.constraint_pattern.dense(self._system.constraint_q(0.0, q))
-            size = np.linalg.norm(B / np.sqrt(self._system.weights), axis=1)
-            violated = np.abs(self._system.constraint(0.0, q)) > _VIOLATED * way * size
-            wrong = redundant[violated[redundant]]
-            if wrong.size:
-                names = sorted({self.labels[row][0] for row in wrong})
-                raise RedundantConstraintsError(
-                    f"joints {listed(map(repr, names))}",
-                    "equations that are left out must follow from the others in every position",
-                    "equations that do so at the declared position only: a dead point, or two "
-                    "drivers of one motion",
-                    "Declare the mechanism beside this position, or remove a driver.",
-                )
+        if not holds:
+            raise RedundantConstraintsError(
+                self._joints(redundant),
+                "equations that are left out must follow from the others in every position",
+                "equations that do so at the declared position only: a dead point, or two "
+                "drivers of one motion",
+                "Declare the mechanism beside this position, or remove a driver.",
+            )
 
-    def _beside(self, held: Array) -> Iterator[tuple[Array, float]]:
-        """Yield configurations that meet the rows `held`, and how far each is from the start."""
-        system, (q, _) = self._system, self._system.start()
-        root, rng = np.sqrt(system.weights), np.random.default_rng(1)
-        size = float(np.linalg.norm(root * system.centred(q)))
-        B = self.scaled(q)[held]
-        for _ in range(_POSITIONS):
-            along = rng.normal(size=len(q))
-            along -= np.linalg.pinv(B) @ (B @ along)
-            length = np.linalg.norm(along)
-            # Nothing moves: what holds at the start holds.
-            if length < _DEPENDENT * np.sqrt(len(q)):
-                return
-            beside = q + _STEP * size / length * along / root
-            for _ in range(_ITERATIONS):
-                A = system.constraint_pattern.dense(system.constraint_q(0.0, beside))[held]
-                left = system.constraint(0.0, beside)[held]
-                beside = beside - np.linalg.lstsq(A / root, left, rcond=None)[0] / root
-            yield beside, _STEP * size
+    def _joints(self, rows: Array) -> str:
+        """Return the names of the joints that some rows belong to, in words."""
+        return f"joints {listed(map(repr, sorted({self.labels[row][0] for row in rows})))}"
 
 
 def _labelled(structure: JointStructure, d: int) -> Iterator[tuple[tuple[str, int], int, bool]]:
-    """Yield label, kind and whether it is driven of every row."""
+    """Yield, for every row, its label, its kind and whether its joint is driven."""
     for slot, layout in zip(structure.slots, structure.joints, strict=True):
         joint = slot.item.joint
         fixed = joint.driven or isinstance(joint, (Rigidity, FormulaJoint))
@@ -155,18 +207,56 @@ def _labelled(structure: JointStructure, d: int) -> Iterator[tuple[tuple[str, in
             yield (layout.name, row), kind, joint.driven
 
 
-def _independent(rows: Array, order: Array) -> Array:
-    """Return the indices, (n,), of the rows outside the span of rows earlier in `order`, sorted."""
-    basis, kept = np.zeros((min(rows.shape), rows.shape[1])), list[int]()
-    for row in order.tolist():
-        if len(kept) == len(basis):
+def _decomposed(B: Array) -> tuple[Array, Array, Array]:
+    """Return the singular value decomposition U, s, V^T of rows, with all columns of U."""
+    return np.linalg.svd(B, full_matrices=len(B) > B.shape[1])
+
+
+def _pivots(N: Array, kinds: Array) -> Array:
+    """Return the rows to leave out, (m,), from a null space, (n, m)."""
+    left, chosen = N.copy(), list[int]()
+    for _ in range(N.shape[1]):
+        pivots = np.linalg.norm(left, axis=1)
+        for which in (kinds == 2, kinds > 0, kinds >= 0):
+            largest = np.max(pivots[which], initial=0.0)
+            if largest > _POOR:
+                break
+        row = np.flatnonzero(which & (pivots >= _SIMILAR * largest))[-1]
+        chosen.append(row)
+        u = left[row] / pivots[row]
+        left -= np.outer(left @ u, u)
+    return np.sort(np.array(chosen, dtype=int))
+
+
+def _exchanged(spaces: Array, redundant: Array, kinds: Array) -> Array:
+    """Return rows to leave out, (m,), whose determinants keep their sign, exchanged where needed.
+
+    The first of the null spaces along curves, (k, n, m), is that at the start.
+    """
+    for _ in redundant:
+        M = spaces[:, redundant]
+        signs, logarithms = np.linalg.slogdet(M)
+        sizes = signs * np.exp(logarithms - np.max(logarithms))
+        lasting = _lasting(sizes)
+        if lasting >= _LASTING:
             break
-        own, taken = rows[row], basis[: len(kept)]
-        # Once more, since the first difference is not orthogonal to round-off.
-        for _ in range(2):
-            own = own - taken.T @ (taken @ own)
-        length = np.linalg.norm(own)
-        if length > _DEPENDENT:
-            basis[len(kept)] = own / length
-            kept.append(row)
-    return np.sort(np.array(kept, dtype=int))
+        # Row j in place of the chosen row i multiplies the determinant by the entry (j, i).
+        factors = spaces @ np.linalg.pinv(M)
+        new = _lasting(sizes[:, None, None] * factors)
+        new[np.abs(factors[0]) < _POOR] = -np.inf
+        new[redundant] = -np.inf
+        for which in (kinds == 2, kinds > 0):
+            best = np.max(new[which], initial=-np.inf)
+            if best >= _LASTING:
+                break
+        similar = best - (1 - _SIMILAR) * abs(best)
+        if lasting >= similar:
+            break
+        row, chosen = np.argwhere(which[:, None] & (new >= similar))[-1]
+        redundant[chosen] = row
+    return np.sort(redundant)
+
+
+def _lasting(sizes: Array) -> Array:
+    """Return the least of determinants (k, ...) over the largest, negative if signs change."""
+    return np.min(sizes * np.sign(sizes[0]), axis=0) / np.max(np.abs(sizes), axis=0)

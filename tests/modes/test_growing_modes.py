@@ -75,7 +75,7 @@ def test_growing_motions_come_first_and_fastest_first(damping_time):
     wanted = growing_alone(beams, forces)
     together = scene(beams, forces)
     at = equilibrium(together)
-    for count in (1, 2, 3, 6, len(wanted), len(wanted) + 3):
+    for count in (1, 3, len(wanted) + 3):
         s = modes(together, count, at=at).exponents
         assert np.sum(s.real > 1.0) == min(count, len(wanted))
         first = min(count, len(wanted))
@@ -142,7 +142,7 @@ def test_blades_that_coincide_have_the_derivatives_of_one():
                     f"b{k}",
                     tuple(0.2 * along),
                     tuple(1.2 * along),
-                    4,
+                    2,
                     Rectangle(0.01, 0.05),
                     STEEL,
                     height_axis=(-along[1], along[0], 0),

@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import ClassVar, NamedTuple, TypeAlias, final
 
@@ -59,8 +59,16 @@ from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.prescribed_motion import turn_error
 from ancfdae.integrators.problem import InitialValueProblem, vector_sizes
 from ancfdae.integrators.recorder import SolutionRecorder, StateRows
-from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record, Tolerance
-from ancfdae.kernels import CalledPlan, March, norm
+from ancfdae.integrators.step_control.contracts import (
+    Batch,
+    Controller,
+    Failure,
+    OneStepMethod,
+    Reached,
+    Record,
+    Tolerance,
+)
+from ancfdae.kernels import FILTER, CalledPlan, ListPlan, March, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 
@@ -82,7 +90,12 @@ _CLOSE = 0.5
 # Seconds after which a packet ends, so that interrupts and progress come through.
 _NEWTON_PATIENCE = 0.1
 
-_VERDICTS = {March.NOT_FINITE: Verdict.NOT_FINITE, March.SINGULAR: Verdict.SINGULAR}
+_VERDICTS = {
+    March.NOT_FINITE: Verdict.NOT_FINITE,
+    March.SINGULAR: Verdict.SINGULAR,
+    March.NO_CONVERGENCE: Verdict.NO_CONVERGENCE,
+    March.INACCURATE: Verdict.ERROR_TEST,
+}
 
 # Coefficients, the state before the step, and the instant at its end.
 Step: TypeAlias = tuple[Coefficients, Node, float]
@@ -112,6 +125,16 @@ class _End(NamedTuple):
     round_off: int
     size: float
     rate: float
+
+
+class ControlledSteps(NamedTuple):
+    """Steps under control: ends, filters and nodes after each, why they end, last correction."""
+
+    ends: Array
+    filters: Array
+    node: Callable[[int], Node]
+    why: March
+    size: float
 
 
 @final
@@ -167,6 +190,50 @@ class StepSolver:
         self._recorder.round_off_steps += solved.round_off
         return solved.node
 
+    def controlled(
+        self,
+        begin: tuple[Node, int, float],
+        control: tuple[Array, Array],
+        tolerance: tuple[float, Array, Array, int],
+        laws: Callable[[float, float, float], tuple[Array, Array, float]] | None,
+        most: int,
+    ) -> ControlledSteps:
+        """Take steps under error control until there are `most`, or Python is to decide.
+
+        Begin with a node, its number and the size of the step that led there.
+        """
+        recorder, plan, (node, n, last) = self._recorder, self._kernel.plan, begin
+        rows, numbers = recorder.room(most), self._sizes[0]
+        a, ends, motions = np.empty((most, numbers), recorder.dtype), np.empty(most), np.empty(most)
+        filters, limits = np.empty((most, FILTER)), (self._tolerance, self.max_iterations)
+        start = plan.start if isinstance(plan, ListPlan) else 0.0
+        taken, why, rejected, counts, size = self._kernel.model.march_controlled(
+            (node.q, node.v, node.a, node.lam, node.A),
+            (node.motion, n, node.t, last),
+            *control,
+            tolerance,
+            (laws, start),
+            rows,
+            (a, ends, motions, filters),
+            (*limits, _NEWTON_PATIENCE),
+        )
+        recorder.rejected += rejected
+        recorder.iterations += counts[0]
+        recorder.residuals += counts[0]
+        recorder.factorisations += counts[1]
+        recorder.round_off_steps += counts[2]
+        if not taken and why in (March.NEEDS_GAUSS, March.INDEFINITE):
+            self._add(why)
+            return self.controlled(begin, control, tolerance, laws, most)
+        q, v, A, lam = rows
+
+        def node_at(k: int) -> Node:
+            of_q, of_v, of_a, of_lam, of_A = (x[k - 1].copy() for x in (q, v, a, lam, A))
+            motion = float(motions[k - 1])
+            return Node(float(ends[k - 1]), of_q, of_v, of_a, of_lam, of_A, motion)
+
+        return ControlledSteps(ends[:taken], filters, node_at, March(why), size)
+
     def _usual(self, patience: int) -> _Attempt:
         return _Attempt(None, (self._tolerance, math.inf, patience * self.max_iterations))
 
@@ -191,10 +258,9 @@ class StepSolver:
         taken, why, motion, a, counts, size, rate = self._kernel.model.march(
             (q, v, a, lam, A), motion, h, *tables, _NEWTON_PATIENCE, rows, *attempt
         )
-        iterations, factorisations, round_off = counts
-        self._recorder.iterations += iterations
-        self._recorder.residuals += iterations
-        self._recorder.factorisations += factorisations
+        self._recorder.iterations += counts[0]
+        self._recorder.residuals += counts[0]
+        self._recorder.factorisations += counts[1]
         if not taken and why in (March.NEEDS_GAUSS, March.INDEFINITE):
             self._add(why)
             return self._taken(before, h, ends, rows, attempt)
@@ -202,7 +268,7 @@ class StepSolver:
             # Copies: a node that is kept must not keep the rows of a whole part.
             q, v, A, lam = (row[taken - 1].copy() for row in rows)
             before = Node(float(ends[taken - 1]), q, v, a, lam, A, motion)
-        return _End(taken, March(why), before, round_off, size, rate)
+        return _End(taken, March(why), before, counts[2], size, rate)
 
     def _add(self, why: int) -> None:
         """Prepare what the next step needs."""
@@ -210,6 +276,24 @@ class StepSolver:
             self._small = True
         else:
             self._kernel.add_band()
+
+    @property
+    def timed(self) -> bool:
+        """Whether laws of time act on joints or loads of a scene."""
+        plan = self._kernel.plan
+        driven = plan.joint_factors is not None or plan.load_factors(np.zeros(1)).size > 0
+        return driven and not self.own
+
+    @property
+    def own(self) -> bool:
+        """Whether the system is one of the user's own, whose factors are the times."""
+        return isinstance(self._kernel.plan, CalledPlan | ListPlan)
+
+    def laws(self, t: float, end: float, h: float) -> tuple[Array, Array]:
+        """Return the factors of joints and of loads in a step, as the kernel takes them."""
+        starts, ends = np.array([t]), np.array([end])
+        loads = self._kernel.plan.load_factors(np.array([end, t]))
+        return self._joint_factors(starts, ends, np.array([h]))[0], loads
 
     def _joint_factors(self, starts: Array, ends: Array, h: Array) -> Array:
         """Factors at ends and beginnings of steps, and where they are small at Gauss points."""
@@ -405,6 +489,42 @@ class HHTStepper(OneStepMethod[State]):
         taken, node = self._solver.march(node, sizes, ends, rows)
         self._recorder.take(ends[:taken])
         return taken, (node, None)
+
+    def controlled(
+        self, begin: Reached, controller: Controller, recorder: SolutionRecorder, most: int
+    ) -> Batch | None:
+        """Take steps in one call of the kernel; without derivatives along."""
+        node, node_b = begin.now
+        if self._tolerance is None or node_b is not None:
+            return None
+        scales, tolerance, solver = self._problem.scales, self._tolerance, self._solver
+        least, d = tolerance.atol * tolerance.sizes, self.system.vector_size
+        found = solver.controlled(
+            (node, begin.n, begin.last),
+            (controller.numbers, controller.stops),
+            (tolerance.rtol, least, scales.place, d),
+            self._laws if self._timed else None,
+            1 if solver.alone else most,
+        )
+        why, again = None, None
+        if found.why in _VERDICTS:
+            size = 0.0 if found.why == March.INACCURATE else found.size
+            why = Failure(_VERDICTS[found.why], size)
+        elif found.why == March.BEGIN_ANEW:
+            again = 0
+        elif found.why == March.STEP_BEFORE:
+            again = begin.n - 1
+        return Batch(found.ends, found.filters, lambda k: (found.node(k), None), again, why)
+
+    @cached_property
+    def _timed(self) -> bool:
+        """Whether laws of time act, or a system of one's own prescribes a turn."""
+        turns = type(self.system).turn_rate is not MechanicalSystem.turn_rate
+        return self._solver.timed or (turns and self._solver.own)
+
+    def _laws(self, t: float, end: float, h: float) -> tuple[Array, Array, float]:
+        """Return the factors in a step, and the error of its turn."""
+        return *self._solver.laws(t, end, h), turn_error(self.system, end, h, self.order)
 
     def recorded(self, state: State) -> Record:
         """Return a state as a row of the solution."""

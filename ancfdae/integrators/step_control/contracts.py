@@ -195,6 +195,34 @@ class Failure(NamedTuple):
     remedy: str = ""
 
 
+class Reached(NamedTuple):
+    """Progress of a run: index, time, size of the last step, and state of the method."""
+
+    n: int
+    t: float
+    last: float
+    now: Any
+
+
+_NOWHERE = Reached(0, 0.0, 0.0, None)
+# Steps under control that are taken at once.
+_TOGETHER = 64
+
+
+class Batch(NamedTuple):
+    """Steps under control that were taken at once: ends, and the numbers of the filter after each.
+
+    `states` returns the state after a number of steps. After them `why` says that no step helps,
+    or the run goes on from an earlier time point with the index `again`.
+    """
+
+    ends: Array
+    filters: Array
+    states: Callable[[int], Any]
+    again: int | None
+    why: Failure | None
+
+
 class OneStepMethod(abc.ABC, Generic[State]):
     """A run of a method that goes from state to state of a system; how far, others decide.
 
@@ -232,6 +260,15 @@ class OneStepMethod(abc.ABC, Generic[State]):
         """
         return 0, before
 
+    def controlled(
+        self, begin: Reached, controller: Controller, recorder: SolutionRecorder, most: int
+    ) -> Batch | None:
+        """Take up to `most` steps under control, and write their states to the next rows.
+
+        None where steps are taken one by one, which is the rule.
+        """
+        return None
+
     @abc.abstractmethod
     def recorded(self, state: State) -> Record:
         """Return a state as a row of the solution."""
@@ -246,7 +283,14 @@ class OneStepMethod(abc.ABC, Generic[State]):
 
 
 class Controller(abc.ABC):
-    """Decides the steps of a run; of the method it sees numbers only."""
+    """Decides the steps of a run; of the method it sees numbers only.
+
+    Kernels choose steps by the `numbers` of a filter (`StepFilter` in `control.h`), which they
+    change, and by the `stops` at which steps end. Known steps have an empty array of numbers.
+    """
+
+    numbers: Array = _NONE
+    stops: Array = _NONE
 
     @abc.abstractmethod
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
@@ -264,6 +308,13 @@ class Controller(abc.ABC):
         tried, n - 1 if the step before is to be repeated, 0 if the run begins anew; or why no step
         helps.
         """
+
+    def passed(self, ends: Array, anew: bool) -> int:
+        """Count accepted steps with these ends; return how many of them lead on.
+
+        After them the run may begin anew.
+        """
+        return len(ends)
 
     @abc.abstractmethod
     def state(self) -> tuple[float, ...]:
@@ -304,18 +355,6 @@ class StepControl(abc.ABC):
     @abc.abstractmethod
     def refined(self, t: Array) -> StepControl:
         """Return the control that halves every step of a run with times t."""
-
-
-class Reached(NamedTuple):
-    """Progress of a run: index, time, size of the last step, and state of the method."""
-
-    n: int
-    t: float
-    last: float
-    now: Any
-
-
-_NOWHERE = Reached(0, 0.0, 0.0, None)
 
 
 def march(
@@ -375,17 +414,22 @@ def _next(
 
     The path ends where the run stands, with some places before; a step that counts is added.
     """
-    n, t, last, now = reached = path[-1]
+    n, t, _, now = reached = path[-1]
     planned = controller.plan(n, t)
     if isinstance(planned, Verdict):
         return Failure(planned, 0.0)
     h, end = planned
-    before = method.start(h) if now is None else method.resized(now, h / last)
+    begin = Reached(n, t, h, method.start(h)) if now is None else reached
+    if len(controller.numbers):
+        taken = _controlled(method, controller, recorder, contacts, begin, path)
+        if taken is not None:
+            return taken
+    before = begin.now if now is None else method.resized(now, h / begin.last)
     sizes, ends = controller.known(n)
     if len(sizes):
-        taken, after = method.march(before, sizes, ends)
-        if taken:
-            path.append(Reached(n + taken, float(ends[taken - 1]), float(sizes[taken - 1]), after))
+        count, after = method.march(before, sizes, ends)
+        if count:
+            path.append(Reached(n + count, float(ends[count - 1]), float(sizes[count - 1]), after))
             return path[-1]
     after = method.advance(h, before, end)
     if not isinstance(after, Failure) and not len(sizes):
@@ -409,8 +453,13 @@ def _next(
     recorder.rejected += 1
     if isinstance(judged, Verdict):
         return after if failed else Failure(judged, 0.0)
-    if judged == n:
-        return reached
+    return _again(judged, recorder, path)
+
+
+def _again(judged: int, recorder: SolutionRecorder, path: deque[Reached]) -> Reached:
+    """Return to the time point with the index `judged`: the last, the one before, or the start."""
+    if judged == path[-1].n:
+        return path[-1]
     if judged > 0:
         recorder.back()
         path.pop()
@@ -418,3 +467,54 @@ def _next(
         recorder.restart()
         path.append(_NOWHERE)
     return path[-1]
+
+
+def _controlled(
+    method: OneStepMethod[Any],
+    controller: Controller,
+    recorder: SolutionRecorder,
+    contacts: ContactRecord | None,
+    begin: Reached,
+    path: deque[Reached],
+) -> Reached | Failure | None:
+    """Take steps under control at once; return as `_next`, None where they go one by one.
+
+    Steps are kept up to one that is judged anew: it left the root of a drive, or it passed over a
+    contact.
+    """
+    first, before = controller.numbers.copy(), recorder.last(1)
+    batch = method.controlled(begin, controller, recorder, 1 if contacts else _TOGETHER)
+    if batch is None:
+        return None
+    ends, why = batch.ends, batch.why
+    q, v, *_ = recorder.room(len(ends))
+    found = method.system.off_root(ends, q)
+    good = len(ends) if found is None else found[0]
+    wrong = found is not None
+    if contacts and len(ends) and not wrong:
+        rows = zip(before, (ends, q, v), strict=True)
+        wrong = contacts.passes(*map(np.concatenate, rows))
+        good -= wrong
+    kept = controller.passed(ends[:good], batch.again == 0)
+    instants = np.append(begin.t, ends)
+    sizes = np.append(begin.last, np.diff(instants))
+    if kept < len(ends):
+        controller.numbers[:] = batch.filters[kept - 1] if kept else first
+    recorder.take(ends[:kept], controller.state())
+    for k in range(max(kept - BACK, 1), kept + 1):
+        path.append(Reached(begin.n + k, float(instants[k]), float(sizes[k]), batch.states(k)))
+    if kept < good:
+        recorder.rejected += 1
+        return Failure(Verdict.ERROR_TEST, 0.0)
+    if wrong:
+        recorder.rejected += 1
+        n, t, *_ = path[-1]
+        why = Failure(Verdict.MISSED_CONTACT, 0.0, _UNSEEN)
+        if found is not None:
+            words = half_a_turn_off(method.system, t, ends[kept:], q[kept:])
+            why = Failure(Verdict.OFF_ROOT, 0.0, words)
+        judged = controller.judge(n, t, float(sizes[kept + 1]), None)
+        return why if isinstance(judged, Verdict) else _again(judged, recorder, path)
+    if why is not None:
+        return why
+    return path[-1] if batch.again is None else _again(batch.again, recorder, path)

@@ -26,7 +26,6 @@ from __future__ import annotations
 import abc
 import math
 import sys
-from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, final
 
@@ -38,14 +37,21 @@ from ancfdae.errors.outcomes import Verdict
 from ancfdae.integrators.integrator import require_rtol
 from ancfdae.integrators.pace import Pace
 from ancfdae.integrators.step_control.contracts import (
-    BACK,
     Controller,
     OneStepMethod,
     StepControl,
     Tolerance,
 )
+from ancfdae.kernels import (
+    CHANGING,
+    FILTER,
+    FINISHED,
+    NEVER_SOLVED,
+    PLANNED,
+    judge_step,
+    plan_step,
+)
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.time_grid import next_end
 
 # Steps may miss the end time by this many parts of their number (accumulated round-off).
 _WHOLE = 1e-9
@@ -240,25 +246,8 @@ _ROUGH = 1e-3
 # Instants to allot memory for where their number is not known.
 _ROWS = 1000
 _AIM = 0.5
-# Exponent 1/b of the filter.
-_FILTER = 0.25
-# What is left per step of the largest e / h^p met.
-_MEMORY = 0.95
-_MOST = 4.0
-# The step changes by less than pi/2 of this part.
-_CHANGE = 0.2
-# A step rejected among the first _RESTART restarts the run: the start is made for its step size.
-_RESTART = 10
-# The last _LAST_STEPS steps change linearly, and their number is fixed, to meet the end without a
-# jump; a method that bears jumps takes _LAST_EQUAL equal steps instead.
-_LAST_STEPS, _LAST_EQUAL = 10, 1
-# Where a step is shorter than the attempt before by the first factor its error is smaller by the
-# second, unless it stems from the state before the step.
-_SHORTER, _SMALLER = 0.7, 0.8
-# A run ends where the step falls below this part of its length, or of the time reached.
-_SMALLEST = 1e-13
 # Numbers of `_Filter.state`.
-_NUMBERS = 8
+_NUMBERS = CHANGING.stop - CHANGING.start
 
 
 @final
@@ -349,7 +338,10 @@ class AdaptiveSteps(StepControl):
 
 @final
 class _Filter(Controller):
-    """The digital filter of the module description, which tries the step `first` first."""
+    """The digital filter of the module description, which tries the step `first` first.
+
+    Its formulas stand in `kernels/control.h`, which numbers of a run they read and write.
+    """
 
     def __init__(
         self,
@@ -359,102 +351,41 @@ class _Filter(Controller):
         max_steps: int,
         state: tuple[float, ...] = (),
     ) -> None:
-        self._order, self._bears_jumps = method.order, method.bears_jumps
-        self._last_steps = _LAST_EQUAL if method.bears_jumps else _LAST_STEPS
-        self._t_end, self._max_steps = t_end, max_steps
-        self._breakpoints = method.system.breakpoints(t_end)
-        self._h = self._start = first
-        self._taken = 0
-        # Sizes and errors of the last steps; instant, size and error of an attempt to be repeated.
-        self._accepted = deque[tuple[float, float]](maxlen=BACK)
-        self._tried = (-1, 0.0, 0.0)
-        self._last_wish = self._last_ratio = 1.0
-        self._memory = 0.0
-        self._remaining, self._last_h = 0, self._h
+        self.stops = np.array(method.system.breakpoints(t_end), dtype=float)
+        self.numbers = np.zeros(FILTER)
+        self.numbers[:4] = method.order, method.bears_jumps, t_end, max_steps
+        # Size, first size, wish, ratio, memory, last size, steps tried, steps left to the end.
+        self.numbers[CHANGING] = state or (first, first, 1.0, 1.0, 0.0, first, 0.0, 0.0)
         self._pace = Pace(t_end, method.many, method.remedy)
-        if state:
-            self._h, self._start, self._last_wish, self._last_ratio, self._memory = state[:5]
-            self._last_h, taken, remaining = state[5:]
-            self._taken, self._remaining = int(taken), int(remaining)
 
     def state(self) -> tuple[float, ...]:
         """Return the numbers of the filter that change in a run, to continue it."""
-        sizes = self._h, self._start, self._last_wish, self._last_ratio, self._memory
-        return *sizes, self._last_h, float(self._taken), float(self._remaining)
+        return tuple(self.numbers[CHANGING].tolist())
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
         """Return the proposed step; the last ones before an end change linearly."""
-        if t >= self._t_end:
-            return Verdict.FINISHED
-        if self._taken >= self._max_steps:
-            return Verdict.STEP_LIMIT
-        stop = next_end(self._breakpoints, t, self._t_end)
-        left = stop - t
-        if self._remaining == 0 and left < (self._last_steps + 0.5) * self._h:
-            self._remaining = max(1, math.ceil(left / self._h * (1 - 1e-9)))
-        count = self._remaining
-        if count == 1:
-            return left, stop
-        h = self._h
-        if count > 0:
-            # Sizes h_0 (1 + c j), j = 1 .. count, with the sum that is left.
-            h = self._last_h * (1 + 2 * (left / self._last_h - count) / (count * (count + 1)))
-        end = t + h
-        # What the instants will say, so that a run over given ones repeats this one.
-        return end - t, end
+        planned, h, end = plan_step(self.numbers, self.stops, t)
+        if planned == PLANNED:
+            return h, end
+        return Verdict.FINISHED if planned == FINISHED else Verdict.STEP_LIMIT
 
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
         """Compare the error of the step with the tolerance, and choose the next size."""
-        self._taken += 1
-        if error is None:
-            return self._reject(n, t, h / 4, Verdict.NO_CONVERGENCE)
-        at, longer, larger = self._tried
-        stays = n == at and h < _SHORTER * longer and error > _SMALLER * larger
-        if stays and error > _AIM / 2 and self._accepted:
-            return self._back(n)
-        if not error <= 1.0:
-            self._tried = (n, h, error)
-            factor = _root(_AIM / error, self._order) if error < math.inf else 0.0
-            return self._reject(n, t, h * min(0.9, max(0.2, factor)), Verdict.ERROR_TEST)
-        # What the error estimates passes through zero; without memory the step would grow far too
-        # much there.
-        before = 0.0 if self._bears_jumps else _MEMORY * self._memory
-        self._memory = max(error / h**self._order, before)
-        wish = _MOST
-        if self._memory > 0:
-            wish = _root(_AIM / (self._memory * h**self._order), self._order)
-        ratio = min(wish, _MOST)
-        if not self._bears_jumps:
-            ratio = (wish * self._last_wish) ** (_FILTER / 2) * self._last_ratio**-_FILTER
-            ratio = 1 + _CHANGE * math.atan((ratio - 1) / _CHANGE)
-        self._last_wish, self._last_ratio = wish, ratio
-        self._remaining = max(self._remaining - 1, 0)
-        self._h, self._last_h = h * ratio, h
-        self._accepted.append((h, error))
-        return Verdict.ERROR_TEST if self._pace.stalls(t + h) else n + 1
-
-    def _back(self, n: int) -> int:
-        """Repeat the step before with half its size."""
-        h, error = self._accepted.pop()
-        self._tried = (n - 1, h, error)
-        self._h = self._last_h = 0.5 * h
-        self._last_wish, self._last_ratio, self._remaining = 1.0, 1.0, 0
-        return n - 1
-
-    def _reject(self, n: int, t: float, h: float, why: Verdict) -> int | Verdict:
-        """Choose a smaller step; near the start, which is made for its step, begin anew with it."""
-        if h <= _SMALLEST * max(t, self._t_end):
-            return why
-        anew = n <= _RESTART and not self._bears_jumps
-        if anew:
-            h = self._start = min(h, 0.5 * self._start)
-            self._memory = 0.0
-        self._h = self._last_h = h
-        self._last_wish, self._last_ratio, self._remaining = 1.0, 1.0, 0
-        if anew:
-            self._accepted.clear()
+        judged = judge_step(self.numbers, n, t, h, error)
+        if judged < 0:
+            return Verdict.NO_CONVERGENCE if judged == NEVER_SOLVED else Verdict.ERROR_TEST
+        if judged == 0:
             self._pace.restart(0.0)
-        return 0 if anew else n
+        return Verdict.ERROR_TEST if judged > n and self._pace.stalls(t + h) else judged
+
+    def passed(self, ends: Array, anew: bool) -> int:
+        """Count accepted steps; return how many lead on."""
+        for k, end in enumerate(ends.tolist()):
+            if self._pace.stalls(end):
+                return k
+        if anew:
+            self._pace.restart(0.0)
+        return len(ends)
 
 
 def _root(x: float, order: int) -> float:

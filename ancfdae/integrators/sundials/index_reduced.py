@@ -310,7 +310,7 @@ class IndexReduction(Enum):
     INDEX_1 = "accelerations on the constraints; positions drift"
 
     def form(self, system: MechanicalSystem, scales: Scales) -> IndexReduced:
-        """Return the equations of a system in this form."""
+        """Return the equations of motion of a system in this index-reduced form."""
         if self is IndexReduction.INDEX_1:
             return Index1(system, scales)
         return StabilisedIndex2(system, scales)
@@ -348,7 +348,7 @@ class ColumnStorage:
         self._index = self._pattern.index(columns, rows)
 
     def sparsity(self) -> tuple[Array, Array]:
-        """Return rows and columns of the stored entries of the matrix."""
+        """Return rows and columns of the stored entries of the iteration matrix."""
         return self._pattern.columns, self._pattern.rows
 
     def values(self, J: Array, below: list[Array]) -> Array:
@@ -389,7 +389,7 @@ class StepPoints:
 
     @property
     def wanted(self) -> bool:
-        """Whether there are integrals that need the steps."""
+        """Whether there are integrals, for which steps must be collected."""
         return self._quadrature.wanted
 
     def add(self, t: float, y: Array, yp: Array) -> None:

@@ -113,12 +113,12 @@ class Combination(Operation, Objective):
     """A function of objectives, such as their sum, as an objective."""
 
     def check(self, system: MechanicalSystem, t_end: float) -> None:
-        """Check every objective of which this is a function."""
+        """Check every objective in this function of objectives against the run."""
         for objective in self._leaves():
             objective.check(system, t_end)
 
     def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
-        """Return the function of the values of its objectives, each evaluated once."""
+        """Return the value of the function of objectives, each of them evaluated once."""
         nodes = evaluated(self, lambda leaf: np.asarray(leaf.value(system, states, totals)))
         value = list(nodes.values())[-1]
         require_finite_number("the value", value)

@@ -135,11 +135,11 @@ class AtInstants(Reduction):
         return w
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the sum of values x with weights w."""
+        """Return the objective: the sum of the observable's values x with weights w."""
         return np.asarray(w @ x)
 
     def slopes(self, x: Array, w: Array) -> Array:
-        """Return the derivative of the sum in each value: the weights w."""
+        """Return the derivatives of the sum in the values x: the interpolation weights w."""
         return w
 
 
@@ -151,7 +151,7 @@ class OverTime(Reduction):
     """
 
     def check_times(self, t_end: float) -> None:
-        """Accept every run: an integral has no times of its own."""
+        """Accept every run: an integral over time reads no given times."""
 
     def weights(self, grid: TimeGrid) -> Array:
         """Return quadrature weights times the factor, (k,); one for a single time point."""
@@ -167,7 +167,7 @@ class OverTime(Reduction):
         """Return the integrand, shape of x: the reduction about its value `near`."""
 
     def integrand_slope(self, x: Array, near: float) -> Array:
-        """Return the derivative of `integrand` in x, for real x."""
+        """Return the derivative of the integrand in the observable's value x, shape of x."""
         return np.asarray(self.integrand(x + 1j * STEP, near).imag / STEP)
 
     def slopes(self, x: Array, w: Array) -> Array:
@@ -189,15 +189,15 @@ class Integral(OverTime):
     observable: Observable
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Return the integral: the sum of weights times values."""
+        """Return the integral over time: the sum of quadrature weights times values."""
         return np.asarray(w @ x)
 
     def factor(self, duration: float) -> float:
-        """Return one: the weights of a plain integral need no factor."""
+        """Return one: the quadrature weights of a plain integral need no factor."""
         return 1.0
 
     def integrand(self, x: Array, near: float) -> Array:
-        """Return the integrand: the values x themselves."""
+        """Return the integrand of the objective: the observable's values x."""
         return x
 
 
@@ -209,7 +209,7 @@ class Terminal(AtInstants):
     observable: Observable
 
     def instants(self, t_end: float) -> tuple[float, ...]:
-        """Return the end time of the run, s."""
+        """Return the only time that this objective reads, the end time, s."""
         return (t_end,)
 
 
@@ -290,7 +290,7 @@ class SmoothMaximum(_Maximum, OverTime):
     """
 
     def factor(self, duration: float) -> float:
-        """Return one over the duration, for a mean over time."""
+        """Return one over the duration, which makes the integral a mean over time."""
         return 1.0 / duration
 
     def integrand(self, x: Array, near: float) -> Array:
@@ -317,7 +317,7 @@ class SmoothUpperBound(_Maximum):
     """
 
     def check_times(self, t_end: float) -> None:
-        """Accept every run: the bound has no times of its own."""
+        """Accept every run: the bound reads no given times."""
 
     def weights(self, grid: TimeGrid) -> Array:
         """Weight one for every time point, shape (n_t,): the bound is a plain sum."""
@@ -374,7 +374,7 @@ class Total(Integrand):
         return PartialIntegral(duration, value, slopes, size, error, not_finite)
 
     def add(self, part: PartialIntegral) -> None:
-        """Add the integral over a part of the run."""
+        """Add the integral of the objective over a part of the run."""
         self._parts.append(part)
         self._duration, self._size = self._duration + part.duration, self._size + part.size
 

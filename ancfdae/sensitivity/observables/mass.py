@@ -128,7 +128,7 @@ class MassIntegral(Leaf):
             require_text("mass, beam", self.beam)
 
     def check_leaf(self, system: Named) -> None:
-        """Raise unless the scene has the beam and the axes."""
+        """Raise unless the scene has the beam and axes of this mass integral."""
         layout = known_scene(system).naming.layout
         if self.beam is not None:
             layout.owner(self.beam)
@@ -142,7 +142,7 @@ class MassIntegral(Leaf):
                 )
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the integral a^T M b at the states, shape (k,)."""
+        """Return the mass integral a^T M b at the states, shape (k,)."""
         scene = known_scene(system)
         a, b = self._factors(scene, states)
         value = np.sum(a * scene.energies.momenta(b, self.beam), axis=1)

@@ -61,7 +61,7 @@ class States:
 
     @property
     def grid(self) -> TimeGrid:
-        """The time points as a grid, for integrals and interpolation."""
+        """The time points of the states as a grid, for integrals and interpolation."""
         return TimeGrid(self.t, self.degree)
 
     def rows(self, which: slice | list[int]) -> States:
@@ -220,7 +220,7 @@ class Observable(Expression["Observable"]):
         return evaluated(self, lambda leaf: leaf.leaf_value(system, states))
 
     def partials(self, system: MechanicalSystem, states: States) -> ObservablePartials:
-        """Return values and partials at real states."""
+        """Return values and partial derivatives of the observable at real states."""
         values = self.node_values(system, states)
         return self.weighted_partials(system, states, values, np.ones(len(states.t)))
 
@@ -270,11 +270,11 @@ class Leaf(Observable):
 
     @abc.abstractmethod
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the values at real or complex states, shape (k,)."""
+        """Return the values of this elementary observable at the states, shape (k,)."""
 
     @abc.abstractmethod
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return the partials of the leaf at real states."""
+        """Return the partial derivatives of this elementary observable at real states."""
 
 
 @final

@@ -115,7 +115,7 @@ class Rotated(Leaf, abc.ABC):
                 )
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the values of the function, shape (k,)."""
+        """Return the values of the orientation or angle at the states, shape (k,)."""
         return self._value(known_scene(system), states, {})
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
@@ -177,7 +177,7 @@ class Orientation(Rotated):
         return "orientation"
 
     def check_leaf(self, system: Named) -> None:
-        """Raise for a point, a direction or an axis that the scene does not have."""
+        """Raise unless the scene has the point, the direction and the axis."""
         super().check_leaf(system)
         d = known_scene(system).naming.layout.d
         if len(self.direction) < d or any(self.direction[d:]):

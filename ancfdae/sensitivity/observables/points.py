@@ -139,12 +139,12 @@ class ReferenceSquare(Leaf):
         known_scene(system)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return |r_ox|^2 at every time point, shape (k,)."""
+        """Return the squared reference slope |r_ox|^2 at every time point, shape (k,)."""
         r_ox, _ = known_scene(system).inputs.in_reference(self.point, Quantity.SLOPE_X)
         return np.full(len(states.t), np.sum(r_ox * r_ox))
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return 2 r_ox . r_oxb, the partials in the design variables."""
+        """Return the partials of |r_ox|^2 in the design variables, 2 r_ox . r_oxb."""
         r_ox, r_oxb = known_scene(system).inputs.in_reference(self.point, Quantity.SLOPE_X)
         return LeafGradient(b=np.tile(2 * r_ox @ r_oxb, (len(states.t), 1)))
 
@@ -178,7 +178,7 @@ class VectorComponent(Leaf):
         naming.vector(self.point, self.quantity)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return weights times coordinates or velocities, shape (k,)."""
+        """Return the component, weights times coordinates or velocities, shape (k,)."""
         columns, weights, _ = self._combination(system)
         value: Array = self._of(states)[:, columns] @ weights
         return value
@@ -234,7 +234,7 @@ class Acceleration(Leaf):
         naming.vector(self.point, Quantity.POSITION)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return z^T (Q - Phi_q^T lam) with M z = w, shape (k,)."""
+        """Return the acceleration z^T (Q - Phi_q^T lam), M z = w, shape (k,); m/s^2."""
         scene = known_scene(system)
         return _applied_forces(scene, states) @ self._solved(scene)
 
@@ -319,7 +319,7 @@ class AngularVelocity(Leaf):
         self._slopes(naming)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return component `axis` of omega, shape (k,); rad/s."""
+        """Return component `axis` of the angular velocity omega, shape (k,); rad/s."""
         naming = known_naming(system)
         slopes, d = self._slopes(naming), naming.layout.d
         F, rates = (_stacked(slopes, x, d) for x in (states.q, states.v))

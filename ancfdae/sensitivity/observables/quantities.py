@@ -101,7 +101,7 @@ class SpringEnergy(Leaf):
             require_text("spring_energy, load", self.load)
 
     def check_leaf(self, system: Named) -> None:
-        """Raise for a load that does not exist or stores no energy."""
+        """Raise unless the scene has the load and it stores energy."""
         known_scene(system).works.of_springs(self.load)
 
     def leaf_value(self, system: Named, states: States) -> Array:
@@ -111,7 +111,7 @@ class SpringEnergy(Leaf):
         return sum((x.value(states.t, states.q, states.v) for x in springs), start=none)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return the partials of the energy in q and b."""
+        """Return the partials of the spring energy in q and b."""
         springs = known_scene(system).works.of_springs(self.load)
         q, b = np.zeros(states.q.shape), np.zeros((len(states.t), system.n_b))
         for each in springs:
@@ -138,7 +138,7 @@ class Multiplier(Leaf):
             require_kind("multiplier, row", self.row, (int, np.integer), "Counted from 0 on.")
 
     def check_leaf(self, system: Named) -> None:
-        """Raise for a joint, an equation or an axis that does not exist."""
+        """Raise unless the scene has the joint, and the joint the equation or axis."""
         layout = known_naming(system).layout
         place = layout.joint(self.joint)
         if not self.on_point:
@@ -154,11 +154,11 @@ class Multiplier(Leaf):
             require_index("reaction, axis", self.row, layout.d)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the multiplier of the row, shape (n_t,)."""
+        """Return the Lagrange multiplier of the joint's equation, shape (k,)."""
         return states.lam[:, self._column(system)]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return one in the column of the multiplier."""
+        """Return the partial one in the column of this multiplier."""
         return LeafGradient(lam=Columns(np.array([self._column(system)]), np.ones((1, 1))))
 
     def _column(self, system: Named) -> int:
@@ -256,12 +256,12 @@ class Design(Leaf):
             raise UnknownNameError("design variable", self.name, known)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the value b_i at every time point, shape (k,)."""
+        """Return the value b_i of the design variable at every time point, shape (k,)."""
         mechanical = known_system(self.name, system)
         return np.full(len(states.t), mechanical.b[mechanical.design_names.index(self.name)])
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return one as the partial in the variable itself."""
+        """Return the partial one in the column of this design variable."""
         b = np.zeros((len(states.t), system.n_b))
         b[:, system.design_names.index(self.name)] = 1.0
         return LeafGradient(b=b)
@@ -320,7 +320,7 @@ class LoadQuantity(Leaf):
         return self._function(system).value(states.t, states.q, states.v)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return the partials in q, v and b."""
+        """Return the partials of the power, torque or force in q, v and b."""
         q, v, b = self._function(system).partials(states.t, states.q, states.v)
         return LeafGradient(q=Columns(slice(None), q), v=Columns(slice(None), v), b=b)
 
@@ -343,7 +343,7 @@ class DriveWork(Leaf):
         require_text("joint of an observable", self.joint)
 
     def check_leaf(self, system: Named) -> None:
-        """Raise for a joint that does not exist or is not driven."""
+        """Raise unless the scene has the joint and it is driven."""
         known_scene(system).works.of_joint(self.joint, self.unit_rate)
 
     def leaf_value(self, system: Named, states: States) -> Array:
@@ -352,7 +352,7 @@ class DriveWork(Leaf):
         return work.value(states.t, states.q, states.lam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return the partials in q, in the joint's multipliers and in b."""
+        """Return the partials of the power, torque or force in q, lam and b."""
         work = known_scene(system).works.of_joint(self.joint, self.unit_rate)
         q, lam, b = work.partials(states.t, states.q, states.lam)
         columns = np.arange(work.rows.start, work.rows.stop)
@@ -395,13 +395,13 @@ class ControllerState(Leaf):
         require_text("state, name", self.name)
 
     def check_leaf(self, system: Named) -> None:
-        """Raise UnknownNameError for a controller or a state that does not exist."""
+        """Raise UnknownNameError unless the scene has the controller and its state."""
         its = known_naming(system).layout.controller(self.controller)
         if self.name not in its.states:
             raise UnknownNameError(f"state of {self.controller!r}", self.name, its.states)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the state at the times, shape (n_t,)."""
+        """Return the state of the controller at the times, shape (k,); its own unit."""
         return states.v[:, self._column(system)]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:

@@ -138,7 +138,7 @@ class SectionForce(Leaf):
         known_scene(system).sections.forces(self.point)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the force, N, or moment, N m, at the states, shape (k,)."""
+        """Return the section force, N, or moment, N m, at the states, shape (k,)."""
         forces = known_scene(system).sections.forces(self.point)
         return forces.value(self.component, states.q, states.v)
 
@@ -192,7 +192,7 @@ class VonMises(Leaf):
         sections.stress_at(self.point)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the stress at the states, shape (k,); Pa."""
+        """Return von Mises' stress at the states, shape (k,); Pa."""
         return known_scene(system).sections.stress_at(self.point).value(states.q, states.v)[:, 0, 0]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
@@ -215,7 +215,7 @@ class MaximumStress(Leaf):
         require_positive("maximum_von_mises, sharpness", self.sharpness)
 
     def check_leaf(self, system: Named) -> None:
-        """Raise for a beam that does not exist or has no stresses."""
+        """Raise unless the scene has the beam and stresses are known in it."""
         known_scene(system).sections.stress_over(self.beam)
 
     def leaf_value(self, system: Named, states: States) -> Array:

@@ -104,7 +104,7 @@ class Custom(Leaf):
             self._require_derivative(states, b)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """Return the values H of the function, shape (n_t,)."""
+        """Return the values H of the user's function, shape (n_t,)."""
         system = known_system(self.name, system)
         if any(np.iscomplexobj(x) for x in (states.q, states.v, states.lam, system.b)):
             traced = self._traced(system)

@@ -1,25 +1,27 @@
 """Discretisation error of an objective and its gradient, from runs that are refined.
 
-For HHT-I3, of order two, runs at h, h/2 (and h/4) differ by d_1 = x(h/2) - x(h) and
-d_2 = x(h/4) - x(h/2). With the order p observed in d_1/d_2 = 2^p, or p = 2 assumed, the
-finest run errs by d/(2^p - 1), and adding that at p = 2 is Richardson's extrapolation. The bar
-multiplies it by the safety factor of Roache's grid convergence index (J. Fluids Eng. 116, 1994): 3
-where the order is assumed, 1.25 where it is observed. An observed order is limited to 1/2 to 2,
-so that runs that do not converge yet get wide bars, and d_2 is taken as d_1/4 at least.
+For HHT-I3, of order two, runs at h, h/2 (and h/4) differ by d_1 = x(h/2) - x(h) and d_2 = x(h/4) -
+x(h/2). With the order p observed in d_1/d_2 = 2^p, or p = 2 assumed, the finest run errs by d/(2^p
+- 1), and adding that at p = 2 is Richardson's extrapolation. The bar multiplies it by the safety
+factor of Roache's grid convergence index (J. Fluids Eng. 116, 1994): 3 where the order is assumed,
+1.25 where it is observed. An observed order is limited to 1/2 to 2, so that runs that do not
+converge yet get wide bars, and d_2 is taken as at least d_1/4.
 
-Where runs say that their steps do not resolve the waves of the derivatives, differences have no
+If the runs show that their steps do not resolve the waves of the derivatives, differences have no
 order, and the bar is a multiple of them (`bars.unresolved`).
 
 SUNDIALS and SciPy choose their steps themselves. The refined run has a tenth of the tolerance, the
 bar is the whole difference, and no value is extrapolated.
 
-Meshes are treated like steps, at the longest step: with two or three, each of twice the elements,
-the error of the finest follows from their differences, and the order is observed or taken as 2.
+Meshes are treated like steps, at the longest step: with two or three meshes, each of twice the
+elements, the error of the finest follows from their differences, and the order is observed or taken
+as 2.
 
-**From one run** of HHT-I3 and one pass back (`estimate_adjoint_error`). The smooth motion leaves
-defects in every step of the recurrence (`integrators.hht.equations.Defects`); the discrete adjoint
-gives the change of the objective that each of them causes. The error of the objective's own
-quadrature is added; from its value on every second instant it is I - Q_h = -(Q_2h - Q_h)/3.
+**From one run** of HHT-I3 and one backward pass (`estimate_adjoint_error`). The smooth motion
+leaves residuals (defects) in every step of the recurrence (`integrators.hht.equations.Defects`);
+the discrete adjoint gives the change of the objective that each of them causes. The error of the
+objective's own quadrature is added; from the value on every second time point it is I - Q_h =
+-(Q_2h - Q_h)/3.
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ from ancfdae.studies.accuracy.bars import (
 from ancfdae.studies.calls import as_system, differentiable, gradient, require_objectives
 from ancfdae.studies.meshes import with_mesh
 
-# Fewest steps of a run whose error can be estimated.
+# Least number of steps of a run whose error can be estimated.
 _LEAST_STEPS = 4
 _Design: TypeAlias = Sequence[str | DesignVariable] | None
 _Mesh: TypeAlias = tuple[Scene | MechanicalSystem, _Design]
@@ -80,23 +82,23 @@ class ErrorBars(PrintedTable):
         Gradient of the finest run; unit of the objective over that of the variable.
     parts : dict of str to array, shape (1 + n_b,)
         Estimated bounds of the errors of value and gradient by ``"step"`` and, where meshes were
-        compared, by ``"mesh"``; not proofs: docs/reports/error-bars says how often they hold.
+        compared, by ``"mesh"``; not proven: docs/reports/error-bars says how often they hold.
     extrapolated_value : float
-        Better value by one order, where runs converge; unit of the objective.
+        Value with the estimated error removed, better by one order if runs converge; unit of the
+        objective.
     extrapolated_gradient : array, shape (n_b,)
-        Better values by one order, where runs converge; those of the finest run if the
-        integrator has no fixed order.
+        The same for the gradient; equal to `gradient` if the integrator has no fixed order.
     orders : array, shape (1 + n_b,)
-        Observed orders of the value and the gradient; nan where they cannot be observed.
+        Observed orders of the value and the gradient; NaN where they cannot be observed.
     mesh_orders : array, shape (1 + n_b,)
         Observed orders of the value and of the derivatives in the element length; dimensionless.
     runs : tuple of Gradient
-        From the coarsest to the finest.
+        All runs, from the coarsest to the finest.
     resolved : bool or None
         Whether the steps resolve the waves of the derivatives: whether their estimated errors
-        (`Solution.estimated_errors`) fall at the order of the integrator from the last run but
-        one. Where they do not, bars are three to four times what runs differ by. None without such
-        an estimate, which only `DirectDifferentiation` with `HHT` provides.
+        (`Solution.estimated_errors`) fall at the order of the integrator from the last run but one.
+        If not, bars are three to four times the differences of the runs. None without such an
+        estimate, which only `DirectDifferentiation` with `HHT` provides.
     """
 
     names: tuple[str, ...]
@@ -112,7 +114,7 @@ class ErrorBars(PrintedTable):
 
     @property
     def value_bar(self) -> float:
-        """Estimated bound of the error of the value: the sum of its parts."""
+        """Estimated bound of the error of the value, the sum of its parts; unit of the value."""
         return float(sum(part[0] for part in self.parts.values()))
 
     @property
@@ -122,7 +124,7 @@ class ErrorBars(PrintedTable):
         return bar
 
     def to_dataframe(self) -> Any:
-        """Return a table of pandas: the objective and its derivatives, with values and bars."""
+        """Return a pandas table of the objective and its derivatives, with values and bars."""
         table: dict[str, object] = {
             "value": [self.value, *self.gradient],
             "extrapolated": [self.extrapolated_value, *self.extrapolated_gradient],
@@ -173,14 +175,15 @@ def error_bars(
     Parameters
     ----------
     model, objective, t_end, integrator, design, progress
-        As in `gradient`; the coarsest run has this integrator, and four steps or more.
+        As in `gradient`; the coarsest run has this integrator, and at least four steps.
     method : GradientMethod
         As in `gradient`, but `DirectDifferentiation` by default.
     levels : int
-        2, or 3 to see whether the order is reached: with `HHT` 3 or 7 times the first run.
+        Number of runs: 2, or 3 to observe the order, which with `HHT` cost 3 or 7 times the first
+        run.
     meshes : int
-        Of a scene, with 2 or 3: runs with once or twice doubled elements, of the finest of which
-        value, gradient and bars then are.
+        Number of meshes of a scene, with 2 or 3: further runs with once or twice doubled elements;
+        value, gradient and bars then belong to the finest mesh.
     """
     if not any(levels is count for count in (2, 3)):
         raise InvalidInputError(
@@ -222,7 +225,7 @@ def error_bars(
 def _of_steps(
     runs: Sequence[Gradient], mesh: _Mesh, order: int | None
 ) -> tuple[Array, Array, bool | None]:
-    """Return bars by the step, orders, and whether the steps resolve the waves."""
+    """Return error bars from the steps, orders, and whether the steps resolve the waves."""
     differences, resolved = np.diff(_numbers(runs), axis=0), _resolved(*runs[-2:])
     widths, orders = convergence_bars(differences, order)
     if resolved is False:
@@ -263,9 +266,10 @@ def _resolved(coarse: Gradient, fine: Gradient) -> bool | None:
 @final
 @dataclass(frozen=True)
 class AdjointErrorEstimate:
-    """An objective and the estimate of its discretisation error.
+    """An objective and the estimate of its discretisation error from a single run.
 
-    `error` estimates the exact value minus `value`, with its sign; it is not a bound.
+    `error` estimates the exact value minus `value`, with its sign, in the unit of the objective; it
+    is not a bound.
     """
 
     value: float
@@ -274,7 +278,7 @@ class AdjointErrorEstimate:
 
     @property
     def extrapolated_value(self) -> float:
-        """The value corrected by its estimated error."""
+        """The value corrected by its estimated error; unit of the objective."""
         return self.value + self.error
 
     def __repr__(self) -> str:
@@ -294,15 +298,16 @@ def estimate_adjoint_error(
 ) -> AdjointErrorEstimate:
     """Estimate the discretisation error of an objective from a single run.
 
-    Costs about 1.4 runs, where `error_bars` costs three; it gives no error of the gradient, and
-    is unreliable where the step does not resolve the motion.
+    Costs about 1.4 runs, where `error_bars` costs three; it gives no error of the gradient, and is
+    unreliable where the step does not resolve the motion.
 
     Parameters
     ----------
     model, objective, t_end, progress
         As in `gradient`.
     integrator : Integrator
-        One that knows the defects of its steps, such as `HHT`; four steps or more.
+        An integrator that computes the defects of its steps, such as `HHT`, with at least four
+        steps.
     design : sequence of str or DesignVariable, optional
         Needed only where the objective contains `design_value`.
     """
