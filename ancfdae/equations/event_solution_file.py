@@ -1,4 +1,4 @@
-"""File of a run with events: the arrays of all phases, numbered, and everything else as JSON."""
+"""File format of a run with events: numbered arrays of all phases, other data as JSON."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ARRAYS = ("time_b", "impulse_b", "sliding_impulse_b", "sliding_impulse")
 def write(
     path: Path, phases: Sequence[Mapping[str, Any]], events: Sequence[Any], outcome: RunOutcome
 ) -> Path:
-    """Write the fields of all phases, the records of events and the outcome to a file."""
+    """Write all phases, the records of events and the outcome to a file; return its path."""
     arrays: dict[str, Array] = {}
     metas = []
     for k, fields in enumerate(phases):
@@ -41,7 +41,7 @@ def write(
 def read(
     path: Path, naming: Unpack
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]], RunOutcome]:
-    """Return the fields of all phases, of the records, and the outcome that `write` wrote."""
+    """Return the fields of all phases, the records of events, and the outcome from a file."""
 
     def parts(
         arrays: Mapping[str, Array], meta: Mapping[str, Any]

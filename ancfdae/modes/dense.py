@@ -1,6 +1,6 @@
-"""Eigenvalues of small systems, in coordinates that keep the constraints.
+"""Eigenvalues of small systems by dense matrices, in independent coordinates.
 
-With N a basis of the null space of Phi_q, orthonormal in M, motions x = N y satisfy
+!With N a basis of the null space of Phi_q, orthonormal in M, motions x = N y satisfy
 
     y'' + D_N y' + K_N y = 0,     D_N = N^T D N,  K_N = N^T K N
 """
@@ -20,7 +20,7 @@ from ancfdae.numerics.inertia import shifted_back, shifted_inverse
 
 
 def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array]:
-    """Return z = -s^2 of symmetric K in increasing order, and the shapes as columns."""
+    """Return z = -s^2 of symmetric K, increasing, and the shapes as columns, (n_q, count)."""
     first = small.n_free - count if highest else 0
     within = _Within(small)
     L = _cholesky(within.matrix(small.M))
@@ -31,10 +31,10 @@ def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array
 
 
 def asymmetric(small: Linearised, rigid: Array) -> tuple[Array, Array, Array]:
-    """Return z = -s^2 of all but the rigid motions R, their relative errors, and the shapes.
+    """Return z = -s^2 of an asymmetric K, relative errors of z, and shapes, (n_q, k).
 
-    R is orthonormal in M. P, orthogonal to R, reduces K_N to P^T K_N P. The shapes
-    lack their part in R, which inverse iteration adds.
+    The rigid motions R, orthonormal in M, are left out. P, orthogonal to R, reduces K_N to P^T K_N
+    P. The shapes lack their components in R, which inverse iteration adds.
     """
     N, K = _reduced(small, small.K)
     P = _complement(N.T @ small.times(small.M, rigid))
@@ -96,9 +96,9 @@ def damped(small: Linearised, rigid: Array, size: float) -> tuple[Array, Array]:
 @final
 @dataclass(frozen=True)
 class _Within:
-    """Motions that keep the constraints, in a basis orthonormal in the weights.
+    """Motions that satisfy the constraints, in a basis orthonormal in the weights.
 
-    It is the last columns of the Q of Phi_q^T = Q R, which stays a product of reflections: few
+    The basis is the last columns of the Q of Phi_q^T = Q R, stored as a product of reflections: few
     constraints then cost little.
     """
 
@@ -115,7 +115,7 @@ class _Within:
         return reflections, sizes
 
     def _turned(self, x: Array, side: str, transposed: str) -> Array:
-        """Return the product with Q from the left or right."""
+        """Return the product of x with Q, or its transpose, from the left or right."""
         if not self.small.system.n_lam:
             return x
         args = side, transposed, *self._reflections
@@ -123,7 +123,7 @@ class _Within:
         return turned
 
     def matrix(self, values: Array) -> Array:
-        """Return M, or K where it is symmetric, in this basis."""
+        """Return M, or a symmetric K, in this basis, (n_q - n_lam,) * 2."""
         system = self.small.system
         # Transposed it lies in memory as LAPACK wants it.
         scaled = (self._scale[:, None] * system.pattern.dense(values) * self._scale).T
@@ -131,7 +131,7 @@ class _Within:
         return turned[system.n_lam :, system.n_lam :]
 
     def motions(self, Y: Array) -> Array:
-        """Return the coordinates of motions given in this basis, as columns."""
+        """Return coordinate changes, (n_q, k), of motions Y given in this basis, as columns."""
         held = np.zeros((self.small.system.n_lam, Y.shape[1]))
         return self._scale[:, None] * self._turned(np.concatenate([held, Y]), "L", "N")
 
@@ -149,7 +149,7 @@ def _cholesky(M: Array) -> Array:
 
 
 def _reduced(small: Linearised, values: Array) -> tuple[Array, Array]:
-    """Return N and the matrix in its coordinates."""
+    """Return N, (n_q, n_q - n_lam), and N^T A N for the matrix A of the given values."""
     within = _Within(small)
     L = _cholesky(within.matrix(small.M))
     N = within.motions(scipy.linalg.lapack.dtrtrs(L, np.eye(len(L)), lower=True, trans=1)[0])

@@ -1,4 +1,4 @@
-"""The calls that a user needs: simulate, differentiate, gradient."""
+"""The main calls: simulate, differentiate, gradient(s) and evaluate."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ancfdae.events.kinds import Event, Mode
     from ancfdae.studies.accuracy.search import ObservableEstimates
 
-# States of a run, the end included, at which strains are looked at: all would cost half a run.
+# Number of states of a run at which strains are checked, with the end: all would cost half a run.
 _LOOKS = 9
 
 
@@ -98,10 +98,10 @@ def simulate(
 ) -> Solution | EventSolution | ObservableEstimates:
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
 
-    Warns of errors estimated larger than the motion, or large beside a singular position of joints
+    Warns of errors estimated larger than the motion, or large near a singular position of joints
     (`StabilityWarning`), of very many steps under error control (`ManyStepsWarning`), and of a
-    tolerance out of reach (`ToleranceWarning`). Beams that are strained beyond what their elements
-    are made for at one of nine instants, the end included, give a `LargeStrainWarning`.
+    tolerance that cannot be reached (`ToleranceWarning`). Beams strained beyond the validity of
+    their elements at one of nine times, the end included, give a `LargeStrainWarning`.
 
     Parameters
     ----------
@@ -111,15 +111,14 @@ def simulate(
         `HHT`, `Radau`, `IDA`, `IDAS` or `DOP853`, for example ``HHT(step=2**-7)``.
     tolerance : float, optional
         In place of an integrator, with `observables`: integrator and setting are chosen so that the
-        errors of these are estimated below it; the result is `ObservableEstimates`. The error of
-        each, its norm over the instants, is relative to the norm of its values there.
-    observables, at : sequences, optional
-        What the tolerance is for, ``[position(rod.at_end, 1)]``; and its instants, ascending in
-        [0, t_end], by default 65, equally far apart; s.
-    after : Solution or EventSolution, optional
-        A run of this model by the same integrator that ended before, at its end time, early or at
-        Ctrl-C: it goes on there, to round-off; under error control within the tolerance. A run with
-        events needs the same events and modes, and integrates its last phase again.
+        estimated errors of the observables are below it; the result is `ObservableEstimates`. The
+        error of each observable, its norm over the times `at`, is relative to the norm of its
+        values. observables, at : sequences, optional Observables to which the tolerance applies,
+        ``[position(rod.at_end, 1)]``, and their times, ascending in [0, t_end], by default 65
+        equidistant ones; s. after : Solution or EventSolution, optional A run of this model by the
+        same integrator that ended before `t_end`, early or at Ctrl-C: it is continued, equal to one
+        run to round-off, under error control within the tolerance. A run with events needs the same
+        events and modes, and integrates its last phase again.
     keep : int or sequence of float, optional
         Store only part of a run with prescribed steps. An int k stores the start, every k-th step
         and the end; a sequence of ascending times in [0, t_end], s, stores states interpolated as
@@ -165,9 +164,9 @@ def simulate(
 
 
 def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 3) -> None:
-    """Warn, once, of parts that are strained too far in a call, at some states, rows of q.
+    """Warn, once per call, of bodies strained too far at some states, rows of q.
 
-    `level` is that of the caller of the call, as in `warnings.warn`.
+    `level` is the stack level of the caller of the call, as in `warnings.warn`.
     """
     strained: dict[str, float] = {}
     for k in np.linspace(0, len(q) - 1, min(len(q), _LOOKS)).round().astype(int):
@@ -197,7 +196,7 @@ def _thinned(run: Run, keep: Keep) -> Solution:
 
 
 def _warned(system: MechanicalSystem, solution: Solution) -> Solution:
-    """Return the run; warn the caller of the caller where its errors are large."""
+    """Return the run after warning the caller's caller if its errors are large."""
     if solution.outcome.success and not _is_off(solution, 4):
         rows = Rows(solution.t, solution.q, solution.v)
         warn_near_singular(system, rows, solution.estimated_errors, stacklevel=4)
@@ -205,7 +204,7 @@ def _warned(system: MechanicalSystem, solution: Solution) -> Solution:
 
 
 def _is_off(solution: Solution, level: int) -> bool:
-    """Whether the errors of a finished run are larger than the motion, of which this warns."""
+    """Return whether the errors of a finished run exceed its motion; if so, warn."""
     errors = solution.estimated_errors
     if not solution.outcome.success or errors is None or errors.motion <= 1:
         return False
@@ -258,7 +257,7 @@ def differentiate(
     modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> Solution | EventSolution:
-    """Integrate and differentiate the trajectory with respect to the design variables.
+    """Return the trajectory of a model with its derivatives in the design variables.
 
     Parameters
     ----------
@@ -273,7 +272,7 @@ def differentiate(
     Returns
     -------
     Solution
-        With `sensitivities`.
+        The trajectory with `sensitivities`.
     """
     method = DirectDifferentiation() if method is None else method
     require_kind(
@@ -308,24 +307,24 @@ def gradient(
     modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> Gradient:
-    """Return value and design gradient of an objective.
+    """Return the value of an objective and its gradient in the design variables.
 
     Parameters
     ----------
     model, t_end, integrator, design, after, events, modes, progress
-        As in `differentiate`; with `after` a run that is there gets further gradients. The design
+        As in `differentiate`; with a finished run as `after` its gradients are computed. The design
         may contain ``"t_end"``, the end time, which is then the last variable.
     objective : Objective
         For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
     tolerance : float, optional
-        In place of an integrator: integrator and setting are chosen so that the error of this
-        gradient is estimated below it; `Gradient.accuracy` has the bars, the choice and its price.
-        Relative, each derivative times its variable, to the norm of all of these; of the value to
-        the larger of that norm and the value.
+        In place of an integrator: integrator and setting are chosen so that the estimated error of
+        this gradient is below it; `Gradient.accuracy` has the error bars, the choice and its cost.
+        The tolerance is relative: derivatives times their variables to the norm of all of these,
+        the value to the larger of that norm and the value.
     method : GradientMethod, optional
         `DirectDifferentiation`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or
-        `ComplexStep`; by default `cheapest` of the first two, or `DirectDifferentiation` where
-        there is no adjoint (IDA, DOP853).
+        `ComplexStep`; by default `cheapest` of the first two, or `DirectDifferentiation` for
+        integrators without an adjoint (IDA, DOP853).
     memory : str or float, optional
         ``Adjoint(memory)``: a limit such as ``"200 MB"`` for the states of a run.
 
@@ -334,7 +333,7 @@ def gradient(
     StabilityWarning
         If the estimated errors of the run are larger than its motion.
     ToleranceWarning
-        If the tolerance is out of reach; what comes nearest is returned.
+        If the tolerance cannot be reached; the most accurate gradient found is returned.
     """
     return gradients(
         model,
@@ -367,7 +366,7 @@ def gradients(
     modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> list[Gradient]:
-    """Return value and gradient of several objectives of one run; see `gradient`."""
+    """Return values and gradients of several objectives of one run, as `gradient` does for one."""
     objectives = require_sequence("objectives", objectives)
     design, free_end = without_end(design)
     system = as_system(model, design) if free_end else differentiable(model, design)
@@ -414,7 +413,7 @@ def _limited(method: GradientMethod | None, memory: str | float | None) -> Gradi
 
 
 def _require_alone(where: str, **others: object) -> None:
-    """Refuse arguments that a call to a tolerance, or a run with events, does not take."""
+    """Raise InvalidInputError if one of `others` is given, which `where` excludes."""
     for name, given in others.items():
         if given is not None:
             repair = "A tolerance chooses its own runs." if where == "tolerance" else ""
@@ -429,10 +428,10 @@ def evaluate(
     *,
     design: Sequence[str | DesignVariable] | None = None,
 ) -> float:
-    """Return the value of an objective on a run that is there; `observe` is for observables.
+    """Return the value of an objective on a finished run; `observe` is for observables.
 
-    Integrals are those over the instants of the solution; IDA, IDAS and DOP853 take them
-    beside the motion in `gradient`, which differs within their tolerance.
+    Integrals are quadratures over the time points of the solution; in `gradient` IDA, IDAS and
+    DOP853 integrate them with the motion, which differs within their tolerance.
 
     Parameters
     ----------
@@ -440,7 +439,7 @@ def evaluate(
     solution : Solution
         A finished run, from a call or a file; `gradient` with ``after=solution`` differentiates.
     model, design
-        What ran, as in `gradient`.
+        The model that was run, as in `gradient`.
     """
     require_kind("solution", solution, (Solution,), "Call simulate, or load_solution.")
     system = as_system(model, design)
@@ -457,7 +456,7 @@ def evaluate(
 def require_objectives(
     system: MechanicalSystem, objectives: Sequence[Objective], t_end: float
 ) -> None:
-    """Refuse objectives that a run of this system cannot have."""
+    """Raise InvalidInputError for objectives that a run of this system cannot have."""
     require_positive("t_end", t_end)
     repair = "Wrap an observable in Integral, Terminal, AtTimes, SmoothMaximum or SmoothUpperBound."
     if not objectives:
@@ -471,10 +470,10 @@ def require_objectives(
 def cheapest(variables: int, objectives: int) -> GradientMethod:
     """Return direct differentiation or the discrete adjoint, whichever costs less.
 
-    Both factorise once per step; direct differentiation then solves for every variable, the
-    adjoint repeats its pass for every objective. Measured on the crank-slider, up to two
-    variables cost less directly than a pass back; from there to six the two are within a few
-    per cent of the dynamics (report `performance`).
+    Both factorise once per step; direct differentiation then solves for every variable, the adjoint
+    repeats its backward pass for every objective. Measured on the crank-slider, direct
+    differentiation costs less than a backward pass up to two variables; from there to six the two
+    differ by a few per cent of the cost of the run (report `performance`).
     """
     return DirectDifferentiation() if variables <= 2 * objectives else Adjoint()
 
@@ -482,7 +481,7 @@ def cheapest(variables: int, objectives: int) -> GradientMethod:
 def differentiable(
     model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None
 ) -> MechanicalSystem:
-    """Return `as_system`; refuse a model without design variables."""
+    """Return the system of a model; InvalidInputError if it has no design variables."""
     system = as_system(model, design)
     if not system.n_b:
         raise InvalidInputError(
@@ -506,7 +505,7 @@ def without_end(
 def design_bounds(
     system: MechanicalSystem, design: Sequence[str | DesignVariable] | None
 ) -> tuple[Array, Array]:
-    """Return lower and upper bounds of the design values; infinite where there are none."""
+    """Return lower and upper bounds of the design values, (n_b,) each; infinite if undeclared."""
     known = {x.name: x.bounds for x in design or () if isinstance(x, DesignVariable)}
     pairs = [known.get(name) or (-np.inf, np.inf) for name in system.design_names]
     lower, upper = np.array(pairs, dtype=float).reshape(-1, 2).T
@@ -516,7 +515,10 @@ def design_bounds(
 def as_system(
     model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None = None
 ) -> MechanicalSystem:
-    """Assemble a scene; pass a mechanical system through, and refuse design variables for it."""
+    """Return the mechanical system of a scene, or a system itself.
+
+    InvalidInputError for design variables with a system, which has its own.
+    """
     if isinstance(model, Scene):
         return assemble(model, () if design is None else design)
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")

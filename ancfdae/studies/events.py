@@ -1,4 +1,4 @@
-"""The calls `simulate`, `differentiate` and `gradients`, fits and sweeps of runs with events."""
+"""Runs with events behind `simulate`, `differentiate`, `gradients`, fits and sweeps."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _kept(keep: Keep, t_end: float) -> int | Array:
 
 
 def _beginning(run: EventRun, after: EventSolution) -> Beginning | None:
-    """Return where the last phase of an earlier run began; None if that is the start.
+    """Return the state in which the last phase of `after` began; None if it is the start.
 
     InvalidInputError for a run of another model, or one that has passed the end time.
     """
@@ -79,9 +79,9 @@ def _beginning(run: EventRun, after: EventSolution) -> Beginning | None:
 
 
 def differentiated(run: EventRun, method: object) -> EventSolution:
-    """Return the motion with its events, and the design derivatives of both if it reached the end.
+    """Return the run with events, with design derivatives if it reached its end.
 
-    The method is `DirectDifferentiation`.
+    InvalidInputError unless the method is `DirectDifferentiation`.
     """
     if not isinstance(method, DirectDifferentiation):
         rule = "must be DirectDifferentiation() in a run with events"
@@ -94,7 +94,7 @@ def differentiated(run: EventRun, method: object) -> EventSolution:
 
 
 def values(run: EventRun, objectives: Sequence[Objective]) -> tuple[EventSolution, Array]:
-    """Return a finished run with events and the values of objectives, without derivatives."""
+    """Return a finished run with events and the values of objectives, shape (n,)."""
     require_reductions(objectives)
     phased = run.phased()
     found = _reached(phased)

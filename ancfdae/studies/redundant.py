@@ -1,4 +1,4 @@
-"""Equations of joints that others imply, left out of a scene on request.
+"""Redundant joint equations, which other equations imply, left out of a scene on request.
 
 Rows of Phi_q, scaled by the weights of the coordinates and to unit length, are combined to zero by
 the columns of N, a basis of the null space of the transpose. Rows may be left out together where
@@ -67,8 +67,8 @@ def drop_redundant(scene: Scene) -> Scene:
     Returns
     -------
     Scene
-        With `left_out`, pairs of the name of a joint and the number of an equation of it, counted
-        from 0; the scene prints them. The scene itself if no equation is redundant.
+        The scene with `left_out`: pairs of the name of a joint and the number of an equation of it,
+        counted from 0; the scene prints them. The scene itself if no equation is redundant.
 
     Raises
     ------
@@ -170,7 +170,7 @@ class _Rows:
         return B / length[:, None], system.constraint(0.0, q)[rows] / length
 
     def require_movable(self, redundant: Array) -> None:
-        """Raise RedundantConstraintsError if a row is one that is never left out."""
+        """Raise RedundantConstraintsError if a redundant row must not be left out (kind 0)."""
         fixed = redundant[self.kinds[redundant] == 0]
         if fixed.size:
             raise RedundantConstraintsError(
@@ -197,7 +197,7 @@ class _Rows:
 
 
 def _labelled(structure: JointStructure, d: int) -> Iterator[tuple[tuple[str, int], int, bool]]:
-    """Yield label, kind and whether it is driven of every row."""
+    """Yield, for every row, its label, its kind and whether its joint is driven."""
     for slot, layout in zip(structure.slots, structure.joints, strict=True):
         joint = slot.item.joint
         fixed = joint.driven or isinstance(joint, (Rigidity, FormulaJoint))
