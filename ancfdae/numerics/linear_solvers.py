@@ -349,7 +349,7 @@ def _envelope(order: Array, rows: Array, columns: Array, n: int, n_K: int, n_B: 
     """Return L D L^T of symmetric K: the lower triangle, each column from its diagonal to its end.
 
     A column ends with its last entry, but not before the one to its left, so that the factors fill
-    the same places. Of the places of all entries those of B^T are left out.
+    the same places. Places of entries of B^T are left out.
     """
     size = len(order)
     lower = rows >= columns
