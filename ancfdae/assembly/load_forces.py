@@ -14,7 +14,7 @@ import numpy as np
 
 from ancfdae.assembly.naming import SceneNaming, Vectors
 from ancfdae.errors.kinds import InvalidInputError
-from ancfdae.kernels import LoadPlan, load_forces, load_forces_along, load_tangents
+from ancfdae.kernels import LoadPlan
 from ancfdae.model.loads.contact import ContactLoad
 from ancfdae.model.loads.load import Copies, Load
 from ancfdae.numerics.arrays import STEP, Array, only
@@ -235,21 +235,21 @@ class MovingLoad:
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
         """Return the generalised force of this load at times t, shape (k, n_q)."""
-        return load_forces(self.plan, self.item.factors(t, 0), q, v)
+        return self.plan.forces(self.item.factors(t, 0), q, v)
 
     def force_along(
         self, states: tuple[Array, Array], rates: tuple[Array, Array], t: Array, dt: float
     ) -> Array:
-        """Return the derivative of its Q along rates of q and v and the rate dt of time."""
+        """Return the derivative of the load's Q along rates of q and v and the rate dt of time."""
         factors, of_time = self.item.factors(t, 0), dt * self.item.factors(t, 1)
-        dQ = load_forces_along(self.plan, factors, of_time, *states, *rates)
+        dQ = self.plan.forces_along(factors, of_time, *states, *rates)
         if self.item.load.law is None:
             return dQ
-        return dQ + load_forces(self.plan, of_time, *states)
+        return dQ + self.plan.forces(of_time, *states)
 
     def tangents(self, q: Array, v: Array, t: Array, velocity: bool) -> Array:
         """Return the values of Q_v if `velocity`, else of Q_q, on the pattern, (k, nnz)."""
-        return load_tangents(self.plan, self.item.factors(t, 0), q, v, velocity)
+        return self.plan.tangents(self.item.factors(t, 0), q, v, velocity)
 
 
 @final
@@ -297,7 +297,7 @@ class LoadForces:
         return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
 
     def touching(self) -> list[MovingLoad]:
-        """Return the contact loads, which act during short contacts."""
+        """Return the contact loads of the scene."""
         return [load for load in self._moving if load.item.load.touches]
 
     def sharp(self) -> list[LoadInput]:
@@ -310,7 +310,7 @@ class LoadForces:
         return self._steady, np.array(rows).reshape(len(rows), self._n_q)
 
     def factors(self, t: Array) -> Array:
-        """Return the laws at times t, (k, n): of constant loads, then of moving loads.
+        """Return law values of loads at times t, (k, n): of constant loads, then of moving loads.
 
         The law of a load is followed by its signals.
         """
@@ -374,9 +374,9 @@ class LoadForces:
         q, v = (x[None].real + 1j * STEP * dx.real for x, dx in zip(states, rates, strict=True))
         for load in self._moving:
             factors = load.item.factors(t, 0).real + 1j * STEP * dt * load.item.factors(t, 1).real
-            Q_q += load_tangents(load.plan, factors, q, v, False).imag / STEP
+            Q_q += load.plan.tangents(factors, q, v, False).imag / STEP
             if Q_v is not None and load.item.uses_velocity:
-                Q_v += load_tangents(load.plan, factors, q, v, True).imag / STEP
+                Q_v += load.plan.tangents(factors, q, v, True).imag / STEP
 
     def force_along_pull_back(
         self,
@@ -428,7 +428,7 @@ class LoadForces:
         return self._partial(lambda moved: np.sum(moved.force(q, v, t) * mu), ())
 
     def _partial(self, of: Callable[[LoadForces], Array], shape: tuple[int, ...]) -> Array:
-        """Return the design partial of a function `of` the loads with this shape, (*shape, n_b)."""
+        """Return the design partial, (*shape, n_b), of a function `of` the loads."""
         result = np.zeros((*shape, self._n_b))
         for i in self._active:
             result[..., i] = of(self._reaching(i)).imag / STEP

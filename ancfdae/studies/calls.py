@@ -78,6 +78,8 @@ def simulate(
     tolerance: float,
     observables: Sequence[Observable],
     at: Sequence[float] | Array | None = None,
+    events: Sequence[Event] | None = None,
+    modes: Mapping[str, Mode] | None = None,
     progress: bool = False,
 ) -> ObservableEstimates: ...
 
@@ -113,12 +115,14 @@ def simulate(
         In place of an integrator, with `observables`: integrator and setting are chosen so that the
         estimated errors of the observables are below it; the result is `ObservableEstimates`. The
         error of each observable, its norm over the times `at`, is relative to the norm of its
-        values. observables, at : sequences, optional Observables to which the tolerance applies,
-        ``[position(rod.at_end, 1)]``, and their times, ascending in [0, t_end], by default 65
-        equidistant ones; s. after : Solution or EventSolution, optional A run of this model by the
-        same integrator that ended before `t_end`, early or at Ctrl-C: it is continued, equal to one
-        run to round-off, under error control within the tolerance. A run with events needs the same
-        events and modes, and integrates its last phase again.
+        values.
+    observables, at : sequences, optional
+        Observables to which the tolerance applies, ``[position(rod.at_end, 1)]``, and their times,
+        ascending in [0, t_end], by default 65 equidistant ones; s.
+    after : Solution or EventSolution, optional
+        A run of this model by the same integrator that ended before `t_end`, early or at Ctrl-C: it
+        is continued, equal to one run to round-off, under error control within the tolerance. A run
+        with events needs the same events and modes, and integrates its last phase again.
     keep : int or sequence of float, optional
         Store only part of a run with prescribed steps. An int k stores the start, every k-th step
         and the end; a sequence of ascending times in [0, t_end], s, stores states interpolated as
@@ -134,7 +138,13 @@ def simulate(
     """
     system = as_system(model)
     if events is not None or modes is not None:
-        _require_alone("events", tolerance=tolerance, observables=observables)
+        if tolerance is not None:
+            _require_alone("tolerance", integrator=integrator, after=after, keep=keep)
+            from ancfdae.studies.accuracy.event_search import events_observed_within
+
+            model_with_events = system, t_end, events or (), modes
+            return events_observed_within(model_with_events, observables, at, tolerance, progress)
+        _require_alone("an integrator with events", observables=observables, at=at)
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import simulated
 
@@ -186,7 +196,7 @@ def warn_of_strains(call: str, system: MechanicalSystem, q: Array, level: int = 
 
 
 def _thinned(run: Run, keep: Keep) -> Solution:
-    """Return the run with the states at the times `keep` only."""
+    """Return the run with its states at the time indices `keep` only."""
     if run.after is not None:
         rule = "a run that continues another must keep all its states"
         repair = "Leave out `keep`, or run again from t = 0 without `after`."
@@ -204,7 +214,7 @@ def _warned(system: MechanicalSystem, solution: Solution) -> Solution:
 
 
 def _is_off(solution: Solution, level: int) -> bool:
-    """Return whether the errors of a finished run exceed its motion; if so, warn."""
+    """Return whether the estimated errors of a finished run exceed its motion; if so, warn."""
     errors = solution.estimated_errors
     if not solution.outcome.success or errors is None or errors.motion <= 1:
         return False
@@ -371,22 +381,31 @@ def gradients(
     design, free_end = without_end(design)
     system = as_system(model, design) if free_end else differentiable(model, design)
     require_objectives(system, objectives, t_end)
+    if memory is not None and tolerance is None:
+        method = _limited(method, memory)
     if events is not None or modes is not None or free_end:
         what = "design with t_end" if free_end else "events"
-        _require_alone(what, tolerance=tolerance, after=after)
+        _require_alone(what, after=after)
+        if tolerance is not None:
+            _require_alone("tolerance", integrator=integrator, memory=memory)
+            from ancfdae.studies.accuracy.event_search import event_gradients_within
+
+            parts = system, t_end, events or (), modes
+            return event_gradients_within(
+                parts, objectives, tolerance, (design, free_end), method, progress
+            )
         from ancfdae.events.calls import EventRun
         from ancfdae.studies.events import gradients as gradients_with_events
 
         made = EventRun.of(
             system, t_end, integrator, events or (), modes, design, progress, free_end
         )
-        return gradients_with_events(made, objectives, _limited(method, memory))
+        return gradients_with_events(made, objectives, method)
     if tolerance is not None:
         _require_alone("tolerance", integrator=integrator, memory=memory, after=after)
         from ancfdae.studies.accuracy.search import gradients_within
 
         return gradients_within(system, objectives, t_end, tolerance, method, progress)
-    method = _limited(method, memory)
     if method is None:
         adjoint = isinstance(integrator, AdjointIntegrator)
         method = cheapest(system.n_b, len(objectives)) if adjoint else DirectDifferentiation()
@@ -402,10 +421,8 @@ def gradients(
     return found
 
 
-def _limited(method: GradientMethod | None, memory: str | float | None) -> GradientMethod | None:
-    """Return the adjoint within a limit of memory if there is one, else the method."""
-    if memory is None:
-        return method
+def _limited(method: GradientMethod | None, memory: str | float) -> Adjoint:
+    """Return the adjoint method within a limit of memory, if given, otherwise the method."""
     if method is not None:
         rule, repair = "limits the adjoint method only", "Write method=Adjoint(memory=...)."
         raise InvalidInputError("memory", rule, f"method={method!r} too", repair)
@@ -413,7 +430,7 @@ def _limited(method: GradientMethod | None, memory: str | float | None) -> Gradi
 
 
 def _require_alone(where: str, **others: object) -> None:
-    """Raise InvalidInputError if one of `others` is given, which `where` excludes."""
+    """Raise InvalidInputError if one of the arguments `others` is given together with `where`."""
     for name, given in others.items():
         if given is not None:
             repair = "A tolerance chooses its own runs." if where == "tolerance" else ""

@@ -74,16 +74,16 @@ EXCEPTIONS: dict[str, tuple[str, ...]] = {}
 # Hits today. A check that is not named here has none, and stays so.
 AT_MOST: dict[str, int] = {
     "opens with what": 41,
-    "as far as": 5,
-    "is none": 55,
-    "that of, those of": 435,
+    "as far as": 4,
+    "is none": 45,
+    "that of, those of": 361,
     "inversion": 1,
-    "tells": 64,
-    "all of them": 45,
-    "the other": 25,
-    "instants": 335,
-    "array without a shape": 252,
-    "long sentence": 228,
+    "tells": 49,
+    "all of them": 33,
+    "the other": 21,
+    "instants": 248,
+    "array without a shape": 154,
+    "long sentence": 222,
 }
 
 Hit = tuple[Text, str]
