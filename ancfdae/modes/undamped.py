@@ -137,8 +137,9 @@ def _quotients(small: Linearised, s: Array, X: Array) -> Array:
 # modes faster than Lanczos's method with a count; damped motions have twice as many exponents, all
 # of which dense methods find (docs/measurements.md, "Modes").
 _DENSE, _DENSE_LOWEST, _DENSE_DAMPED = 300, 100, 120
-# Up to this many they take over where Lanczos's method has not found all modes by the count.
-_DENSE_MOST = 3000
+# Up to this many they take over where Lanczos's method has not found all modes by the count: at
+# once where there are up to _CHEAP times as many motions as modes are asked for.
+_DENSE_MOST, _CHEAP = 3000, 12
 _UNCOUNTED = (
     "modes: more modes lie below the last one than were found, or round-off hides their number. "
     "Ask for another number of modes, or use fewer elements."
@@ -187,9 +188,9 @@ def _found(small: Linearised, count: int, asked: int, highest: bool) -> tuple[Ar
     if highest and large:
         found = highest_of_all(small, count, asked)
     elif not highest and small.n_free > max(_DENSE_LOWEST, 3 * count + _ROOM):
-        found = lowest(small, count, asked) or (
-            lowest_of_all(small, count, asked) if large else None
-        )
+        found = lowest(small, count, asked)
+        if found is None and large and small.n_free > min(_CHEAP * count, _DENSE_MOST):
+            found = lowest_of_all(small, count, asked)
     if found is not None:
         return found
     if small.n_free > _DENSE_MOST:
